@@ -811,6 +811,8 @@ class Record:
             found, first = self.bundle.once(("seals", number), lambda: self.seals(number, pinned))
             usual = len(pinned) // 2 + 1
         if len(found) < chain.get("quorum", usual):
+            if not pinned:
+                raise Unproven("the trust file pins no signers")
             if not found and first is not None:
                 raise Refused("sealed by " + first.hex() + ", who is not a pinned signer")
             raise Unproven("sealed by too few of the pinned signers")

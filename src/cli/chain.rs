@@ -15,7 +15,7 @@ use super::{parse, serve as site};
 use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;
 use crate::service::command::{
-    Administer, Administration, ChainStatus, DeployContract, ListSuccessions, ServeChain, SiteStatus,
+    Administer, Administration, CancelTransaction, ChainStatus, DeployContract, ListSuccessions, ServeChain, SiteStatus,
 };
 use crate::service::reply::ServedView;
 use crate::service::{Client, Failure, Needs};
@@ -34,6 +34,14 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         ChainVerb::Deploy { delay } => {
             let delay = delay.as_deref().map(seconds).transpose()?;
             Plan::new(CHAIN, ProfileNeed::Made, DeployContract { delay })
+        }
+        ChainVerb::Cancel { nonce, account, yes: true } => {
+            let account = account.as_deref().map(parse::value).transpose()?;
+            Plan::new(CHAIN, ProfileNeed::Unlocked, CancelTransaction { nonce, account })
+        }
+        ChainVerb::Cancel { .. } => {
+            let text = "what the transaction was for does not happen unless it anchors records; add --yes to confirm";
+            return Err(Failure::new(ErrorKind::Usage, text));
         }
         ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, ListSuccessions),
         ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {

@@ -10,7 +10,7 @@ use crate::pipeline::sender::LaneState;
 use crate::service::Failure;
 use crate::service::reply::{
     Caveat, ChainView, CheckView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage,
-    RecordView, Refusal, ShownState, TopicRow,
+    RecordView, Refusal, ShownState, TopicRow, WaitingView,
 };
 use authros_output::{Output, pairs, table};
 
@@ -144,12 +144,16 @@ pub fn topics(rows: &[TopicRow]) -> String {
         ]);
         cells
     };
-    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
+    let cells: Vec<Vec<String>> = rows.iter().map(row).collect();
     let mut head = vec!["topic", "type", "publishers", "Hz", "", "", "", ""];
     if second {
         head.insert(1, "ROS");
     }
-    table(&head, &rows)
+    let unreached = |row: &TopicRow| {
+        let topic = row.topic.clone();
+        row.unreached.clone().into_iter().map(move |one| format!("\n{topic} is not read from {one}"))
+    };
+    table(&head, &cells) + &rows.iter().flat_map(unreached).collect::<String>()
 }
 
 /// A page of records.
@@ -260,12 +264,24 @@ pub fn chain(view: &ChainView) -> String {
         ("balance", format!("{} wei", view.balance)),
         ("nonce", view.nonce.to_string()),
         ("pending", view.pending.to_string()),
+        ("chain.min_price", format!("{} per gas", view.prices.min_price)),
+        ("chain.max_fee", view.prices.max_fee.map_or_else(|| "no cap".to_owned(), |cap| format!("{cap} per gas"))),
         ("period", or_dash(view.sealing.period.map(|period| format!("at least {period} ms between blocks")))),
         ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes per block")))),
         ("sealers", listed(&view.sealing.sealers)),
     ];
     rows.extend(view.through.clone().map(|text| ("seen", text)));
     rows.extend(parties::administration(&view.administration));
+    let waits = |one: &WaitingView| {
+        let of = if one.account == view.lanes.first().map_or(one.account, |lane| lane.account) {
+            String::new()
+        } else {
+            format!(" of {}", one.account)
+        };
+        ("waits", format!("nonce {}{of}: {}, at {} per gas", one.nonce, one.purpose, one.price))
+    };
+    rows.extend(view.waiting.iter().map(waits));
+    rows.extend(view.lacks.map(|shortfall| ("lacks", shortfall.to_string())));
     rows.extend(view.lanes.iter().filter_map(paused));
     pairs(&rows)
 }

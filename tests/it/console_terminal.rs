@@ -250,6 +250,7 @@ fn topic(hostile: &mut Hostile) -> TopicRow {
         "topic": hostile.text(), "type": hostile.text(), "publishers": [hostile.text()], "watched": true, "simulated": false,
         "hz": 1.0, "bytes_per_second": 2.0, "messages": 1, "lost_in_transport": 0, "lost_in_recorder": 0, "last_message": null,
         "ros": 1, "left_out": 0, "pins": 0, "unpinned": [hostile.text()], "quarantined": 0, "alarm": false,
+        "unreached": [{ "node": hostile.text(), "place": hostile.text(), "reason": hostile.text() }],
     }))
     .expect("a row")
 }

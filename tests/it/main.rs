@@ -74,5 +74,6 @@ mod status;
 mod succession;
 mod time_stamps;
 mod units;
+mod unreached;
 mod uploads_export;
 mod vault_faults;

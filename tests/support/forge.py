@@ -3,6 +3,7 @@
 publish NAME TOPIC TEXT HZ   a node of exactly this name that publishes std_msgs/String
 uri NAME                     prints the URI that the master has for a node
 publishers TOPIC             prints the names of the nodes that publish it
+register NAME TOPIC URI      registers a publisher of std_msgs/String at the master, whether or not it is there
 announce TOPIC URI           tells every subscriber of TOPIC that URI is its publisher, without being the master
 """
 
@@ -44,6 +45,10 @@ def announce(topic, publisher):
         print(name, xmlrpc.client.ServerProxy(uri(name)).publisherUpdate("/master", topic, [publisher]))
 
 
+def register(name, topic, publisher):
+    print(master().registerPublisher(name, topic, "std_msgs/String", publisher))
+
+
 if __name__ == "__main__":
     command, arguments = sys.argv[1], sys.argv[2:]
     if command == "uri":
@@ -51,4 +56,4 @@ if __name__ == "__main__":
     elif command == "publishers":
         print(publishers(*arguments), end="")
     else:
-        {"publish": publish, "announce": announce}[command](*arguments)
+        {"publish": publish, "announce": announce, "register": register}[command](*arguments)

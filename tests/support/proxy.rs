@@ -12,6 +12,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use super::anvil::{call, number};
+use super::unhex;
 
 /// The way to interfere with a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,6 +58,8 @@ struct Late {
 #[derive(Debug, Default)]
 struct Shared {
     late: Mutex<Option<Late>>,
+    /// Transactions that offer less than this many wei per gas are answered and never passed on; 0 = none.
+    least: AtomicU64,
     rule: Mutex<Option<Rule>>,
     seen: Mutex<HashMap<String, u64>>,
     spoilt: AtomicU64,
@@ -109,8 +112,15 @@ impl Proxy {
         *lock(&self.shared.late) = Some(Late { blocks, every: 1, is_alone: true, refuses: true, asked: 0 });
     }
 
+    /// From now on a transaction that offers less than so many wei per gas is answered with its hash and dropped, as by
+    /// a network whose signers want more than this node quotes.
+    pub fn swallow_below(&self, wei: u64) {
+        self.shared.least.store(wei, Ordering::SeqCst);
+    }
+
     /// Forwards everything again.
     pub fn calm(&self) {
+        self.shared.least.store(0, Ordering::SeqCst);
         *lock(&self.shared.rule) = None;
         *lock(&self.shared.late) = None;
     }
@@ -151,6 +161,19 @@ impl Shared {
         Some(rule.how)
     }
 
+    /// The answer to a transaction that offers too little.
+    fn swallowed(&self, request: &Message) -> Option<Message> {
+        let document: Value = serde_json::from_slice(&request.body).ok()?;
+        let raw = unhex(document["params"][0].as_str().filter(|_| document["method"] == "eth_sendRawTransaction")?);
+        let least = u128::from(self.least.load(Ordering::SeqCst));
+        if authros::chain::offered(&raw).ok()?.price >= least {
+            return None;
+        }
+        self.spoilt.fetch_add(1, Ordering::SeqCst);
+        let hash = authros::model::Hash(authros::crypto::keccak256(&[&raw])).to_string();
+        Some(Message::answer(&json!({ "jsonrpc": "2.0", "id": document["id"], "result": hash })))
+    }
+
     /// The answer of the node that is behind, if this request reaches it.
     fn late_answer(&self, upstream: u16, request: &Message) -> Option<Message> {
         let document: Value = serde_json::from_slice(&request.body).ok()?;
@@ -172,8 +195,7 @@ impl Shared {
             Err(message) => body["error"] = json!({ "code": -32000, "message": message }),
         }
         self.spoilt.fetch_add(1, Ordering::SeqCst);
-        let head = vec!["HTTP/1.1 200 OK".to_owned(), "Content-Type: application/json".to_owned()];
-        Some(Message { head, body: body.to_string().into_bytes() })
+        Some(Message::answer(&body))
     }
 }
 
@@ -241,7 +263,7 @@ fn serve(client: &TcpStream, upstream: u16, shared: &Shared) -> Result<(), Error
     let mut node: Option<BufReader<TcpStream>> = None;
     while let Some(request) = Message::read(&mut requests)? {
         let spoil = request.method().and_then(|method| shared.decide(&method));
-        if let Some(answer) = shared.late_answer(upstream, &request) {
+        if let Some(answer) = shared.swallowed(&request).or_else(|| shared.late_answer(upstream, &request)) {
             if !pass_on(client, &answer, None)? {
                 return Ok(());
             }
@@ -307,6 +329,11 @@ struct Message {
 }
 
 impl Message {
+    fn answer(body: &Value) -> Self {
+        let head = vec!["HTTP/1.1 200 OK".to_owned(), "Content-Type: application/json".to_owned()];
+        Self { head, body: body.to_string().into_bytes() }
+    }
+
     /// The next one; `None` if the other side has closed the connection.
     fn read(source: &mut impl BufRead) -> Result<Option<Self>, Error> {
         let (mut head, mut length) = (Vec::new(), 0);

@@ -153,6 +153,11 @@ impl Roscore {
         Running::start(self.forge(&["announce", topic, uri])).wait(60).expect_code(0).stdout
     }
 
+    /// Registers a publisher of texts at the master, whether or not it is there.
+    pub fn register(&self, name: &str, topic: &str, uri: &str) {
+        Running::start(self.forge(&["register", name, topic, uri])).wait(60).expect_code(0);
+    }
+
     fn forge(&self, arguments: &[&str]) -> Command {
         let mut command = self.command("python3");
         command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/forge.py")).args(arguments);

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use ethers::providers::JsonRpcError;
 
-use crate::model::{Address, Consensus, ErrorKind, bytes::unhex, clean};
+use super::Shortfall;
+use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
 
 /// What to do where the pinned chain does not come back.
 pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --home NEW uploads import OLD`";
@@ -87,6 +88,17 @@ pub enum ChainError {
     /// The account cannot pay.
     #[error("the account has too little ether for the transaction; send it some, or use a network without fees")]
     InsufficientFunds,
+    /// The account cannot pay, and this is what it lacks.
+    #[error("{0}, then repeat the command")]
+    NoEther(Shortfall),
+    /// The network requires more than the operator's cap.
+    #[error("the network requires {needed} per gas, more than chain.max_fee = {cap} allows; wait or raise it")]
+    TooDear {
+        /// The price per gas.
+        needed: Wei,
+        /// The cap per gas.
+        cap: Wei,
+    },
     /// A block of this network has too little room for the transaction.
     #[error(
         "the transaction needs up to {needed} gas, and the node says that a block of this network holds {limit}; raise \
@@ -107,8 +119,15 @@ pub enum ChainError {
         reason: String,
     },
     /// A transaction was not mined in time.
-    #[error("the transaction was sent but not mined within {0} s; check that the network makes blocks")]
-    NotMined(u64),
+    #[error("the transaction was sent but not mined within {seconds} s: {}", passed_by(*.blocks, *.price))]
+    NotMined {
+        /// How long it waited.
+        seconds: u64,
+        /// How many blocks passed it by.
+        blocks: u64,
+        /// The last price per gas that it offered.
+        price: Wei,
+    },
     /// A value cannot be encoded in a call.
     #[error("{0}")]
     Input(String),
@@ -167,7 +186,7 @@ impl ChainError {
     /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Unreachable { .. } | Self::Absent { .. } | Self::Answer { .. } | Self::NotMined(_) => {
+            Self::Unreachable { .. } | Self::Absent { .. } | Self::Answer { .. } | Self::NotMined { .. } => {
                 ErrorKind::Unreachable
             }
             Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Newer { .. } | Self::Input(_) => {
@@ -184,6 +203,8 @@ impl ChainError {
             | Self::NonceTooLow
             | Self::Underpriced
             | Self::InsufficientFunds
+            | Self::NoEther(_)
+            | Self::TooDear { .. }
             | Self::BlockTooSmall { .. }
             | Self::Rejected { .. } => ErrorKind::Refused,
         }
@@ -204,19 +225,37 @@ impl ChainError {
         }
         let lower = error.message.to_lowercase();
         let says = |words: &[&str]| words.iter().any(|word| lower.contains(word));
+        let is_poor = says(&[
+            "insufficient funds",
+            "insufficientfunds",
+            "insufficient balance",
+            "enough funds",
+            "exceeds account balance",
+            "upfront cost exceeds",
+        ]);
         if says(&["already known", "known transaction", "already imported", "alreadyknown"]) {
             Self::AlreadyKnown
         } else if says(&["nonce too low", "nonce is too low", "correct nonce", "oldnonce"]) {
             Self::NonceTooLow
-        } else if says(&["underpriced", "gas price", "fee too low", "base fee", "basefee"])
-            && !says(&["insufficient funds"])
-        {
-            Self::Underpriced
-        } else if says(&["insufficient funds", "insufficient balance", "enough funds"]) {
+        } else if is_poor {
             Self::InsufficientFunds
+        } else if says(&["underpriced", "gas price", "fee too low", "base fee", "basefee"]) {
+            Self::Underpriced
         } else {
             Self::Rejected { method: method.to_owned(), reason: clean(&error.message, 200) }
         }
+    }
+}
+
+/// Why a transaction may be in no block yet, and what to do.
+pub fn passed_by(blocks: u64, price: Wei) -> String {
+    match blocks {
+        0 => "the network produces no blocks; check its signers or miners".to_owned(),
+        1 => format!("not taken into 1 block at {price} per gas; wait for the next ones"),
+        _ => format!(
+            "not taken into {blocks} blocks at {price} per gas; ask those who seal them for the lowest price that they \
+             accept, and set chain.min_price, or raise chain.max_fee"
+        ),
     }
 }
 
@@ -319,6 +358,9 @@ mod tests {
             ("replacement transaction underpriced", ChainError::Underpriced),
             ("max fee per gas less than block base fee", ChainError::Underpriced),
             ("insufficient funds for gas * price + value", ChainError::InsufficientFunds),
+            ("Upfront cost exceeds account balance", ChainError::InsufficientFunds),
+            ("InsufficientFunds, Account balance: 0, cumulative cost: 1", ChainError::InsufficientFunds),
+            ("Gas price below configured minimum gas price", ChainError::Underpriced),
         ] {
             assert_eq!(answer(message, None), expected, "{message}");
         }

@@ -9,9 +9,9 @@ use super::artefact::artefact;
 use super::connect::RawBlock;
 use super::gas;
 use super::sender::{sign_request, wallet};
-use super::{BlockRef, Call, Chain, ChainError, SignedTransaction};
+use super::{BlockRef, Call, Chain, ChainError, Shortfall, SignedTransaction};
 use crate::crypto::EoaSecret;
-use crate::model::Address;
+use crate::model::{Address, Wei};
 
 /// The highest tip on top of the base fee, wei.
 const LARGEST_TIP: u128 = 1_000_000_000;
@@ -48,12 +48,14 @@ pub struct Offered {
     pub price: u128,
     /// The most gas it may use.
     pub gas: u64,
+    /// The ether that it sends, wei.
+    pub value: u128,
 }
 
 impl Offered {
-    /// The most wei that the transaction's gas may cost at `price`.
+    /// The most wei that the transaction may cost at `price`, what it sends included.
     pub fn cost_at(&self, price: u128) -> u128 {
-        price.saturating_mul(u128::from(self.gas))
+        price.saturating_mul(u128::from(self.gas)).saturating_add(self.value)
     }
 }
 
@@ -81,6 +83,16 @@ impl Chain {
     /// Errors of the node.
     pub async fn wealth(&self, account: Address) -> Result<u128, ChainError> {
         Ok(u128::try_from(self.balance(account).await?).unwrap_or(u128::MAX))
+    }
+
+    /// What the account holds, and what its next call needs at this price; the node's own estimate may be higher.
+    ///
+    /// # Errors
+    /// Errors of the node, [`ChainError::Input`].
+    pub async fn shortfall(&self, account: Address, call: &Call, price: u128) -> Result<Shortfall, ChainError> {
+        let gas = call.known_cost(&call.encode()?);
+        let needed = Wei(price.saturating_mul(u128::from(gas)));
+        Ok(Shortfall { account, held: Wei(self.wealth(account).await?), needed })
     }
 
     /// Like [`Chain::sign`], at a given price in wei per gas.
@@ -162,7 +174,8 @@ pub fn offered(raw: &[u8]) -> Result<Offered, ChainError> {
     let request = decode(raw)?;
     let price = request.gas_price.and_then(|price| u128::try_from(price).ok());
     let gas = request.gas.and_then(|gas| u64::try_from(gas).ok());
-    price.zip(gas).map(|(price, gas)| Offered { price, gas }).ok_or_else(no_transaction)
+    let value = request.value.map_or(0, |value| u128::try_from(value).unwrap_or(u128::MAX));
+    price.zip(gas).map(|(price, gas)| Offered { price, gas, value }).ok_or_else(no_transaction)
 }
 
 /// Whether two signed legacy transactions make the same call, regardless of nonce and price.
@@ -220,7 +233,7 @@ mod tests {
             sign_request(&wallet, decode(&first.raw).expect("decodes").nonce(4).gas_price(11u64).chain_id(31_337u64));
         let again = again.expect("signs");
         assert_ne!(first.hash, again.hash);
-        assert_eq!(offered(&again.raw), Ok(Offered { price: 11, gas: 50_000 }));
+        assert_eq!(offered(&again.raw), Ok(Offered { price: 11, gas: 50_000, value: 0 }));
         assert_eq!((again.nonce, again.gas_limit, again.gas_price), (4, 50_000, 11));
         assert!(is_same_call(&first.raw, &again.raw));
         assert_eq!(call_data(&again.raw), Ok(vec![1, 2, 3]));

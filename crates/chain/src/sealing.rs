@@ -5,11 +5,16 @@ use serde_json::{Value, json};
 
 use super::{Chain, ChainError, Consensus};
 use crate::model::{Address, bytes::unhex};
+use authros_evidence::validators_in;
+
+/// The newest intervals between blocks that are looked at.
+const INTERVALS: usize = 2;
 
 /// Who seals the blocks of a chain, and how often.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sealing {
-    /// The least time between two blocks, milliseconds; known for the embedded proof of authority.
+    /// The least time between two blocks, milliseconds, under proof of authority: as the embedded chain was founded, or
+    /// as seen between a node's newest blocks.
     pub period: Option<u64>,
     /// Difficulty of the newest block under proof of work, decimal.
     pub difficulty: Option<String>,
@@ -36,7 +41,7 @@ impl Chain {
         }
         match self.inner.consensus {
             "pow" => Ok(Sealing { difficulty: self.difficulty().await?, ..Sealing::default() }),
-            "poa" => Ok(Sealing { sealers: self.signers().await?, ..Sealing::default() }),
+            "poa" => Ok(Sealing { sealers: self.signers().await?, period: self.period().await?, ..Sealing::default() }),
             _ => Ok(Sealing::default()),
         }
     }
@@ -47,24 +52,50 @@ impl Chain {
         Ok(difficulty.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
     }
 
-    /// As geth's clique or Besu answers; otherwise those listed in a Clique genesis block.
+    /// The shortest of the newest intervals between two blocks, milliseconds. The first block has no time of its own.
+    async fn period(&self) -> Result<Option<u64>, ChainError> {
+        let mut later = self.head().await?;
+        let mut shortest = None;
+        for _ in 0..INTERVALS {
+            let number = later.number.saturating_sub(1);
+            let Some(earlier) = self.block(number).await?.filter(|_| number > 0) else { break };
+            let interval = later.timestamp.saturating_sub(earlier.timestamp).saturating_mul(1_000);
+            shortest = Some(shortest.map_or(interval, |least: u64| least.min(interval)));
+            later = earlier;
+        }
+        Ok(shortest.filter(|interval| *interval > 0))
+    }
+
+    /// As geth's clique, Besu or GoQuorum answers; otherwise those named by the newest header (QBFT, IBFT) or listed in a
+    /// Clique genesis block.
     async fn signers(&self) -> Result<Vec<Address>, ChainError> {
         let asked = [
             ("clique_getSigners", json!([])),
             ("qbft_getValidatorsByBlockNumber", json!(["latest"])),
             ("ibft_getValidatorsByBlockNumber", json!(["latest"])),
+            ("istanbul_getValidators", json!(["latest"])),
         ];
         for (method, parameters) in asked {
             match self.rpc::<Vec<String>>(method, parameters).await {
-                Ok(signers) => {
+                Ok(signers) if !signers.is_empty() => {
                     return Ok(signers.iter().filter_map(|text| text.to_lowercase().parse().ok()).collect());
                 }
                 Err(error @ ChainError::Unreachable { .. }) => return Err(error),
-                Err(_) => {}
+                Ok(_) | Err(_) => {}
             }
         }
-        let genesis: Value = self.rpc("eth_getBlockByNumber", json!(["0x0", false])).await?;
-        Ok(genesis.get("extraData").and_then(Value::as_str).and_then(unhex).map_or(Vec::new(), |extra| listed(&extra)))
+        let named = validators_in(&self.extra_data("latest").await?);
+        if !named.is_empty() {
+            return Ok(named);
+        }
+        let genesis = self.extra_data("0x0").await?;
+        let named = validators_in(&genesis);
+        Ok(if named.is_empty() { listed(&genesis) } else { named })
+    }
+
+    async fn extra_data(&self, block: &str) -> Result<Vec<u8>, ChainError> {
+        let block: Value = self.rpc("eth_getBlockByNumber", json!([block, false])).await?;
+        Ok(block.get("extraData").and_then(Value::as_str).and_then(unhex).unwrap_or_default())
     }
 }
 
@@ -96,6 +127,77 @@ mod tests {
         for other in [0, 31, 32, 96, 97, 98, 136] {
             assert_eq!(listed(&extra[..other]), [], "{other} bytes");
         }
+    }
+
+    /// A node that gives blocks with this extra data and mix hash, every second one, and what `method` answers.
+    fn foreign(extra: String, mix: String, method: Option<(&'static str, Value)>) -> String {
+        use std::io::{BufRead as _, Read as _, Write as _};
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("its address"));
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let mut stream = stream.expect("accepted");
+                let mut reader = std::io::BufReader::new(stream.try_clone().expect("twice"));
+                let (mut length, mut line) = (0, String::new());
+                while reader.read_line(&mut line).expect("a head") > 2 {
+                    let lower = line.to_lowercase();
+                    length =
+                        lower.strip_prefix("content-length:").map_or(length, |n| n.trim().parse().expect("a length"));
+                    line.clear();
+                }
+                let mut body = vec![0; length];
+                reader.read_exact(&mut body).expect("a body");
+                let asked: Value = serde_json::from_slice(&body).expect("JSON");
+                let name = asked["method"].as_str().expect("a method");
+                let result = match (name, &method) {
+                    ("eth_chainId", _) => json!("0x7"),
+                    ("web3_clientVersion", _) => json!("Geth/v1.10.3-quorum-v22.7.6"),
+                    ("eth_getBlockByNumber", _) => {
+                        let text = asked["params"][0].as_str().expect("a block").trim_start_matches("0x");
+                        let number = u64::from_str_radix(text, 16).unwrap_or(9);
+                        // The newest came late.
+                        let time = if number == 0 { 0 } else { 1_000 + number * 5 + if number == 9 { 60 } else { 0 } };
+                        json!({ "number": format!("{number:#x}"), "hash": crate::model::Hash([9; 32]).to_string(),
+                            "timestamp": format!("{time:#x}"), "difficulty": "0x1", "extraData": extra, "mixHash": mix })
+                    }
+                    (name, Some((known, answer))) if name == *known => answer.clone(),
+                    _ => Value::Null,
+                };
+                let told = match (name, result) {
+                    (_, Value::Null) => json!({ "error": { "code": -32601, "message": "the method does not exist" } }),
+                    (_, result) => json!({ "result": result }),
+                };
+                let mut told = told;
+                (told["jsonrpc"], told["id"]) = (json!("2.0"), asked["id"].clone());
+                let told = told.to_string();
+                let head = "HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nConnection: close\r\nContent-Length: ";
+                drop(stream.write_all(format!("{head}{}\r\n\r\n{told}", told.len()).as_bytes()));
+            }
+        });
+        url
+    }
+
+    async fn sealing_of(url: String) -> Sealing {
+        let options = ChainOptions { endpoint: Endpoint::Node { url }, contract: None, pinned: None, confirmations: 1 };
+        Chain::connect(options).await.expect("connects").sealing().await.expect("told")
+    }
+
+    /// A network of validators is told by a method of its node, or else by its headers; the period by its blocks.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn validators_and_period_are_read_from_what_there_is() {
+        let blocks: Value = serde_json::from_str(include_str!("../../evidence/src/tests/besu.json")).expect("JSON");
+        let of = |name: &str, field: &str| blocks[name][field].as_str().expect("text").to_owned();
+        for (name, count) in [("ibft2", 4), ("qbft", 1)] {
+            let found = sealing_of(foreign(of(name, "extraData"), of(name, "mixHash"), None)).await;
+            assert_eq!((found.sealers.len(), found.period), (count, Some(5_000)), "{name}: {found:?}");
+        }
+        let method =
+            Some(("istanbul_getValidators", json!([Address([5; 20]).to_string(), Address([6; 20]).to_string()])));
+        let found = sealing_of(foreign(of("qbft", "extraData"), of("qbft", "mixHash"), method)).await;
+        assert_eq!(found.sealers, [Address([5; 20]), Address([6; 20])]);
+        let clique = format!("0x{}{}{}", "01".repeat(32), "07".repeat(20), "00".repeat(65));
+        let found = sealing_of(foreign(clique, crate::model::Hash([0; 32]).to_string(), None)).await;
+        assert_eq!((found.sealers, found.period), (vec![Address([7; 20])], Some(5_000)));
     }
 
     #[tokio::test(flavor = "multi_thread")]

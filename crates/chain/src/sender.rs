@@ -1,7 +1,6 @@
 //! Transactions: signing, sending, receipts, deployment. One legacy (EIP-155) transaction per call.
 
 use std::sync::PoisonError;
-use std::time::{Duration, Instant};
 
 use ethers::signers::LocalWallet;
 use ethers::types::transaction::eip2718::TypedTransaction;
@@ -145,7 +144,7 @@ impl Chain {
         Ok(Some(Receipt { block, block_hash: Hash(raw.block_hash.0), success, gas_used, reason: why, events }))
     }
 
-    async fn raw_receipt(&self, hash: Hash) -> Result<Option<(RawReceipt, Value)>, ChainError> {
+    pub(super) async fn raw_receipt(&self, hash: Hash) -> Result<Option<(RawReceipt, Value)>, ChainError> {
         const METHOD: &str = "eth_getTransactionReceipt";
         let value: Value = self.rpc(METHOD, json!([hash.to_string()])).await?;
         if value.get("blockHash").is_none_or(Value::is_null) {
@@ -153,21 +152,6 @@ impl Chain {
         }
         let raw = RawReceipt::deserialize(&value).map_err(|error| self.misunderstood(METHOD, &error.to_string()))?;
         Ok(Some((raw, value)))
-    }
-
-    pub(super) async fn await_receipt(&self, hash: Hash, patience: Duration) -> Result<RawReceipt, ChainError> {
-        let deadline = Instant::now() + patience;
-        loop {
-            let head = self.head().await?.number;
-            if let Some((receipt, _)) = self.raw_receipt(hash).await? {
-                return Ok(receipt);
-            }
-            let left = deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return Err(ChainError::NotMined(patience.as_secs()));
-            }
-            self.next_block(head, left.min(Duration::from_secs(1))).await?;
-        }
     }
 }
 

@@ -4,8 +4,8 @@ use ethers::utils::rlp::RlpStream;
 use serde_json::{Value, json};
 
 use super::{Chain, ChainError};
-use crate::model::Hash;
 use crate::model::bytes::unhex;
+use crate::model::{Address, Hash};
 use authros_evidence::{BlockHeader, Slot};
 
 /// The most slots requested at once; nodes limit it.
@@ -88,9 +88,16 @@ impl Chain {
 
 /// The header of a block as a node shows it, RLP; `None` if its fields do not give its hash, as its consensus makes it.
 fn header_of(block: &Value) -> Option<Vec<u8>> {
-    let header = encode(block)?;
     let named: Hash = block.get("hash")?.as_str()?.parse().ok()?;
-    (BlockHeader::parse(&header)?.hash == named).then_some(header)
+    let of_hash = |header: &Vec<u8>| BlockHeader::parse(header).is_some_and(|parsed| parsed.hash == named);
+    encode(block).filter(of_hash).or_else(|| encode(&without_miner(block)?).filter(of_hash))
+}
+
+/// Some versions of geth (1.10.6 to 1.10.8) show a Clique block's signer as its miner. What was hashed is no account.
+fn without_miner(block: &Value) -> Option<Value> {
+    let mut block = block.clone();
+    *block.get_mut("miner")? = json!(Address([0; 20]).to_string());
+    Some(block)
 }
 
 fn encode(block: &Value) -> Option<Vec<u8>> {
@@ -117,6 +124,23 @@ fn number(text: &str) -> Option<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Such a block, as one version of geth shows it and as another one does.
+    #[test]
+    fn a_clique_block_shown_with_its_signer_as_miner_gives_its_hash() {
+        let blocks: Value = serde_json::from_str(include_str!("../../evidence/src/tests/besu.json")).expect("JSON");
+        let mut block = blocks["qbft"].clone();
+        block["mixHash"] = json!(Hash([0; 32]).to_string());
+        block["extraData"] = json!(format!("0x{}", "07".repeat(97)));
+        block["miner"] = json!(format!("0x{}", "00".repeat(20)));
+        let header = encode(&block).expect("a header");
+        block["hash"] = json!(BlockHeader::parse(&header).expect("parses").hash.to_string());
+        assert_eq!(header_of(&block).as_ref(), Some(&header));
+        block["miner"] = json!(format!("0x{}", "5a".repeat(20)));
+        assert_eq!(header_of(&block).as_ref(), Some(&header), "its signer is shown");
+        block["gasUsed"] = json!("0x7");
+        assert_eq!(header_of(&block), None, "nothing else may differ");
+    }
 
     /// Their hash covers neither seals nor round: it is not that of their bytes.
     #[test]

@@ -108,6 +108,12 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "highest gas price in gwei that a transaction may offer, replacements included; empty = no cap",
     },
     Definition {
+        name: "chain.min_price",
+        variable: "AUTHROS_MIN_PRICE",
+        default: "0",
+        text: "lowest gas price in gwei that a transaction offers, whatever the node quotes; at most chain.max_fee",
+    },
+    Definition {
         name: "chain.consensus",
         variable: "AUTHROS_CONSENSUS",
         default: "",

@@ -95,6 +95,8 @@ pub struct Config {
     pub contract: Option<Address>,
     /// The most wei per gas that a transaction may offer.
     pub max_fee: Option<u128>,
+    /// The least wei per gas that a transaction offers.
+    pub min_price: u128,
     /// Accounts that anchor in parallel, including the owner's.
     pub lanes: u8,
     /// The consensus required of the embedded chain; a new one is founded with it.
@@ -214,6 +216,12 @@ impl Config {
             Some(_) => u16::try_from(number(&values, "ros.domain", 0, 232)?).ok(),
             None => None,
         };
+        let gwei = |name| Ok::<_, ConfigError>(u128::from(number(&values, name, 0, 1_000_000_000)?) * 1_000_000_000);
+        let max_fee = text("chain.max_fee").map(|_| gwei("chain.max_fee")).transpose()?;
+        let min_price = gwei("chain.min_price")?;
+        if max_fee.is_some_and(|most| min_price > most) {
+            return Err(wrong(&values, "chain.min_price", "choose at most chain.max_fee"));
+        }
         let robots = number(&values, "robots", 0, 32)?;
         // With real robots, simulated ones run only on request.
         let unasked = values.get("robots").is_some_and(|(_, source)| *source == Source::Default);
@@ -233,10 +241,8 @@ impl Config {
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
             contract: parsed(&values, "chain.contract")?,
-            max_fee: match text("chain.max_fee") {
-                Some(_) => Some(u128::from(number(&values, "chain.max_fee", 0, 1_000_000_000)?) * 1_000_000_000),
-                None => None,
-            },
+            max_fee,
+            min_price,
             lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
             consensus: parsed(&values, "chain.consensus")?,
             capture_memory: bytes(&values, "capture.memory", 1 << 20)?,

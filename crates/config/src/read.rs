@@ -198,5 +198,20 @@ pub(super) fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Resu
     if usable || Path::new(text).extension().is_some_and(|end| end == "ipc") && schemes.contains(&"ipc://") {
         return Ok(Some(text.to_owned()));
     }
-    Err(wrong(values, name, &format!("it must start with {}", schemes.join(", "))))
+    let refused = wrong(values, name, &format!("it must start with {}", schemes.join(", ")));
+    Err(match refused {
+        ConfigError::Value { name, value, source_name, what } => {
+            ConfigError::Value { name, value: without_path(&value), source_name, what }
+        }
+        other => other,
+    })
+}
+
+/// A URL up to its host: at a provider the path is as secret as a password.
+fn without_path(url: &str) -> String {
+    let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
+    match rest.split_once(['/', '?', '#']) {
+        Some((host, further)) if !further.is_empty() => format!("{scheme}://{host}/…"),
+        _ => url.to_owned(),
+    }
 }

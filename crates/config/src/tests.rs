@@ -94,6 +94,25 @@ fn pictures_are_half_blocks_unless_it_is_said_otherwise() {
 }
 
 #[test]
+fn a_refused_url_shows_no_secret_path() {
+    let refused = with_file("[chain]\nurl = \"gopher://me:hunter2@node.example.org/v3/SECRETKEY?also=it\"\n");
+    let told = refused.expect_err("no such scheme").to_string();
+    assert!(told.contains("node.example.org/…"), "{told}");
+    assert!(!["SECRETKEY", "also", "hunter2"].iter().any(|secret| told.contains(secret)), "{told}");
+}
+
+#[test]
+fn the_lowest_price_is_no_higher_than_the_highest() {
+    let config = with_file("[chain]\nmin_price = 5\nmax_fee = 5\n").expect("equal");
+    assert_eq!((config.min_price, config.max_fee), (5_000_000_000, Some(5_000_000_000)));
+    assert_eq!(with_file("").expect("defaults").min_price, 0);
+    let without_cap = with_file("[chain]\nmin_price = 5000\nmax_fee = \"\"\n").expect("no cap");
+    assert_eq!((without_cap.min_price, without_cap.max_fee), (5_000_000_000_000, None));
+    let told = with_file("[chain]\nmin_price = 6\nmax_fee = 5\n").expect_err("above the cap").to_string();
+    assert!(told.contains("chain.min_price") && told.contains("chain.max_fee"), "{told}");
+}
+
+#[test]
 fn passwords_are_hidden() {
     let config = with_file("[vault]\nurl = \"redis://u:hunter2@127.0.0.1:1\"").expect("file");
     let shown = serde_json::to_string(&config.show()).expect("json");

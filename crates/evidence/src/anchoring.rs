@@ -170,7 +170,9 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     let how = found.committed.map_or_else(String::new, |protocol| format!(" in its own header ({protocol})"));
     let text = format!("{what}{at}, sealed by {have} of {all} pinned signers{how}");
     if have < quorum {
-        return too_few(&found, shown_at, format!("{what}{at}"), format!("{text}; {quorum} are required"));
+        let counted =
+            if all > 0 { format!("{text}; {quorum} are required") } else { nobody_pinned(&what, &at, shown_at) };
+        return too_few(&found, shown_at, (all, format!("{what}{at}")), counted);
     }
     if trust.chain.sealed_by_exporter || shown_at.is_ours() {
         return Level::new(
@@ -181,13 +183,20 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     Level::new(Standing::Proven, text)
 }
 
-/// Why the seals on a block are not enough.
-fn too_few(found: &Seals, shown_at: &BlockHeader, what: String, counted: String) -> Level {
+/// Nothing contradicts a trust file that names nobody, and nothing is proven by it.
+fn nobody_pinned(what: &str, at: &str, shown_at: &BlockHeader) -> String {
+    let who = shown_at.sealed_by();
+    format!("{what}{at}, sealed by {who}: the trust file pins no signers, so this proves nothing")
+}
+
+/// Why the seals on a block are not enough; `all` is the number of pinned signers.
+fn too_few(found: &Seals, shown_at: &BlockHeader, (all, what): (usize, String), counted: String) -> Level {
     let number = shown_at.number;
     match (found.flaw, found.committed, found.stranger) {
         (Some(flaw), Some(protocol), _) => {
             Level::new(Standing::Refused, format!("block {number} is not sealed as {protocol} demands: {flaw}"))
         }
+        _ if all == 0 && !found.unsigned => Level::new(Standing::Unproven, counted),
         (_, _, Some(stranger)) if found.pinned.is_empty() => Level::new(
             Standing::Refused,
             format!("block {number} is sealed by {stranger}, who is not a signer you pinned"),

@@ -211,6 +211,24 @@ impl Committed {
     }
 }
 
+/// The validators that the extra data of a header names: under QBFT and IBFT 2.0, and under the first IBFT, whose list
+/// follows the vanity. None if it is of another consensus, or a contract of the network keeps them.
+pub fn validators_in(extra: &[u8]) -> Vec<Address> {
+    let address = |item: Rlp<'_>| Some(Address(item.data().ok()?.try_into().ok()?));
+    let named = |list: &[u8], items: usize, at: usize| {
+        let list = Rlp::new(list);
+        let validators = list.at(at).ok().filter(Rlp::is_list)?;
+        let is_such = list.is_list() && list.item_count() == Ok(items);
+        if is_such { validators.iter().map(address).collect::<Option<Vec<_>>>() } else { None }
+    };
+    let whole = is_whole(&Rlp::new(extra), extra).then(|| named(extra, 5, 1)).flatten();
+    let first = || {
+        let rest = extra.get(VANITY..).filter(|rest| is_whole(&Rlp::new(rest), rest))?;
+        named(rest, 3, 0)
+    };
+    whole.or_else(first).unwrap_or_default()
+}
+
 /// The account whose key made a seal (r, s, parity) over a hash.
 pub(crate) fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address> {
     let mut seal = *seal;

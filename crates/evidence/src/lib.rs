@@ -29,7 +29,7 @@ mod verify;
 pub use bundle::{
     AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, REPORT, SUGGESTED,
 };
-pub use committed::{Committed, Flaw, Protocol};
+pub use committed::{Committed, Flaw, Protocol, validators_in};
 pub use header::{BlockHeader, LONGEST_HEADER, Seals, seals};
 pub use heights::{Height, MOST_HEIGHTS};
 pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};

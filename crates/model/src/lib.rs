@@ -34,6 +34,7 @@ pub mod state;
 pub mod steady_clock;
 pub mod topic;
 pub mod topic_rule;
+mod wei;
 pub mod wire;
 
 pub use address::{Address, redact_addresses};
@@ -67,3 +68,4 @@ pub use span::{SpanError, positive_span, time_span};
 pub use state::{RecordState, Verdict};
 pub use topic::{TopicName, TypeName, is_record_topic};
 pub use topic_rule::{TopicPattern, TopicRule, TopicRules};
+pub use wei::Wei;

@@ -3,9 +3,9 @@
 
 use tokio::task::block_in_place;
 
-use crate::chain::Call;
+use crate::chain::{Call, Priced, Shortfall};
 use crate::crypto::{CryptoError, EoaSecret, anchoring_secret, prove, random_bytes};
-use crate::model::{Domain, Token};
+use crate::model::{Domain, Token, Wei};
 
 use super::{Network, Owner, PipelineError, Plant, Sender};
 
@@ -75,13 +75,19 @@ async fn provide(
     if block_in_place(|| plant.ledger.open_lane(owner.address))?.iter().any(|row| row.purpose == PROVISION_PURPOSE) {
         return Ok(());
     }
-    let provision = chain.market().await?.offer().saturating_mul(ANCHOR_GAS * PROVISION);
+    let price = match sender.policy().fresh(&chain.market().await?) {
+        Priced::At(price) => price,
+        Priced::Capped { needed, .. } => needed,
+    };
+    let provision = price.saturating_mul(ANCHOR_GAS * PROVISION);
     let held = chain.wealth(account).await?;
     if held >= provision / 4 || chain.fund_from_node(account).await? {
         return Ok(());
     }
-    if chain.wealth(owner.address).await? < provision.saturating_mul(2) {
-        return Err(PipelineError::NoEther(owner.address));
+    let (means, needed) = (chain.wealth(owner.address).await?, provision.saturating_mul(2));
+    if means < needed {
+        let account = owner.address;
+        return Err(PipelineError::NoEther(Shortfall { account, held: Wei(means), needed: Wei(needed) }));
     }
     sender.transfer(chain, &owner.eoa(), account, provision - held, PROVISION_PURPOSE).await
 }

@@ -1,6 +1,6 @@
 //! What can go wrong between capture and verification.
 
-use crate::chain::ChainError;
+use crate::chain::{ChainError, Shortfall};
 use crate::crypto::CryptoError;
 use crate::model::{Address, Digest, ErrorKind};
 use crate::ros::RosError;
@@ -103,11 +103,23 @@ pub enum PipelineError {
         reason: String,
     },
     /// The account cannot pay for gas.
-    #[error("{0} has too little ether to pay for gas; send it some on this chain, then repeat the command")]
-    NoEther(Address),
+    #[error("{0}, then repeat the command")]
+    NoEther(Shortfall),
     /// A transaction was not mined in time; it stays stored and is sent again.
-    #[error("{0} was sent but is not in a block yet; it is stored and will be resent, see `authros chain status`")]
-    NotMined(String),
+    #[error(
+        "{purpose} was sent but is not in a block yet ({why}); it is stored and will be resent, see `authros chain status`"
+    )]
+    NotMined {
+        /// The purpose of the transaction.
+        purpose: String,
+        /// What holds it up, as far as is known.
+        why: String,
+    },
+    /// Somebody cancelled a transaction.
+    #[error(
+        "{0} was cancelled with `authros chain cancel`; it had no effect; repeat the command if it is still wanted"
+    )]
+    Cancelled(String),
     /// The chain kept changing while it was read.
     #[error("the chain changed while it was being read; it is read again; check that all nodes behind the URL agree")]
     Unsteady,
@@ -185,24 +197,18 @@ impl PipelineError {
             Self::NoEther(_) | Self::Unregistered(_) | Self::BadIdentity(_) | Self::NotGranted { .. } => {
                 ErrorKind::Refused
             }
-            Self::Reverted { .. } | Self::Contradicted { .. } | Self::Refused(_) => ErrorKind::Refused,
+            Self::Cancelled(_) | Self::Reverted { .. } | Self::Contradicted { .. } | Self::Refused(_) => {
+                ErrorKind::Refused
+            }
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) | Self::RowDiffers { .. } | Self::NotTakenIn { .. } | Self::NoRight { .. } => {
                 ErrorKind::Tampered
             }
             Self::Deleted(..) | Self::Erased { .. } => ErrorKind::Refused,
             Self::UnknownEpoch(_) | Self::NoHandover(_) | Self::Uncovered(_) => ErrorKind::Refused,
-            Self::NotMined(_) | Self::Unsteady | Self::NodeBehind { .. } | Self::NotSeen { .. } => {
+            Self::NotMined { .. } | Self::Unsteady | Self::NodeBehind { .. } | Self::NotSeen { .. } => {
                 ErrorKind::Incomplete
             }
         }
-    }
-}
-
-/// An error of the chain that occurred while `account` was to pay.
-pub(super) fn of_payer(error: ChainError, account: Address) -> PipelineError {
-    match error {
-        ChainError::InsufficientFunds => PipelineError::NoEther(account),
-        other => other.into(),
     }
 }

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
-use super::sender::{Outgoing, Policy};
+use super::sender::Outgoing;
 use super::{Network, Observer, Plant, Sender, watcher};
-use crate::chain::{Call, Chain, ChainOptions, Endpoint, Event, Pin};
+use crate::chain::{Call, Chain, ChainOptions, Endpoint, Event, Pin, Policy};
 use crate::crypto::{EoaSecret, ProviderName, SmKeyPair, domain, prove, provider};
 use crate::model::{Digest, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId};
 use crate::ros::{Message, Origin};
@@ -155,7 +155,7 @@ impl Process {
         let eoa = EoaSecret::generate().expect("key");
         chain.deploy(&eoa).await.expect("deploys");
         by_hand(&chain, &eoa, &identity(&chain, &eoa)).await;
-        Self::new(chain, eoa, Policy { cap: None }).await
+        Self::new(chain, eoa, Policy::default()).await
     }
 
     /// Acknowledges records with these numbers, stored.

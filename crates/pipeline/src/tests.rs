@@ -13,9 +13,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::anchorer::Anchorer;
-use super::sender::Policy;
 use super::{Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, watcher};
-use crate::chain::{Call, Chain, ChainOptions, Endpoint};
+use crate::chain::{Call, Chain, ChainOptions, Endpoint, Policy};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
     Anchor, Expected, Keyring, Names, Passphrase, ProviderName, UnlockedKeyring, open, prove, provider, signer_id,
@@ -66,7 +65,7 @@ impl Line {
         let domain = pin.domain();
         let network = Network::new(chain, &pin, plant.provider, 1);
         watcher::restore(&plant, &network).expect("an empty ledger is bound");
-        let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
+        let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy::default());
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));
         let call = Call::Register { identity: identity.expect("proven"), envelope: Vec::new() };

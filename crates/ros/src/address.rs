@@ -9,6 +9,11 @@ use std::time::{Duration, Instant};
 use super::RosError;
 use crate::model::clean;
 
+/// What is said of a name that nobody knows.
+pub(super) const UNRESOLVED: &str = "its name does not resolve";
+/// The shortest attempt to connect.
+const SHORTEST: Duration = Duration::from_millis(1);
+
 /// Host and port of an XML-RPC peer, with its path.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct Endpoint {
@@ -67,8 +72,10 @@ pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Resu
         // The caller may have stopped waiting.
         let _ = sender.send(found);
     })?;
-    let late = |_| std::io::Error::new(std::io::ErrorKind::TimedOut, "its name was not resolved in time");
-    let mut found: Vec<SocketAddr> = receiver.recv_timeout(time_left(deadline)?).map_err(late)??;
+    let late = |_| std::io::Error::new(std::io::ErrorKind::TimedOut, "its name does not resolve in time");
+    let answer = receiver.recv_timeout(time_left(deadline)?).map_err(late)?;
+    let unknown = |_| std::io::Error::new(std::io::ErrorKind::NotFound, UNRESOLVED);
+    let mut found: Vec<SocketAddr> = answer.map_err(unknown)?;
     found.sort_by_key(SocketAddr::is_ipv6);
     found.truncate(8);
     Ok(found)
@@ -77,8 +84,11 @@ pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Resu
 /// A TCP connection to `host:port`, opened before `deadline`, with TCP_NODELAY.
 pub(super) fn connect(host: &str, port: u16, deadline: Instant) -> std::io::Result<TcpStream> {
     let mut failure = std::io::Error::new(std::io::ErrorKind::NotFound, "its name has no address");
-    for address in resolve(host, port, deadline)? {
-        match TcpStream::connect_timeout(&address, time_left(deadline)?) {
+    let addresses = resolve(host, port, deadline)?;
+    for (tried, address) in addresses.iter().enumerate() {
+        // Each has a share of the time, so that a dead first one does not use up that of the others.
+        let others = u32::try_from(addresses.len() - tried).unwrap_or(1).max(1);
+        match TcpStream::connect_timeout(address, (time_left(deadline)? / others).max(SHORTEST)) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
                 return Ok(stream);

@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 
 use super::RosError;
 use super::address::{Endpoint, own_host};
+use super::graph::Unreached;
 use super::slave::SlaveServer;
 use crate::model::{Timestamp, TopicName, TypeName};
 use node::Shared;
@@ -196,6 +197,8 @@ pub struct TopicCapture {
     pub type_name: Option<String>,
     /// Publishers being read now.
     pub publishers: usize,
+    /// Those that the master lists and that cannot be read.
+    pub unreached: Vec<Unreached>,
     /// Messages captured.
     pub messages: u64,
     /// Bytes of their bodies.

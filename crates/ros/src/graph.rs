@@ -72,6 +72,10 @@ impl Graph {
         Ok(Self { master, node_name: node_name.to_owned() })
     }
 
+    pub(crate) fn of(master: Endpoint, node_name: &str) -> Self {
+        Self { master, node_name: node_name.to_owned() }
+    }
+
     /// Whether a master answers.
     ///
     /// # Errors

@@ -323,6 +323,14 @@ requests! {
         /// The delay before a succession, seconds [default: a week].
         delay: Option<u64>,
     } => DeployedView;
+    /// Cancel a transaction of this profile that is in no block: an empty one takes its nonce. Records that it anchored
+    /// are anchored again.
+    CancelTransaction {
+        /// Its nonce.
+        nonce: u64,
+        /// The account; `None` = the profile's own.
+        account: Option<Address>,
+    } => TransactionView;
     /// Answer other tools' JSON-RPC for the embedded chain, until the connection that requested it ends.
     ServeChain {
         /// The address, on loopback.

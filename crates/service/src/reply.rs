@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::alerts::{AlertTestView, AlertView, AlertsView, EndedAlert, Severity};
 pub use self::audit::{AuditCheck, AuditView};
-pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
+pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, PricesView, ServedView, WaitingView};
 pub use self::check::{
     BackupView, CheckStatus, DoctorCheck, DoctorView, ErasureView, FindingKind, RecordAudit, RecordFinding,
 };
@@ -49,7 +49,7 @@ pub use self::records::{
 pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
-pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary};
+pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, UnreachedView};
 pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;

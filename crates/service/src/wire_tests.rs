@@ -65,6 +65,7 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"chain_status"}"#,
     r#"{"command":"list_successions"}"#,
     r#"{"command":"deploy_contract","delay":7}"#,
+    r#"{"command":"cancel_transaction","nonce":7,"account":null}"#,
     r#"{"command":"serve_chain","address":"127.0.0.1:8545"}"#,
     r#"{"command":"serve_gateway","address":"127.0.0.1:7000","open":false}"#,
     r#"{"command":"site_status"}"#,

@@ -66,7 +66,7 @@ pub async fn sign_estimated(
 ) -> Result<SignedTransaction, Failure> {
     let gas = gas_of(chain, eoa.address(), to, &data).await?;
     let price = chain.market().await?.offer();
-    sign(chain, eoa, nonce, to, data, Offered { price, gas })
+    sign(chain, eoa, nonce, to, data, Offered { price, gas, value: 0 })
 }
 
 /// Signs a call at a given price and gas, as a legacy transaction. Nothing is sent.
@@ -79,7 +79,7 @@ pub fn sign(
     nonce: u64,
     to: Option<Address>,
     data: Vec<u8>,
-    Offered { price, gas }: Offered,
+    Offered { price, gas, .. }: Offered,
 ) -> Result<SignedTransaction, Failure> {
     let wrong = |error: &dyn std::fmt::Display| internal(format!("a transaction cannot be signed: {error}"));
     let mut request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price).data(data).value(0u64);

@@ -66,9 +66,14 @@ async fn sign(network: &Network, account: &Account, nonce: u64, deed: Deed<'_>) 
             let sign = || network.chain.sign_at(&account.eoa, nonce, call, price);
             Ok(patiently(sign).await?)
         }
-        Deed::Foreign { to, data, gas } => {
-            foreign::sign(&network.chain, &account.eoa, nonce, Some(to), data.to_vec(), Offered { price, gas })
-        }
+        Deed::Foreign { to, data, gas } => foreign::sign(
+            &network.chain,
+            &account.eoa,
+            nonce,
+            Some(to),
+            data.to_vec(),
+            Offered { price, gas, value: 0 },
+        ),
     }
 }
 

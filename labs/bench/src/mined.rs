@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 
 use super::foreign::block;
 use authros_chain::{Chain, ChainError, Receipt};
-use authros_model::{ErrorKind, Hash};
+use authros_model::{ErrorKind, Hash, Wei};
 use authros_service::Failure;
 
 /// How long nothing may move before waiting ends.
@@ -54,7 +54,9 @@ impl Mined {
     pub async fn receipt(&self, chain: &Chain, hash: Hash, told: oneshot::Receiver<()>) -> Result<Receipt, Failure> {
         if told.await.is_err() {
             let trouble = lock(&self.trouble).clone();
-            let why = trouble.unwrap_or_else(|| ChainError::NotMined(STALL.as_secs()).to_string());
+            let why = trouble.unwrap_or_else(|| {
+                ChainError::NotMined { seconds: STALL.as_secs(), blocks: 0, price: Wei::default() }.to_string()
+            });
             return Err(Failure::new(ErrorKind::Unreachable, why));
         }
         match chain.receipt(hash).await? {

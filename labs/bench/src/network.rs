@@ -14,7 +14,7 @@ use super::funder::Funder;
 use super::storer::Storer;
 use authros_chain::{Chain, ChainError, ChainOptions, Consensus, Endpoint, Receipt, Sealing, SignedTransaction};
 use authros_crypto::{EoaSecret, Provider};
-use authros_model::{ErrorKind, Hash};
+use authros_model::{ErrorKind, Hash, Wei};
 use authros_service::Failure;
 use authros_service::failure::internal;
 
@@ -201,7 +201,7 @@ async fn connect(place: &Place, directory: &Path) -> Result<Chain, Failure> {
 
 fn poor(error: ChainError, chain: &Chain) -> Failure {
     match error {
-        ChainError::InsufficientFunds => {
+        ChainError::InsufficientFunds | ChainError::NoEther(_) => {
             let text = format!(
                 "the benchmark's temporary accounts have no ether on {}; name an account that lends it \
                  with --funder, or use a development node such as anvil, or a network without fees",
@@ -254,5 +254,5 @@ pub async fn receipt(chain: &Chain, hash: Hash) -> Result<Receipt, Failure> {
         }
         chain.next_block(head, Duration::from_secs(1)).await?;
     }
-    Err(ChainError::NotMined(PATIENCE.as_secs()).into())
+    Err(ChainError::NotMined { seconds: PATIENCE.as_secs(), blocks: 0, price: Wei::default() }.into())
 }

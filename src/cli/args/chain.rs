@@ -16,6 +16,19 @@ pub enum ChainVerb {
         #[arg(long, value_name = "1d TO 365d")]
         delay: Option<String>,
     },
+    /// Cancel a transaction that is in no block: an empty one at a higher price takes its nonce
+    ///
+    /// Records that it anchors wait to be anchored again. `chain status` lists the transactions that wait.
+    Cancel {
+        /// Its nonce
+        nonce: u64,
+        /// Account that signed it, if it is an extra anchoring account
+        #[arg(long)]
+        account: Option<String>,
+        /// Confirm that it is cancelled
+        #[arg(long)]
+        yes: bool,
+    },
     /// Successor of a lost account: the administrator proposes one, and it can be stopped during a delay
     #[command(subcommand)]
     Succession(SuccessionVerb),

@@ -11,6 +11,7 @@ mod kept_keys;
 mod lagging;
 mod merkle_proof;
 mod mining;
+mod prices;
 mod reorganisation;
 mod same_account;
 mod wiped;

@@ -89,6 +89,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
         ("capture", watched(topic).0),
         ("simulated", if topic.simulated { "yes".to_owned() } else { String::new() }),
         ("publishers", topic.publishers.join(" ")),
+        ("not read", topic.unreached.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")),
         ("not pinned", if topic.pins > 0 { topic.unpinned.join(" ") } else { String::new() }),
         ("pins", count(topic.pins)),
         ("rate", format!("{} Hz, {} kB/s", rate(topic.hz), kilobytes(topic.bytes_per_second))),

@@ -179,6 +179,44 @@ fn blocks_of_real_networks_have_their_hash_and_the_seals_of_their_validators() {
     assert_eq!(judged(&altered, &committed.validators).flaw, Some(Flaw::Altered));
 }
 
+/// Each consensus has its validators elsewhere in the extra data.
+#[test]
+fn validators_are_read_from_the_extra_data() {
+    let blocks: Value = serde_json::from_str(include_str!("besu.json")).expect("JSON");
+    for (name, count) in [("ibft2", 4), ("qbft", 1)] {
+        let extra = bytes(&blocks[name]["extraData"]);
+        let named = crate::validators_in(&extra);
+        let header = BlockHeader::parse(&of_node(&blocks[name])).expect("a header");
+        assert_eq!((named.len(), Some(&named)), (count, header.committed().map(|committed| &committed.validators)));
+        assert!((0..extra.len()).all(|end| crate::validators_in(&extra[..end]).is_empty()), "{name}, cut");
+    }
+    let of = |secret: u8| account(secret).1;
+    let mut first = RlpStream::new_list(3);
+    first.begin_list(2).append(&&of(1).0[..]).append(&&of(2).0[..]);
+    first.append(&&[0u8; 65][..]).begin_list(0);
+    let first = [&[0; 32][..], &first.out()].concat();
+    assert_eq!(crate::validators_in(&first), [of(1), of(2)]);
+    let clique = [&[1; 32][..], &[7; 20], &[8; 20], &[0; 65]].concat();
+    assert!(crate::validators_in(&clique).is_empty() && crate::validators_in(&[]).is_empty());
+}
+
+/// Nobody is pinned, so nothing is contradicted: it is not proven, in both verifiers.
+#[test]
+fn a_trust_file_that_pins_no_signers_proves_nothing_and_refuses_nothing() {
+    let mut nobody = trust(None);
+    nobody.chain.signers.clear();
+    let worlds = [Commit::by(&[1, 2, 3]).world(), Commit { named: vec![], ..Commit::by(&[1]) }.world(), World::new()];
+    for world in worlds {
+        let report = world.report_by(&nobody);
+        let anchor = &report.records[0].anchor;
+        assert_eq!((anchor.standing, report.outcome), (Unproven, Outcome::Incomplete), "{}", anchor.text);
+        assert!(anchor.text.contains("the trust file pins no signers"), "{}", anchor.text);
+        agree(&world.members(), &nobody, Outcome::Incomplete);
+    }
+    // What a header says against itself needs no pin.
+    assert_eq!(Commit::by(&[1, 2]).world().report_by(&nobody).outcome, Outcome::Refused);
+}
+
 #[test]
 fn a_quorum_in_one_header_is_enough() {
     for ibft2 in [false, true] {

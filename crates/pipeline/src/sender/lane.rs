@@ -6,15 +6,13 @@ use std::time::{Duration, Instant};
 use tokio::sync::OwnedMutexGuard;
 use tokio::task::block_in_place;
 
-use crate::chain::{Call, Chain, ChainError};
+use crate::chain::{Call, Chain, ChainError, Priced, Shortfall, offered};
 use crate::crypto::{EoaSecret, fault};
-use crate::model::{Address, Hash};
+use crate::model::{Address, Hash, Wei};
 use crate::pipeline::PipelineError;
-use crate::pipeline::error::of_payer;
 use crate::store::{Anchors, NewTransaction};
 
 use super::Sender;
-use super::price::Priced;
 use super::state::{LaneState, PauseReason};
 use super::tend::Memory;
 
@@ -110,7 +108,7 @@ impl Lane<'_> {
 
     /// The most that gas may cost now, wei.
     pub(super) async fn price(&self) -> Result<u128, PipelineError> {
-        match self.sender.policy.fresh(&self.chain.market().await?) {
+        match self.sender.policy().fresh(&self.chain.market().await?) {
             Priced::At(price) => Ok(price),
             Priced::Capped { needed, cap } => Err(self.sender.pause(self.account, PauseReason::capped(needed, cap))),
         }
@@ -129,8 +127,12 @@ impl Lane<'_> {
         let mut nonce = self.next_nonce().await?;
         let mut rows = Vec::with_capacity(outgoing.len());
         for Outgoing { call, purpose, anchors } in outgoing {
-            let signed = self.chain.sign_at(self.eoa, nonce, &call, price).await;
-            let signed = signed.map_err(|error| of_payer(error, self.account))?;
+            let signed = match self.chain.sign_at(self.eoa, nonce, &call, price).await {
+                Err(ChainError::InsufficientFunds) => {
+                    return Err(PipelineError::NoEther(self.chain.shortfall(self.account, &call, price).await?));
+                }
+                signed => signed?,
+            };
             let (hash, account, raw) = (signed.hash, self.account, signed.raw);
             rows.push(NewTransaction { hash, account, nonce, raw, purpose, anchors });
             nonce += 1;
@@ -164,8 +166,10 @@ impl Lane<'_> {
         let (price, nonce) = (self.price().await?, self.next_nonce().await?);
         let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
         let cost = wei.saturating_add(price.saturating_mul(u128::from(signed.gas_limit)));
-        if self.chain.wealth(self.account).await? < cost {
-            return Err(PipelineError::NoEther(self.account));
+        let held = self.chain.wealth(self.account).await?;
+        if held < cost {
+            let (account, held, needed) = (self.account, Wei(held), Wei(cost));
+            return Err(PipelineError::NoEther(Shortfall { account, held, needed }));
         }
         let (hash, account, raw) = (signed.hash, self.account, signed.raw);
         let row = NewTransaction {
@@ -215,7 +219,10 @@ impl Sender {
                 HandedIn::Held
             }
             Err(ChainError::InsufficientFunds) => {
-                self.pause(account, PauseReason::NoEther);
+                let needed = offered(raw).map_or(0, |offer| offer.cost_at(offer.price));
+                if let Ok(reason) = self.shortage(chain, account, needed).await {
+                    self.pause(account, reason);
+                }
                 HandedIn::Refused
             }
             Err(ChainError::Unreachable { .. } | ChainError::Answer { .. }) => HandedIn::Lost,

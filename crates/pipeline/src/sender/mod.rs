@@ -4,10 +4,11 @@
 //! After every block a lane is *tended* ([`Sender::tend`]): its transactions are closed, yielded to others, replaced at
 //! a higher price, gaps filled, or the lane visibly paused; nothing is lost.
 
+mod cancel;
+mod funds;
 mod lane;
 #[cfg(test)]
 mod node_tests;
-mod price;
 mod state;
 mod tend;
 #[cfg(test)]
@@ -20,16 +21,16 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Call, Chain, Receipt};
+use crate::chain::{Call, Chain, Policy, Receipt};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
-use crate::store::{Ledger, TransactionState};
+use crate::store::{Ledger, TransactionRow, TransactionState};
 
+pub use self::cancel::Cancelled;
+use self::funds::{Heads, Needed};
 use self::lane::Cell;
 pub use self::lane::{Lane, Outgoing};
-pub use self::price::Policy;
 pub use self::state::{LaneState, PauseReason};
-use super::error::of_payer;
 use super::{Observer, PipelineError};
 
 /// Transactions of one account that may wait for a block.
@@ -42,13 +43,16 @@ pub struct Sender {
     ledger: Ledger,
     observer: Arc<dyn Observer>,
     policy: Policy,
+    /// A price that was needed although the node quoted less, and when.
+    needed: Mutex<Option<Needed>>,
+    heads: Mutex<Heads>,
     lanes: Mutex<HashMap<Address, Arc<Cell>>>,
 }
 
 impl Sender {
     /// A sender that stores its transactions in `ledger` and tells `observer` when a lane is paused.
     pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, policy: Policy) -> Self {
-        Self { ledger, observer, policy, lanes: Mutex::default() }
+        Self { ledger, observer, policy, needed: Mutex::default(), heads: Mutex::default(), lanes: Mutex::default() }
     }
 
     fn cell(&self, account: Address) -> Arc<Cell> {
@@ -99,8 +103,8 @@ impl Sender {
     /// Sends one call and waits until it is mined.
     ///
     /// # Errors
-    /// `Reverted` with the contract's reason, before anything is sent if the node can tell; `NotMined` after two
-    /// minutes; errors of chain and ledger.
+    /// `Reverted` with the contract's reason, and `NoEther`, before anything is sent if the node can tell; `NotMined`
+    /// after two minutes at one price; `Cancelled`; errors of chain and ledger.
     pub async fn send(
         &self,
         chain: &Chain,
@@ -108,9 +112,10 @@ impl Sender {
         call: Call,
         purpose: &str,
     ) -> Result<(Hash, Receipt), PipelineError> {
-        chain.simulate(eoa.address(), &call).await.map_err(|error| of_payer(error, eoa.address()))?;
+        self.expect_means(chain, eoa.address(), &call).await?;
+        chain.simulate(eoa.address(), &call).await?;
         let hashes = self.submit(chain, eoa, vec![Outgoing::plain(call, purpose)]).await?;
-        let hash = hashes.first().copied().ok_or_else(|| PipelineError::NotMined(purpose.to_owned()))?;
+        let hash = hashes.first().copied().ok_or_else(|| self.not_mined(eoa.address(), purpose))?;
         self.wait_mined(chain, eoa, hash, purpose).await
     }
 
@@ -141,11 +146,18 @@ impl Sender {
         mut hash: Hash,
         purpose: &str,
     ) -> Result<(Hash, Receipt), PipelineError> {
-        let deadline = Instant::now() + PATIENCE;
+        let (first, mut deadline) = (hash, Instant::now() + PATIENCE);
         let mut head = chain.head().await?.number;
         loop {
-            hash = self.newest(hash)?;
+            // From the first one on: one that was replaced may be mined after all.
+            let row = self.newest(first)?;
+            if let Some(row) = row.as_ref().filter(|row| row.hash != hash) {
+                (hash, deadline) = (row.hash, Instant::now() + PATIENCE);
+            }
             if let Some(receipt) = chain.receipt(hash).await? {
+                if purpose != cancel::PURPOSE && row.is_some_and(|row| row.purpose == cancel::PURPOSE) {
+                    return Err(PipelineError::Cancelled(purpose.to_owned()));
+                }
                 return match receipt.success {
                     true => Ok((hash, receipt)),
                     false => Err(PipelineError::Reverted {
@@ -155,7 +167,7 @@ impl Sender {
                 };
             }
             if Instant::now() > deadline {
-                return Err(PipelineError::NotMined(purpose.to_owned()));
+                return Err(self.not_mined(eoa.address(), purpose));
             }
             let seen = chain.next_block(head, Duration::from_secs(2)).await?.number;
             if seen == head {
@@ -165,16 +177,23 @@ impl Sender {
         }
     }
 
+    fn not_mined(&self, account: Address, purpose: &str) -> PipelineError {
+        let paused = self.cell(account).memory().paused.as_ref().map(|reason| reason.cause(account));
+        let why = paused.unwrap_or_else(|| "check that the network makes blocks".to_owned());
+        PipelineError::NotMined { purpose: purpose.to_owned(), why }
+    }
+
     /// Follows a transaction to its last replacement.
-    fn newest(&self, mut hash: Hash) -> Result<Hash, PipelineError> {
+    fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>, PipelineError> {
         for _ in 0..1000 {
             let row = block_in_place(|| self.ledger.transaction(hash))?;
-            match row.filter(|row| row.state == TransactionState::Replaced).and_then(|row| row.replaced_by) {
+            let is_replaced = |row: &&TransactionRow| row.state == TransactionState::Replaced;
+            match row.as_ref().filter(is_replaced).and_then(|row| row.replaced_by) {
                 Some(next) => hash = next,
-                None => break,
+                None => return Ok(row),
             }
         }
-        Ok(hash)
+        Ok(None)
     }
 
     /// Pauses an account's lane, and reports it once.
@@ -185,12 +204,19 @@ impl Sender {
     }
 
     fn settle(&self, account: Address, paused: Option<PauseReason>) {
-        let before = std::mem::replace(&mut self.cell(account).memory().paused, paused.clone());
-        match (before, paused) {
-            (Some(before), Some(now)) if before.word() == now.word() => {}
+        let told = {
+            let cell = self.cell(account);
+            let mut memory = cell.memory();
+            memory.paused.clone_from(&paused);
+            let alarm = paused.as_ref().filter(|reason| reason.is_alarm()).map(PauseReason::word);
+            // While the node is catching up nothing is known anew, so an alarm stands.
+            let alarm = if paused.is_some() { alarm.or(memory.alarm) } else { None };
+            (std::mem::replace(&mut memory.alarm, alarm), alarm)
+        };
+        match (told, paused) {
+            ((before, now), _) if before == now => {}
             (_, Some(now)) => self.observer.alert(true, now.text(account)),
-            (Some(_), None) => self.observer.alert(false, format!("anchoring for {account} resumes")),
-            (None, None) => {}
+            (_, None) => self.observer.alert(false, format!("anchoring for {account} resumes")),
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Address, Timestamp};
+use crate::chain::{Shortfall, passed_by};
+use crate::model::{Address, Timestamp, Wei};
 
 const GWEI: u128 = 1_000_000_000;
 
@@ -11,13 +12,27 @@ const GWEI: u128 = 1_000_000_000;
 #[serde(rename_all = "snake_case", tag = "reason")]
 pub enum PauseReason {
     /// The account cannot pay for the gas of its next transaction.
-    NoEther,
+    NoEther(Shortfall),
+    /// The node says that it cannot pay, and is behind a block that it had before.
+    CatchingUp {
+        /// Its newest block.
+        block: u64,
+        /// The newest block that it had.
+        highest: u64,
+    },
     /// The network requires more than the operator's cap.
     FeeCap {
         /// Gwei per gas required, rounded up.
         needed: u64,
         /// Gwei per gas allowed by `chain.max_fee`.
         cap: u64,
+    },
+    /// Blocks are made, and pass by the account's next transaction. Its price is raised meanwhile.
+    PassedBy {
+        /// How many.
+        blocks: u64,
+        /// The price per gas that it offers.
+        price: Wei,
     },
     /// No block was made for a while although transactions are waiting.
     Stalled,
@@ -38,11 +53,18 @@ impl PauseReason {
     /// One word, for JSON and for detecting changes.
     pub fn word(&self) -> &'static str {
         match self {
-            Self::NoEther => "no ether",
+            Self::NoEther(_) => "no ether",
+            Self::CatchingUp { .. } => "catching up",
+            Self::PassedBy { .. } => "passed by",
             Self::FeeCap { .. } => "fee cap",
             Self::Stalled => "stalled",
             Self::Refused { .. } => "refused",
         }
+    }
+
+    /// Whether somebody has to do something about it.
+    pub fn is_alarm(&self) -> bool {
+        !matches!(self, Self::CatchingUp { .. })
     }
 
     /// What happened and what to do, for the lane's account.
@@ -53,7 +75,11 @@ impl PauseReason {
     /// The obstacle, and what to do about it.
     pub fn cause(&self, account: Address) -> String {
         match self {
-            Self::NoEther => format!("{account} has too little ether to pay for gas; send it some on this chain"),
+            Self::NoEther(shortfall) => shortfall.to_string(),
+            Self::CatchingUp { block, highest } => {
+                format!("the node is catching up: it had block {highest} and is at {block}; wait until it has it again")
+            }
+            Self::PassedBy { blocks, price } => passed_by(*blocks, *price),
             Self::FeeCap { needed, cap } => format!(
                 "the network requires {needed} gwei per gas, more than chain.max_fee = {cap} allows; wait or raise it"
             ),
@@ -93,8 +119,16 @@ mod tests {
         let capped = PauseReason::capped(1_000_000_001, 1_000_000_000);
         let text = capped.text(account);
         assert!(text.contains("2 gwei") && text.contains("chain.max_fee = 1"), "{text}");
-        for reason in [PauseReason::NoEther, PauseReason::Stalled, PauseReason::Refused { why: "full".into() }] {
+        let poor = PauseReason::NoEther(Shortfall { account, held: Wei(1), needed: Wei(2_000_000) });
+        assert!(poor.cause(account).contains("it has 1 wei and needs 0.002 gwei"), "{}", poor.cause(account));
+        let passed = PauseReason::PassedBy { blocks: 7, price: Wei(1_900_000_000) };
+        assert!(passed.cause(account).starts_with("not taken into 7 blocks at 1.9 gwei per gas"), "{passed:?}");
+        let behind = PauseReason::CatchingUp { block: 3, highest: 9 };
+        for reason in [poor, passed, behind, PauseReason::Stalled, PauseReason::Refused { why: "full".into() }] {
             assert!(reason.text(account).contains(&account.to_string()), "{reason:?}");
+            assert_eq!(reason.is_alarm(), reason.word() != "catching up");
+            let json = serde_json::to_string(&reason).expect("json");
+            assert_eq!(serde_json::from_str::<PauseReason>(&json).ok(), Some(reason), "{json}");
         }
         let state = LaneState { paused: Some(capped), ..LaneState::idle(account) };
         let json = serde_json::to_string(&state).expect("json");

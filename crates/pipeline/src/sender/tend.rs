@@ -5,16 +5,15 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, Offered, Receipt, is_same_call};
+use crate::chain::{Chain, Offered, Priced, Receipt, Wait, is_same_call, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
 use crate::pipeline::PipelineError;
 use crate::pipeline::watcher::{CURSOR, unread};
 use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
 
-use super::price::Priced;
 use super::state::PauseReason;
-use super::{Sender, waiting};
+use super::{Sender, cancel, waiting};
 
 /// A nonce counts as taken by a foreign transaction when no receipt of ours was found for this long.
 const SURE: Duration = Duration::from_secs(1);
@@ -23,6 +22,8 @@ const SURE: Duration = Duration::from_secs(1);
 pub(super) struct Memory {
     /// Why the lane is paused.
     pub paused: Option<PauseReason>,
+    /// The word of the alarm that was raised and not taken back.
+    pub alarm: Option<&'static str>,
     /// When bytes were last handed to the node.
     sent: HashMap<Hash, Instant>,
     /// Since when a transaction's nonce has been used although it has no receipt.
@@ -35,14 +36,15 @@ pub(super) struct Memory {
     pub hole: Option<(u64, Instant)>,
     /// The newest block, and since when.
     head: (u64, Instant),
-    /// The first waiting transaction, and the block and time at which it became the first.
-    front: Option<(Hash, u64, Instant)>,
+    /// The nonce of the first waiting transaction, and how long it has been the first.
+    front: Option<(u64, Wait)>,
 }
 
 impl Memory {
     pub fn new() -> Self {
         Self {
             paused: None,
+            alarm: None,
             sent: HashMap::new(),
             missing: HashMap::new(),
             prices: HashMap::new(),
@@ -71,15 +73,28 @@ impl Memory {
         self.head.1.elapsed()
     }
 
-    /// Notes the first waiting transaction; returns for how many blocks and how long it has been the first.
-    pub fn see_front(&mut self, hash: Hash, block: u64) -> (u64, Duration) {
+    /// Notes the nonce of the first waiting transaction; returns how long it has been the first.
+    pub fn see_front(&mut self, nonce: u64, block: u64) -> Wait {
         match self.front {
-            Some((front, since, at)) if front == hash => (block.saturating_sub(since), at.elapsed()),
+            Some((front, wait)) if front == nonce => wait,
             _ => {
-                self.front = Some((hash, block, Instant::now()));
-                (0, Duration::ZERO)
+                let wait = Wait::from(block, waiting::STARVING);
+                self.front = Some((nonce, wait));
+                wait
             }
         }
+    }
+
+    /// Notes that the first waiting transaction was just offered at a higher price, because blocks passed it by.
+    pub fn raise_front(&mut self, block: u64) {
+        if let Some((_, wait)) = &mut self.front {
+            wait.raise(block);
+        }
+    }
+
+    /// Whether the transaction with this nonce was offered at a higher price because blocks passed it by.
+    fn was_raised(&self, nonce: u64) -> bool {
+        self.front.is_some_and(|(front, wait)| front == nonce && wait.is_raised())
     }
 
     fn is_surely_missing(&mut self, hash: Hash) -> bool {
@@ -119,13 +134,16 @@ impl Sender {
         cell.memory().forget_all_but(&open);
         if open.is_empty() {
             let capped = matches!(cell.memory().paused, Some(PauseReason::FeeCap { .. }));
-            if !capped || matches!(self.policy.fresh(&chain.market().await?), Priced::At(_)) {
+            if !capped || matches!(self.policy().fresh(&chain.market().await?), Priced::At(_)) {
                 self.settle(account, None);
             }
             return Ok(Vec::new());
         }
         let nonces = chain.nonces(account).await?;
         let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < nonces.mined);
+        for row in &used {
+            self.learn_price(account, row)?;
+        }
         cell.memory().missing.retain(|hash, _| used.iter().any(|row| row.hash == *hash));
         let refused = self.decide(chain, eoa, used).await?;
         let paused = waiting::Round { sender: self, chain, eoa, account, nonces, rows: &waiting }.run().await?;
@@ -186,6 +204,18 @@ impl Sender {
         Ok(refused)
     }
 
+    /// A transaction that had to be offered at a higher price than quoted shows what the next ones need.
+    fn learn_price(&self, account: Address, row: &OpenTransaction) -> Result<(), PipelineError> {
+        if !self.cell(account).memory().was_raised(row.nonce) {
+            return Ok(());
+        }
+        let raw = block_in_place(|| self.ledger.raw_transaction(row.hash))?;
+        if let Some(offer) = raw.and_then(|raw| offered(&raw).ok()) {
+            self.note_needed(offer.price);
+        }
+        Ok(())
+    }
+
     /// The watcher has read the receipt's block: what the receipt says happened there must be known by now.
     fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<(), PipelineError> {
         if !unread::of(&self.ledger, &receipt.events)?.is_empty() {
@@ -230,7 +260,7 @@ impl Sender {
     /// The nonce belongs to another transaction: one that anchors records returns them to be anchored again, on the
     /// chain's head at that time; any other call is signed again with the next nonce.
     async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
-        if row.anchors || row.purpose == waiting::HOLE {
+        if row.anchors || [waiting::HOLE, cancel::PURPOSE].contains(&row.purpose.as_str()) {
             let closing = vec![(row.hash, TransactionOutcome::Replaced)];
             return Ok(block_in_place(|| self.ledger.close_transactions(closing))?);
         }

@@ -52,7 +52,7 @@ async fn what_was_stored_and_never_sent_is_sent() {
 async fn two_processes_with_one_account_interleave() {
     let home = tempfile::tempdir().expect("folder");
     let one = Process::on_embedded(home.path()).await;
-    let two = Process::new(one.network.chain.clone(), one.eoa.clone(), Policy { cap: None }).await;
+    let two = Process::new(one.network.chain.clone(), one.eoa.clone(), Policy::default()).await;
     one.store(0..60);
     two.store(100..160);
     let deadline = Instant::now() + Duration::from_secs(120);
@@ -137,7 +137,7 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     process.plant.ledger.submit(row).expect("kept");
     process
         .rounds_until("it is paused", |process| {
-            process.sender.state_of(account).expect("state").paused == Some(PauseReason::NoEther)
+            matches!(process.sender.state_of(account).expect("state").paused, Some(PauseReason::NoEther(_)))
         })
         .await;
     assert_eq!(process.sender.room(account).expect("room"), 0);

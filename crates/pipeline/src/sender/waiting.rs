@@ -6,15 +6,14 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, ChainError, Market, Nonces, Offered, SignedTransaction, offered};
+use crate::chain::{Chain, ChainError, Market, Nonces, Offered, Priced, SignedTransaction, Wait, is_outbid, offered};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Hash, clean};
+use crate::model::{Address, Hash, Wei, clean};
 use crate::pipeline::PipelineError;
 use crate::store::{Anchors, NewTransaction, OpenTransaction, Reissue};
 
 use super::Sender;
 use super::lane::{BROKEN, Cell};
-use super::price::{Priced, is_outbid};
 use super::state::PauseReason;
 
 /// The purpose of an empty transfer to oneself that fills a nonce gap.
@@ -23,10 +22,8 @@ pub(super) const HOLE: &str = "nonce";
 const QUIET: Duration = Duration::from_millis(if cfg!(test) { 300 } else { 4_000 });
 /// How often bytes that the node holds are handed in again.
 const REMINDER: Duration = Duration::from_secs(30);
-/// Blocks that skip the first waiting transaction before it counts as too cheap.
-const PASSED_BY: u64 = 6;
-/// The shortest wait before it counts as too cheap.
-const STARVING: Duration = Duration::from_millis(if cfg!(test) { 500 } else { 10_000 });
+/// The shortest wait before the first waiting transaction counts as passed by.
+pub(super) const STARVING: Duration = if cfg!(test) { Duration::from_millis(500) } else { crate::chain::STARVING };
 /// Without a block for this long the network counts as stalled.
 const STALLED: Duration = Duration::from_millis(if cfg!(test) { 2_000 } else { 30_000 });
 /// The most transactions handed in again, or signed again, in one round.
@@ -52,13 +49,25 @@ impl Round<'_> {
         let market = self.chain.market().await?;
         let cell = self.sender.cell(self.account);
         let still = cell.memory().see_head(market.head.number);
-        let passed_by = cell.memory().see_front(first.hash, market.head.number);
+        self.sender.see_head(market.head.number);
+        let wait = cell.memory().see_front(first.nonce, market.head.number);
         let held = self.nonces.pending;
         let hole = self.fill_holes(&cell, &market, held).await?;
-        let (replaced, dear) = self.raise(&cell, &market, passed_by).await?;
+        let (replaced, dear) = self.raise(&cell, &market, wait).await?;
         let refused = self.repeat(&cell, &market, held, &replaced).await?;
         let stalled = (still >= STALLED).then_some(PauseReason::Stalled);
-        Ok(hole.or(dear).or(refused).or(stalled))
+        let passed_by = match wait.passed_by(market.head.number) {
+            Some(blocks) => Some(self.passed_by(blocks, first.nonce)?),
+            None => None,
+        };
+        Ok(hole.or(dear).or(refused).or(stalled).or(passed_by))
+    }
+
+    /// The first waiting transaction at its present price, which may just have been raised.
+    fn passed_by(&self, blocks: u64, nonce: u64) -> Result<PauseReason, PipelineError> {
+        let newest = block_in_place(|| self.sender.ledger.of_nonce(self.account, nonce))?;
+        let offer = newest.first().and_then(|(_, raw)| offered(raw).ok());
+        Ok(PauseReason::PassedBy { blocks, price: Wei(offer.map_or(0, |offer| offer.price)) })
     }
 
     /// A nonce below an open one that neither the node nor we hold blocks everything after it: its transaction was
@@ -84,7 +93,7 @@ impl Round<'_> {
                 return Ok(None);
             }
         }
-        let price = match self.sender.policy.fresh(market) {
+        let price = match self.sender.policy().fresh(market) {
             Priced::At(price) => price,
             Priced::Capped { needed, cap } => return Ok(Some(PauseReason::capped(needed, cap))),
         };
@@ -110,30 +119,39 @@ impl Round<'_> {
         &self,
         cell: &Arc<Cell>,
         market: &Market,
-        (blocks, length): (u64, Duration),
+        wait: Wait,
     ) -> Result<(HashSet<Hash>, Option<PauseReason>), PipelineError> {
         let mut replaced = HashSet::new();
-        let starving = blocks >= PASSED_BY && length >= STARVING;
+        let policy = self.sender.policy();
         for (index, row) in self.rows.iter().take(ROUND).enumerate() {
-            let cheap = cell.memory().cheap.contains(&row.hash) || starving && index == 0;
-            if market.base.is_none() && !cheap {
+            let is_passed_by = index == 0 && wait.is_due(market.head.number) && policy.raises(market);
+            let is_cheap = cell.memory().cheap.contains(&row.hash);
+            if market.base.is_none() && policy.floor == 0 && !is_cheap && !is_passed_by {
                 continue;
             }
             let Some((raw, old)) = self.offer_of(cell, row)? else { continue };
-            let dearer = market.offer() > old.price;
-            if !(is_outbid(old.price, market) || cheap && dearer) || !cell.memory().is_quiet(row.hash, QUIET) {
+            let (is_outbid, is_below) = (is_outbid(old.price, market), old.price < policy.floor);
+            let is_late = is_cheap && market.offer() > old.price;
+            let is_wanted = (is_outbid || is_below || is_late) && cell.memory().is_quiet(row.hash, QUIET);
+            if !is_wanted && !is_passed_by {
                 continue;
             }
-            let price = match self.sender.policy.replacement(old.price, market) {
+            let price = match policy.replacement(old.price, market) {
                 Priced::At(price) => price,
+                // What it offers may still be enough, only not soon.
+                Priced::Capped { .. } if !is_outbid && !is_late => continue,
                 Priced::Capped { needed, cap } => {
                     return Ok((replaced, Some(PauseReason::capped(needed, cap))));
                 }
             };
-            if self.chain.wealth(self.account).await? < old.cost_at(price) {
-                return Ok((replaced, Some(PauseReason::NoEther)));
+            let cost = old.cost_at(price);
+            if self.chain.wealth(self.account).await? < cost {
+                return Ok((replaced, Some(self.sender.shortage(self.chain, self.account, cost).await?)));
             }
             self.replace(row, &raw, price).await?;
+            if is_passed_by {
+                cell.memory().raise_front(market.head.number);
+            }
             replaced.insert(row.hash);
         }
         Ok((replaced, None))
@@ -209,7 +227,7 @@ impl Round<'_> {
     /// The node refuses these bytes: the same call is signed again by what gas and price are now, and takes their place
     /// if that makes a difference. The node does not hold the old ones, so the price need not rise.
     async fn renew(&self, market: &Market, row: &OpenTransaction, raw: &[u8]) -> Result<(), PipelineError> {
-        let Priced::At(price) = self.sender.policy.fresh(market) else { return Ok(()) };
+        let Priced::At(price) = self.sender.policy().fresh(market) else { return Ok(()) };
         let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;
         if signed.hash == row.hash {
             return Ok(());
@@ -225,12 +243,15 @@ impl Round<'_> {
         raw: &[u8],
         old: Offered,
     ) -> Result<Option<PauseReason>, PipelineError> {
-        let Priced::At(price) = self.sender.policy.fresh(market) else { return Ok(Some(PauseReason::NoEther)) };
-        let affordable = self.chain.wealth(self.account).await? >= old.cost_at(price);
-        if price >= old.price || price.saturating_mul(2) > old.price || !affordable {
-            return Ok(Some(PauseReason::NoEther));
+        let fresh = match self.sender.policy().fresh(market) {
+            Priced::At(price) if price < old.price && price.saturating_mul(2) <= old.price => Some(price),
+            Priced::At(_) | Priced::Capped { .. } => None,
+        };
+        let cost = old.cost_at(fresh.unwrap_or(old.price));
+        match fresh {
+            Some(price) if self.chain.wealth(self.account).await? >= cost => self.replace(row, raw, price).await?,
+            _ => return Ok(Some(self.sender.shortage(self.chain, self.account, cost).await?)),
         }
-        self.replace(row, raw, price).await?;
         Ok(None)
     }
 }

@@ -13,7 +13,8 @@ use super::sequence::{Sequence, header_seq};
 use super::topic::{Publisher, Topic};
 use super::{CaptureNotice, Message};
 use crate::model::{Timestamp, TypeName, clean};
-use crate::ros::address::{Endpoint, connect};
+use crate::ros::address::{Endpoint, UNRESOLVED, connect};
+use crate::ros::graph::{Graph, Unreached};
 use crate::ros::message::Definition;
 use crate::ros::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
 use crate::ros::xmlrpc::{CallError, Value, call};
@@ -39,6 +40,12 @@ const FLOOR: Duration = Duration::from_millis(20);
 /// Wait after a failure that more attempts are unlikely to fix.
 const RETRY_REFUSED: Duration = Duration::from_secs(10);
 
+/// What is said of a publisher without the one protocol that is read, for example of UDPROS alone.
+const NO_TCPROS: &str = "it offers no TCPROS";
+
+/// A publisher whose name the master does not tell.
+const UNNAMED: &str = "a publisher";
+
 /// Starts the thread.
 pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Publisher>) -> io::Result<()> {
     let mut reader = Reader {
@@ -48,6 +55,7 @@ pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Pub
         sequence: Sequence::default(),
         failures: 0,
         told: false,
+        node: None,
         contradicted: BTreeSet::new(),
     };
     shared.threads.spawn("ros-reader", move || reader.run())
@@ -91,6 +99,8 @@ struct Reader {
     failures: u32,
     /// Whether that was reported.
     told: bool,
+    /// Its node's name, once the master was asked because it cannot be read.
+    node: Option<String>,
     /// Inconsistencies already reported.
     contradicted: BTreeSet<String>,
 }
@@ -108,6 +118,7 @@ impl Reader {
                     patience
                 }
                 Err(failure) => {
+                    self.note(&failure);
                     patience = (patience * 2).min(RETRY.1);
                     let wait = if matches!(failure, Failure::Passing(_)) { patience } else { RETRY_REFUSED };
                     self.complain(failure);
@@ -125,6 +136,7 @@ impl Reader {
     /// Connects and reads until the connection is gone; `Ok` if it was open.
     fn attempt(&mut self) -> Result<(), Failure> {
         let mut link = self.open()?;
+        self.topic.note_trouble(&self.publisher, None);
         self.topic.set_type(&link.from.type_name);
         let caller_id = clean(&link.from.caller_id, 120);
         self.shared.notice(CaptureNotice::PublisherConnected {
@@ -199,14 +211,14 @@ impl Reader {
     fn ask(&self) -> Result<(String, u16), Failure> {
         let protocols = Value::Array(vec![Value::Array(vec!["TCPROS".into()])]);
         let params = [self.shared.node_name.as_str().into(), self.topic.name.as_str().into(), protocols];
-        let answer = call(&self.publisher.endpoint, "requestTopic", &params, Instant::now() + PATIENCE)
-            .map_err(|error| Failure::Passing(error.to_string()))?;
+        let answer =
+            call(&self.publisher.endpoint, "requestTopic", &params, Instant::now() + PATIENCE).map_err(not_offered)?;
         match answer.as_array() {
             Some([protocol, Value::Text(host), Value::Int(port), ..]) if protocol.as_text() == Some("TCPROS") => {
                 let port = u16::try_from(*port).map_err(|_| Failure::Refused("its port is not a port".into()))?;
                 Ok((host.clone(), port))
             }
-            _ => Err(Failure::Refused("it does not offer TCPROS".into())),
+            _ => Err(Failure::Refused(NO_TCPROS.into())),
         }
     }
 
@@ -308,6 +320,23 @@ impl Reader {
         !matches!(answer, Err(CallError::Connect(_)))
     }
 
+    /// Keeps the reason for who asks about the topic.
+    fn note(&mut self, failure: &Failure) {
+        if self.node.is_none() && (self.failures == 0 || self.failures.is_power_of_two()) {
+            let graph = Graph::of(self.shared.master.clone(), &self.shared.node_name);
+            self.node = graph.node_at(self.topic.name.as_str(), &self.publisher.endpoint);
+        }
+        let reason = match failure {
+            Failure::Passing(reason) => advised(reason),
+            Failure::Refused(reason) => reason.clone(),
+            Failure::Mismatch { found, .. } => format!("it sends {found}, which was not asked for"),
+        };
+        let node = self.node.clone().unwrap_or_else(|| UNNAMED.to_owned());
+        let (node, reason) = (clean(&node, 120), clean(&reason, 200));
+        let place = clean(&self.publisher.endpoint.authority(), 120);
+        self.topic.note_trouble(&self.publisher, Some(Unreached { node, place, reason }));
+    }
+
     fn complain(&mut self, failure: Failure) {
         self.failures = self.failures.saturating_add(1);
         // A publisher that is shutting down may be queried in vain once or twice before the master stops listing it.
@@ -320,7 +349,7 @@ impl Reader {
         let publisher = self.publisher.endpoint.to_string();
         self.shared.notice(match failure {
             Failure::Passing(reason) => {
-                CaptureNotice::PublisherUnreachable { topic, publisher, reason: clean(&reason, 200) }
+                CaptureNotice::PublisherUnreachable { topic, publisher, reason: clean(&advised(&reason), 200) }
             }
             Failure::Refused(reason) => CaptureNotice::Refused { topic, publisher, reason: clean(&reason, 200) },
             Failure::Mismatch { caller_id, found } => {
@@ -333,6 +362,30 @@ impl Reader {
                 }
             }
         });
+    }
+}
+
+/// A reason with what to do about it, if that is known.
+fn advised(reason: &str) -> String {
+    let advice = if reason.contains(UNRESOLVED) {
+        "set ROS_IP there"
+    } else if reason.contains("refused") {
+        "nothing listens there; start its node again"
+    } else if reason.contains("in time") || reason.contains("timed out") {
+        "check the network to it and its firewall"
+    } else {
+        return reason.to_owned();
+    };
+    format!("{reason}; {advice}")
+}
+
+/// A publisher without the protocol says so in its own words.
+fn not_offered(error: CallError) -> Failure {
+    match error {
+        CallError::Refused(words) if words.to_lowercase().contains("protocol") => {
+            Failure::Refused(format!("{NO_TCPROS} ({words})"))
+        }
+        error => Failure::Passing(error.to_string()),
     }
 }
 
@@ -402,6 +455,17 @@ mod tests {
         // 45 s of it used to be 549 attempts.
         assert!(waits.sum::<Duration>() > Duration::from_secs(5));
         assert_eq!(rest(RETRY.1, Duration::from_secs(60)), RETRY.0);
+    }
+
+    #[test]
+    fn reasons_say_what_to_do() {
+        assert_eq!(advised(UNRESOLVED), "its name does not resolve; set ROS_IP there");
+        assert!(advised("Connection refused (os error 111)").ends_with("start its node again"));
+        assert!(advised("no answer in time").ends_with("its firewall"));
+        assert_eq!(advised("something else"), "something else");
+        let udp = not_offered(CallError::Refused("no supported protocol implementations".into()));
+        assert!(matches!(udp, Failure::Refused(words) if words.starts_with("it offers no TCPROS (no supported")));
+        assert!(matches!(not_offered(CallError::Refused("not published here".into())), Failure::Passing(_)));
     }
 
     #[test]

@@ -227,6 +227,33 @@ fn an_unconfirmed_publisher_is_told_of_once_and_never_connected_to() {
     assert_eq!(trap.accept().err().map(|error| error.kind()), Some(std::io::ErrorKind::WouldBlock), "nobody came");
 }
 
+/// Listed publishers that cannot be read are told by name, with the reason, until they can be.
+#[test]
+fn a_publisher_that_cannot_be_reached_is_told_by_name_and_reason() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (_slave, listener) = publisher(&master, "/good");
+    // A port where nothing listens, and a name that nobody knows.
+    let closed = TcpListener::bind("127.0.0.1:0").expect("bind").local_addr().expect("address");
+    let endpoint = Endpoint::parse(master.uri()).expect("uri");
+    for (name, uri) in [("/dead", format!("http://{closed}/")), ("/ghost", "http://no-such-robot.invalid:4001/".into())]
+    {
+        let params = [name, TOPIC, "a/Stamped", &uri].map(Into::into);
+        call(&endpoint, "registerPublisher", &params, Instant::now() + Duration::from_secs(5)).expect("registered");
+    }
+    let (capture, _kept) = start(&master);
+    let _stream = welcome(&listener, "/good");
+    until("both are told of", || capture.status()[0].unreached.len() == 2 && capture.status()[0].publishers == 1);
+    let unreached = capture.status()[0].unreached.clone();
+    assert_eq!((unreached[0].node.as_str(), unreached[0].place.as_str()), ("/dead", &*closed.to_string()));
+    assert!(unreached[0].reason.contains("nothing listens there"), "{unreached:?}");
+    assert_eq!((unreached[1].node.as_str(), unreached[1].place.as_str()), ("/ghost", "no-such-robot.invalid:4001"));
+    assert!(unreached[1].reason.contains("resolve"), "{unreached:?}");
+    // One that is no longer listed is no longer told of.
+    let params = ["/dead", TOPIC, &format!("http://{closed}/")].map(Into::into);
+    call(&endpoint, "unregisterPublisher", &params, Instant::now() + Duration::from_secs(5)).expect("unregistered");
+    until("one is left", || capture.status()[0].unreached.len() == 1);
+}
+
 /// The origins of the connections so far, in order.
 fn origins(kept: &Kept) -> Vec<Arc<Origin>> {
     let notices = kept.notices.lock().expect("lock");

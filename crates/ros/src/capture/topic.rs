@@ -10,6 +10,7 @@ use super::node::lock;
 use super::origin::{Lineage, Rival, next_number};
 use crate::model::{Timestamp, TopicName, TypeName, clean};
 use crate::ros::address::Endpoint;
+use crate::ros::graph::Unreached;
 use crate::ros::slave::BusLink;
 
 /// The most addresses reported; further ones are refused silently.
@@ -41,6 +42,8 @@ struct PublisherState {
     connected: Option<Arc<str>>,
     /// The caller id that it first came with, and whom it replaced then.
     judged: Option<(Arc<str>, Option<Rival>)>,
+    /// Why it cannot be read, since the last attempt.
+    trouble: Option<Unreached>,
 }
 
 #[derive(Default)]
@@ -188,6 +191,11 @@ impl Topic {
         fresh
     }
 
+    /// Why a publisher cannot be read; `None` = it can.
+    pub fn note_trouble(&self, publisher: &Publisher, trouble: Option<Unreached>) {
+        lock(&publisher.state).trouble = trouble;
+    }
+
     pub fn forget(&self, publisher: &Publisher) {
         lock(&self.state).publishers.remove(&publisher.endpoint);
     }
@@ -246,12 +254,19 @@ impl Topic {
     pub fn status(&self) -> TopicCapture {
         let state = lock(&self.state);
         let connected = |publisher: &&Arc<Publisher>| lock(&publisher.state).connected.is_some();
+        let trouble = |publisher: &Arc<Publisher>| {
+            let state = lock(&publisher.state);
+            state.trouble.clone().filter(|_| state.listed && state.connected.is_none())
+        };
+        let mut unreached: Vec<Unreached> = state.publishers.values().filter_map(trouble).collect();
+        unreached.sort_by(|one, other| (&one.node, &one.place).cmp(&(&other.node, &other.place)));
         let last = self.last.load(Ordering::Relaxed);
         let wanted = self.wanted.as_ref().map(|wanted| wanted.as_str());
         TopicCapture {
             topic: self.name.clone(),
             type_name: wanted.or(state.type_name.as_deref()).map(str::to_owned),
             publishers: state.publishers.values().filter(connected).count(),
+            unreached,
             messages: self.messages.load(Ordering::Relaxed),
             bytes: self.bytes.load(Ordering::Relaxed),
             lost_in_transport: self.lost.load(Ordering::Relaxed),

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
-use super::{Graph, PATIENCE, master_error};
+use super::{Graph, PATIENCE, master_error, rows};
 use crate::model::clean;
 use crate::ros::RosError;
 use crate::ros::address::{Endpoint, connect, own_host, resolve};
@@ -46,12 +46,24 @@ impl Graph {
         Ok((count, found))
     }
 
-    fn try_node(&self, node: &str) -> Result<(), (String, String)> {
+    /// The name of the node that publishes a topic from this address, if the master has one.
+    pub(crate) fn node_at(&self, topic: &str, place: &Endpoint) -> Option<String> {
+        let state = self.ask("getSystemState", Instant::now() + PATIENCE).ok()?;
+        let nodes = rows(state.as_array()?.first()?).find(|(name, _)| *name == topic)?.1.texts();
+        nodes.into_iter().take(MOST_NODES).find(|node| self.place_of(node).is_ok_and(|found| found == *place))
+    }
+
+    /// Where a node is, according to the master; otherwise what is wrong, and with whom.
+    fn place_of(&self, node: &str) -> Result<Endpoint, (String, String)> {
         let parameters = [self.node_name.as_str().into(), node.into()];
         let uri = call(&self.master, "lookupNode", &parameters, Instant::now() + PATIENCE)
             .map_err(|error| ("the master".to_owned(), master_error(&self.master, "lookupNode", error).to_string()))?;
         let uri = uri.as_text().unwrap_or_default().to_owned();
-        let place = Endpoint::parse(&uri).ok_or_else(|| (uri.clone(), "which is not an address".to_owned()))?;
+        Endpoint::parse(&uri).ok_or_else(|| (uri.clone(), "which is not an address".to_owned()))
+    }
+
+    fn try_node(&self, node: &str) -> Result<(), (String, String)> {
+        let place = self.place_of(node)?;
         let connected = connect(&place.host, place.port, Instant::now() + EACH);
         connected.map(drop).map_err(|error| (place.authority(), error.to_string()))
     }

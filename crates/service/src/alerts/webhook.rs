@@ -75,13 +75,13 @@ impl Webhook {
         let sent = request.header("X-AuthROS-Time", time).body(body).send().await;
         let answer = sent.map_err(|error| self.unreachable(&error))?;
         let status = answer.status();
+        let advice = advice(status, answer.headers().get(reqwest::header::LOCATION));
         let text = beginning(answer).await;
         let told = format!("{}{}{text}", status.as_u16(), if text.is_empty() { "" } else { ": " });
         if status.is_success() {
             return Ok(told);
         }
-        let failure =
-            refused(format!("the webhook at {} answered {told}; check its log and alerts.secret", self.host()));
+        let failure = refused(format!("the webhook at {} answered {told}; {advice}", self.host()));
         Err(Undelivered { failure, is_judged: JUDGED.contains(&status.as_u16()) })
     }
 
@@ -94,6 +94,23 @@ impl Webhook {
         let why = if error.is_timeout() { "no answer within 10 s".to_owned() } else { innermost(error) };
         let (host, help) = (self.host(), "check that it is running, and alerts.webhook");
         Failure::new(ErrorKind::Unreachable, format!("the webhook at {host} cannot be reached: {why}; {help}"))
+    }
+}
+
+/// What to do about an answer that is no success; `place` is where it sends the alert instead.
+fn advice(status: reqwest::StatusCode, place: Option<&reqwest::header::HeaderValue>) -> String {
+    // Of the place only the host: what follows may be a secret.
+    let host = place.and_then(|place| reqwest::Url::parse(place.to_str().ok()?).ok());
+    let host = host.and_then(|url| url.host_str().map(|host| clean(host, 100)));
+    match (status.as_u16(), host) {
+        (300..=399, Some(host)) => {
+            format!("it names another place at {host}, which is not followed; set alerts.webhook to it if it is right")
+        }
+        (300..=399, None) => "it names another place, which is not followed; correct alerts.webhook".to_owned(),
+        (401 | 403, _) => "check alerts.secret".to_owned(),
+        (404 | 405 | 410, _) => "check the path of alerts.webhook".to_owned(),
+        (429, _) => "it accepts no more for now; the alert is sent again".to_owned(),
+        _ => "check its log and alerts.secret".to_owned(),
     }
 }
 
@@ -179,6 +196,19 @@ mod tests {
         // python3: hmac.new(b"0123456789abcdef", b'1700000000.{"authros_alert":1}', hashlib.sha256).hexdigest()
         let known = "sha256=af11d0bb506d61e26dadb13cb37e9e3551f8fcb448ec9035a3c870180046e24d";
         assert_eq!(signature(b"0123456789abcdef", "1700000000", br#"{"authros_alert":1}"#), known);
+    }
+
+    #[test]
+    fn each_answer_has_advice_of_its_own() {
+        let of = |status: u16, place: Option<&str>| {
+            let place = place.map(|place| place.parse().expect("a header"));
+            advice(reqwest::StatusCode::from_u16(status).expect("a status"), place.as_ref())
+        };
+        let moved = of(307, Some("https://other.example.org/hook/SECRET"));
+        assert!(moved.contains("other.example.org") && !moved.contains("SECRET"), "{moved}");
+        assert!(of(307, Some("/there")).contains("not followed") && of(302, None).contains("not followed"));
+        assert!(of(404, None).contains("path") && of(429, None).contains("again") && of(401, None).contains("secret"));
+        assert!(of(500, None).contains("log"));
     }
 
     #[test]

@@ -112,6 +112,7 @@ impl Command {
             | Self::Administer(_)
             | Self::NameRecovery { .. }
             | Self::DeployContract { .. }
+            | Self::CancelTransaction { .. }
             | Self::ServeChain { .. }
             | Self::ServeGateway { .. }
             | Self::ExportAudit { .. } => Needed::Owner,

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::AdministrationView;
-use crate::chain::{Pin, Sealing};
-use crate::model::{Address, Domain, Hash, SignerId};
+use crate::chain::{Pin, Sealing, Shortfall};
+use crate::model::{Address, Domain, Hash, SignerId, Wei};
 use crate::pipeline::sender::LaneState;
 
 /// The chain from this profile's point of view.
@@ -33,6 +33,13 @@ pub struct ChainView {
     /// Whose word has to be trusted for all this, if it does not come from the site's own node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub through: Option<String>,
+    /// The first of them, of all lanes.
+    pub waiting: Vec<WaitingView>,
+    /// What the account lacks to pay for its next anchor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lacks: Option<Shortfall>,
+    /// The limits of the gas price, by the names of their settings.
+    pub prices: PricesView,
     /// The cost of its newest anchoring transactions.
     pub gas: GasView,
     /// The state of this profile's lanes: first its own account's, then the extra ones'.
@@ -42,6 +49,30 @@ pub struct ChainView {
     /// Who seals the blocks, and how often.
     #[serde(flatten)]
     pub sealing: Sealing,
+}
+
+/// A transaction that waits for a block.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WaitingView {
+    /// The account.
+    pub account: Address,
+    /// Its nonce, for `chain cancel`.
+    pub nonce: u64,
+    /// Its purpose, in a word.
+    pub purpose: String,
+    /// The price per gas that it offers.
+    pub price: Wei,
+}
+
+/// The limits of the gas price, per gas.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PricesView {
+    /// `chain.min_price`.
+    #[serde(rename = "chain.min_price")]
+    pub min_price: Wei,
+    /// `chain.max_fee`; `None` = no cap.
+    #[serde(rename = "chain.max_fee")]
+    pub max_fee: Option<Wei>,
 }
 
 /// The cost of anchoring, over the newest transactions of one profile's lanes.

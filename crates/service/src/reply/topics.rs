@@ -30,6 +30,8 @@ pub struct TopicRow {
     pub qos: Option<String>,
     /// Node names, cleaned.
     pub publishers: Vec<String>,
+    /// Of the publishers of a captured topic, those that cannot be read.
+    pub unreached: Vec<UnreachedView>,
     /// Whether this profile watches it.
     pub watched: bool,
     /// Why it is watched but not captured; `None` = it is captured, or not watched.
@@ -58,6 +60,23 @@ pub struct TopicRow {
     pub quarantined: u64,
     /// Whether an alarm about a publisher of it is open.
     pub alarm: bool,
+}
+
+/// A publisher that is listed and cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnreachedView {
+    /// Its node, cleaned.
+    pub node: String,
+    /// Host and port that it gave, cleaned.
+    pub place: String,
+    /// Why, and what to do if that is known; cleaned.
+    pub reason: String,
+}
+
+impl std::fmt::Display for UnreachedView {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} at {}: {}", self.node, self.place, self.reason)
+    }
 }
 
 /// The records in one part of a span of time.
@@ -144,6 +163,8 @@ pub struct TopicSummary {
     pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
+    /// Publishers that were listed at its end and could not be read.
+    pub unreached: Vec<UnreachedView>,
 }
 
 /// The result of a capture.

@@ -183,6 +183,11 @@ impl Site {
             Command::DeployContract { delay } => {
                 self.connection.deploy_contract(&owner()?, delay).await.map(ask::DeployContract::told)
             }
+            Command::CancelTransaction { nonce, account } => {
+                let (owner, network) = (owner()?, self.parts.link.network().await?);
+                let key = self.lanes.key(&owner, &network, account)?;
+                self.administering.cancel(&owner, &key, nonce).await.map(ask::CancelTransaction::told)
+            }
             Command::ServeChain { address } => {
                 let served = self.connection.serve_chain(&profile, address, until_released(claims)).await;
                 served.map(ask::ServeChain::told)

@@ -11,11 +11,11 @@ use super::lifetime::Lifetime;
 use super::progress::Runs;
 use super::storage::room::open_ledger;
 use super::supervision::Supervisor;
+use crate::chain::Policy;
 use crate::chain::check_embedded_chain;
 use crate::config::Config;
 use crate::crypto::provider;
 use crate::paths::Home;
-use crate::pipeline::sender::Policy;
 use crate::pipeline::{Owner, Plant, Sender};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
@@ -64,7 +64,7 @@ impl Parts {
             log: Arc::new(Log::new(ledger.clone(), Arc::clone(&hub))),
             owners: Arc::new(Owners::new(home.clone(), open)),
             link: Arc::new(Link::new(Arc::clone(&hub), needs_chain)),
-            sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee })),
+            sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee, floor: config.min_price })),
             home,
             config: Arc::new(config),
             plant,

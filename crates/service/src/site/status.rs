@@ -6,19 +6,24 @@ use std::time::Instant;
 use tokio::task::block_in_place;
 
 use super::{NetworkState, RosState, Site};
+use crate::chain::{Call, Chain, Priced, Shortfall, offered};
 use crate::config::without_password;
-use crate::model::{Address, ProfileName, RecordState, clean};
+use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean};
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
 use crate::pipeline::storer::Condition;
 use crate::pipeline::watcher::foreign;
 use crate::service::hub::lacking;
-use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
+use crate::service::reply::{
+    ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, SiteView, WaitingView,
+};
 use crate::store::StateCounts;
 
 /// The most transactions used for the gas per record.
 const GAS_OVER: u64 = 100;
+/// The most waiting transactions shown one by one.
+const WAITING_SHOWN: usize = 20;
 
 impl Site {
     /// Health, counts, robots and open profiles.
@@ -82,8 +87,9 @@ impl Site {
             NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
-            NetworkState::Up(network) => match self.lanes.paused_text(network) {
-                Some(text) => (HealthLevel::Failed, text),
+            NetworkState::Up(network) => match self.lanes.paused(network) {
+                Some((text, true)) => (HealthLevel::Failed, text),
+                Some((text, false)) => (HealthLevel::Waiting, text),
                 None => (HealthLevel::Ok, name),
             },
             NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
@@ -213,6 +219,12 @@ impl Site {
             nonce: status.nonce.unwrap_or(0),
             pending,
             gas: block_in_place(|| self.gas_of(&lanes))?,
+            waiting: block_in_place(|| self.waiting_in(&lanes))?,
+            lacks: match address {
+                Some(address) => self.lacks(&chain, address).await,
+                None => None,
+            },
+            prices: self.prices(),
             lanes,
             client: clean(&status.client, 100),
             through: self.joined.chain_text().map(|text| clean(&text, 300)),
@@ -228,6 +240,35 @@ impl Site {
 }
 
 impl Site {
+    fn prices(&self) -> PricesView {
+        let limits = self.parts.sender.limits();
+        PricesView { min_price: Wei(limits.floor), max_fee: limits.cap.map(Wei) }
+    }
+
+    /// What the account lacks to pay for its next anchor; a node that does not say is asked again when it is sent.
+    async fn lacks(&self, chain: &Chain, account: Address) -> Option<Shortfall> {
+        let anchor = Call::Anchor { root: Hash([0; 32]), count: 1, previous: Hash([0; 32]) };
+        let market = chain.market().await.ok()?;
+        let Priced::At(price) = self.parts.sender.limits().fresh(&market) else { return None };
+        let shortfall = chain.shortfall(account, &anchor, price).await.ok()?;
+        Some(shortfall).filter(|shortfall| shortfall.held < shortfall.needed)
+    }
+
+    /// The first transactions of these lanes that wait for a block.
+    fn waiting_in(&self, lanes: &[LaneState]) -> Result<Vec<WaitingView>, Failure> {
+        let mut views = Vec::new();
+        for lane in lanes {
+            let left = WAITING_SHOWN.saturating_sub(views.len());
+            for row in self.plant.ledger.open_lane(lane.account)?.into_iter().take(left) {
+                let raw = self.plant.ledger.raw_transaction(row.hash)?.unwrap_or_default();
+                let price = Wei(offered(&raw).map_or(0, |offer| offer.price));
+                let (account, nonce, purpose) = (lane.account, row.nonce, row.purpose);
+                views.push(WaitingView { account, nonce, purpose, price });
+            }
+        }
+        Ok(views)
+    }
+
     /// The cost of anchoring, over the newest transactions of these lanes.
     fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
         let mut view = GasView::default();

@@ -36,6 +36,7 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
         qos: None,
         type_name: Some(format!("{} topics", rows.len())),
         publishers,
+        unreached: rows.iter().flat_map(|row| row.unreached.clone()).collect(),
         watched: rows.iter().any(|row| row.watched),
         held_up: held_up(HeldUp::WaitsForKey).or(held_up(HeldUp::Paused)),
         simulated: rows.iter().all(|row| row.simulated),

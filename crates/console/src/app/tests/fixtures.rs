@@ -9,9 +9,9 @@ use crate::service::command::{IncidentCommand, RecordingCommand};
 use crate::service::reply::{
     AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView,
     GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView, IncidentView,
-    KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, Provenance, QueueView, RecordPage, RecordView,
-    RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView, SystemKeyView, TopicRow,
-    TransactionView,
+    KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, PricesView, Provenance, QueueView, RecordPage,
+    RecordView, RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView,
+    SystemKeyView, TopicRow, TransactionView,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -142,6 +142,7 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
         type_hash: None,
         qos: None,
         publishers: vec!["/driver".to_owned()],
+        unreached: Vec::new(),
         watched: false,
         held_up: None,
         simulated: true,
@@ -307,6 +308,9 @@ fn chain() -> ChainView {
         through: None,
         administration: AdministrationView { administrator: Some(OWN), open: true, ..AdministrationView::default() },
         gas: GasView { transactions: 100, gas: 5_214_000, records: 2_560 },
+        waiting: Vec::new(),
+        lacks: None,
+        prices: PricesView::default(),
         lanes: vec![LaneState { open: 1, paused: Some(PauseReason::Stalled), ..LaneState::idle(OWN) }],
         sealing: Sealing { period: Some(100), difficulty: None, sealers: vec![Address([0x5e; 20])] },
     }

@@ -23,6 +23,7 @@ use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use crate::site::pins::Pinning;
+use std::collections::HashMap;
 use std::sync::Mutex;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -31,7 +32,7 @@ use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{CaptureSession, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{CaptureSummary, Failure, TopicSummary};
+use crate::service::reply::{CaptureSummary, Failure, TopicSummary, UnreachedView};
 
 /// How long to wait before checking again whether a latched message came.
 const TICK: Duration = Duration::from_millis(50);
@@ -131,6 +132,7 @@ impl Capture {
             () = time_is_up => session.close(),
             () = self.life.stopped() => session.close(),
         }
+        let unreached = self.ros.unreached();
         self.end(owner, &names, &session);
         let captured: u64 = session.figures().iter().map(|topic| topic.captured).sum();
         let ended = self.log.write(&owner.profile, "capture stop", &listed, &format!("{captured} captured")).await;
@@ -138,7 +140,7 @@ impl Capture {
         if let Err(failure) = ended {
             self.hub.notice(NoticeLevel::Error, &failure.message);
         }
-        Ok(summary(&session))
+        Ok(summary(&session, unreached))
     }
 
     /// This long, or as long as the first message of a latched ROS 2 topic takes to arrive.
@@ -192,12 +194,13 @@ impl Capture {
     }
 }
 
-fn summary(session: &CaptureSession) -> CaptureSummary {
+fn summary(session: &CaptureSession, mut unreached: HashMap<String, Vec<UnreachedView>>) -> CaptureSummary {
     let figures = session.figures();
     let skipped = figures.iter().map(|topic| topic.skipped).sum();
     let topics: Vec<TopicSummary> = figures
         .into_iter()
         .map(|figures| TopicSummary {
+            unreached: unreached.remove(&figures.topic).unwrap_or_default(),
             topic: figures.topic,
             type_name: figures.type_name.map(|name| crate::model::clean(&name, 255)),
             captured: figures.captured,

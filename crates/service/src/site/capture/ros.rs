@@ -5,7 +5,7 @@ use crate::pipeline::Recorder;
 use crate::service::hub::Hub;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering;
@@ -19,12 +19,13 @@ use crate::config::{MeterMode, PublishedBy};
 use crate::crypto::random_bytes;
 use crate::model::TopicName;
 use crate::model::bytes::hex;
+use crate::ros::graph::Unreached;
 use crate::ros::{
     Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, RosrustFleet, TopicInfo,
 };
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, UnreachedView};
 use crate::site::blocking;
 use crate::site::capture::second::{GraphOf, Second};
 
@@ -360,6 +361,17 @@ impl RosSide {
             self.share_wishes(&[]);
         }
         self.hub.changed(Part::Topics);
+    }
+
+    /// The publishers of each captured topic that are listed and cannot be read, by topic.
+    pub(in crate::site) fn unreached(&self) -> HashMap<String, Vec<UnreachedView>> {
+        let status = match &*self.state() {
+            RosState::Up(link) => link.capture.status(),
+            _ => return HashMap::new(),
+        };
+        let view = |one: Unreached| UnreachedView { node: one.node, place: one.place, reason: one.reason };
+        let status = status.into_iter().filter(|topic| !topic.unreached.is_empty());
+        status.map(|topic| (topic.topic.to_string(), topic.unreached.into_iter().map(view).collect())).collect()
     }
 
     /// The graph from which a ROS 1 topic is captured.

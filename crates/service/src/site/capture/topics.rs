@@ -56,7 +56,9 @@ impl Capture {
         let sealing = self.owners.get(profile).filter(|owner| owner.sealing().is_some());
         let full = self.plant.ledger.takes_records().is_err();
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
+        let mut unreached = self.ros.unreached();
         for row in &mut rows {
+            row.unreached = unreached.remove(&row.topic).filter(|_| row.ros == 1).unwrap_or_default();
             if let Some(pinned) = pins.get(&row.topic) {
                 row.pins = pinned.len() as u64;
                 row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(*name)).cloned().collect();
@@ -93,6 +95,7 @@ impl Capture {
             qos: None,
             type_name: type_name.map(|name| clean(name, 255)),
             publishers,
+            unreached: Vec::new(),
             watched: false,
             held_up: None,
             simulated,

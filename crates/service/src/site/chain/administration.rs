@@ -12,6 +12,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use crate::chain::Call;
+use crate::crypto::EoaSecret;
 use crate::model::{Address, Party, Timestamp};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::Administration;
@@ -100,6 +101,35 @@ impl Administering {
         self.hub.changed(Part::Chain);
         let epoch = network.directory.epoch(owner.address);
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
+    }
+
+    /// Cancels a transaction of one of the owner's accounts. No change of the owner's is waited for: it may be the one
+    /// that is cancelled.
+    pub(in crate::site) async fn cancel(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        key: &EoaSecret,
+        nonce: u64,
+    ) -> Result<TransactionView, Failure> {
+        const ACTION: &str = "cancel transaction";
+        let network = self.link.network().await?;
+        let subject = format!("nonce {nonce} of {}", key.address());
+        self.log.begin(owner, ACTION, &subject).await?;
+        let cancelled = self.sender.cancel(&network.chain, key, nonce).await.map_err(Failure::from);
+        let cancelled = self.log.end(owner, ACTION, &subject, cancelled).await?;
+        self.hub.changed(Part::Chain);
+        let block = self.sender.wait_cancelled(&network.chain, key, &cancelled).await?;
+        if let Some(block) = block {
+            self.link.scanned(block).await;
+        }
+        let what = &cancelled.purpose;
+        let text = match (block, cancelled.anchors) {
+            (None, _) => format!("{subject} ({what}) was mined before its replacement; nothing was cancelled"),
+            (_, true) => format!("{subject} ({what}) is cancelled; its records are anchored again by another one"),
+            (_, false) => format!("{subject} ({what}) is cancelled; repeat the command if it is still wanted"),
+        };
+        let transaction = block.map(|_| cancelled.hash);
+        Ok(TransactionView { transaction, block, epoch: network.directory.epoch(owner.address), text })
     }
 
     fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String), Failure> {

@@ -16,7 +16,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::{Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin};
 use crate::model::ErrorKind;
-use crate::pipeline::{Network, Owner, PipelineError, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, Sender, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
 use crate::service::reply::Failure;
@@ -35,6 +35,7 @@ pub(in crate::site) struct Connection {
     pub(super) log: Arc<Log>,
     pub(super) link: Arc<Link>,
     pub(super) life: Arc<Lifetime>,
+    pub(super) sender: Arc<Sender>,
     pub(super) remote: Option<Arc<Remote>>,
     pub(super) deploying: tokio::sync::Mutex<()>,
 }
@@ -42,8 +43,8 @@ pub(in crate::site) struct Connection {
 impl Connection {
     /// From the shared parts.
     pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
-        let Parts { home, config, plant, hub, log, link, life, .. } = parts.clone();
-        Self { home, config, plant, hub, log, link, life, remote, deploying: tokio::sync::Mutex::default() }
+        let Parts { home, config, plant, hub, log, link, life, sender, .. } = parts.clone();
+        Self { home, config, plant, hub, log, link, life, sender, remote, deploying: tokio::sync::Mutex::default() }
     }
 }
 
@@ -150,12 +151,14 @@ impl Connection {
         let NetworkState::Bare(chain) = self.link.settled().await? else { return self.link.network().await };
         let eoa = owner.eoa();
         self.fund(&chain, owner).await?;
-        let mut pin = chain.deploy_with(&eoa, delay).await?;
+        let mut deployed = chain.deploy_with(&eoa, delay, self.sender.policy()).await?;
         // A chain that was wiped and founded as before gives a contract the address of the lost one: records of both could
         // not be distinguished. Each further deployment has another address.
-        while !owner.epochs(pin.domain()).is_empty() {
-            pin = chain.deploy_with(&eoa, delay).await?;
+        while !owner.epochs(deployed.pin.domain()).is_empty() {
+            deployed = chain.deploy_with(&eoa, delay, self.sender.policy()).await?;
         }
+        deployed.raised.into_iter().for_each(|price| self.sender.note_needed(price));
+        let pin = deployed.pin;
         self.save_pin(&pin)?;
         self.use_network(chain, &pin).await?;
         self.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;

@@ -18,6 +18,7 @@ use crate::pipeline::anchoring_accounts::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
+use crate::service::failure::refused;
 use crate::service::reply::Failure;
 
 /// How often to check whether the extra accounts are ready.
@@ -72,6 +73,24 @@ impl Lanes {
         Ok(lanes)
     }
 
+    /// The key of one of an owner's lanes, also of an extra one that the settings no longer use; `None` = its own.
+    pub(in crate::site) fn key(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        account: Option<Address>,
+    ) -> Result<EoaSecret, Failure> {
+        let Some(account) = account.filter(|account| *account != owner.address) else { return Ok(owner.eoa()) };
+        let extra = self.extra(owner, network)?;
+        let found = extra.iter().find(|(other, _)| *other == account).map(|(_, key)| key.clone());
+        found.ok_or_else(|| {
+            refused(format!(
+                "{account} does not anchor for {}; `authros chain status` lists the accounts that do",
+                owner.profile
+            ))
+        })
+    }
+
     /// The state of an owner's lanes: its own, and that of every extra account in use or with pending transactions.
     pub(in crate::site) fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
         let mut states = vec![self.sender.state_of(owner.address)?];
@@ -85,11 +104,11 @@ impl Lanes {
         Ok(states)
     }
 
-    /// Why a lane of an open owner is stalled, if one is.
-    pub(in crate::site) fn paused_text(&self, network: &Network) -> Option<String> {
+    /// Why a lane of an open owner is stalled, if one is: in words, and whether somebody has to do something.
+    pub(in crate::site) fn paused(&self, network: &Network) -> Option<(String, bool)> {
         let owners = self.owners.all();
         let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
-        states.find_map(|state| state.paused.map(|reason| reason.text(state.account)))
+        states.find_map(|state| state.paused.map(|reason| (reason.text(state.account), reason.is_alarm())))
     }
 
     /// Maintains the lanes of every open owner: after each block, and while none comes.
