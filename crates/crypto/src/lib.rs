@@ -19,6 +19,7 @@ pub mod error;
 mod file_key;
 mod gateway_addresses;
 mod gcm;
+pub mod hands;
 pub mod identity;
 pub mod kdf;
 pub mod kept_key;

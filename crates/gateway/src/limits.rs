@@ -57,7 +57,8 @@ pub struct Limits {
     pub write_time: Duration,
     /// Subscriptions of one connection.
     pub subscriptions: usize,
-    /// Total connections that read the chain without a transport key.
+    /// Total connections that read the chain without a transport key. When all places are taken, the oldest of those who
+    /// hold the most is dropped.
     pub visits: usize,
     /// The same of one peer.
     pub visits_of_peer: usize,

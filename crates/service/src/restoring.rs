@@ -12,7 +12,7 @@ use crate::crypto::Passphrase;
 use crate::crypto::sealed_stream::SealedReader;
 use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
-use crate::store::{archive, note_restored, snapshot};
+use crate::store::{archive, files, note_restored, snapshot};
 
 /// Restores a backup as the home, which must be empty or absent; so must the places beside it for which the backup has
 /// settings.
@@ -34,6 +34,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
         .permissions(fs::Permissions::from_mode(0o700))
         .tempdir_in(parent)
         .map_err(|error| unmade(parent, &error))?;
+    files::check_hands(folder.path())?;
     let unpacked = archive::unpack(&mut sealed, folder.path()).map_err(|error| unread(file, &error))?;
     let copied = Home::new(folder.path().to_owned());
     if !copied.ledger().exists() {
