@@ -39,9 +39,10 @@ pub struct Limits {
     pub relay_burst: f64,
     /// The same per second, sustained; more are slowed down.
     pub relay_rate: f64,
-    /// Transactions of newcomers from one peer at once.
+    /// Transactions of newcomers from one peer at once; four times as many from all peers together.
     pub newcomer_burst: f64,
-    /// The same per second, sustained; more are refused.
+    /// The same per second, sustained, of one peer and of all together; more are refused: each one makes the chain longer
+    /// for ever.
     pub newcomer_rate: f64,
     /// Bytes of large frames and of messages in parts that one peer may have in flight.
     pub quota_of_peer: usize,

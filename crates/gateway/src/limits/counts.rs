@@ -38,7 +38,7 @@ pub(super) struct Peer {
     pub frames: Bucket,
     pub bytes: Bucket,
     pub relays: Bucket,
-    pub newcomers: Bucket,
+    newcomers: Bucket,
 }
 
 /// What the peers of a network hold together.
@@ -61,6 +61,8 @@ struct Evictable {
 pub(super) struct Counts {
     pub connections: usize,
     pub charged: usize,
+    /// Transactions of newcomers, all peers together.
+    newcomers: Option<Bucket>,
     /// Connections that have not authenticated, by number, the oldest first.
     handshaking: BTreeMap<u64, Evictable>,
     /// Connections that read the chain without a transport key, likewise.
@@ -252,6 +254,17 @@ impl Counts {
         };
         let visits = self.visiting.iter().map(|(number, visit)| (held(&visit.place), Reverse(*number)));
         visits.max().map(|(_, Reverse(number))| number)
+    }
+
+    /// Counts a transaction of a newcomer; `false` if its peer, or all peers together, have sent as many as they may.
+    pub fn take_newcomer(&mut self, place: &Place, limits: &Limits, now: Instant) -> bool {
+        #[expect(clippy::cast_precision_loss, reason = "a handful")]
+        let burst = limits.newcomer_burst * PEERS_OF_NETWORK as f64;
+        if self.peers.get_mut(&place.peer).is_some_and(|peer| !peer.newcomers.take_if_there(now)) {
+            return false;
+        }
+        let all = self.newcomers.get_or_insert_with(|| Bucket::new(limits.newcomer_rate, burst, now));
+        all.take_if_there(now)
     }
 
     /// Returns a visitor's place; does nothing if it has none any more.

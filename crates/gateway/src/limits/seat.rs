@@ -76,12 +76,13 @@ impl Seat {
     /// # Errors
     /// [`Refusal`] with `Quota`.
     pub fn newcomer(&self, now: Instant) -> Result<(), Refusal> {
-        let mut counts = self.peers.lock();
-        let peer = counts.peers.get_mut(&self.place.peer);
-        if peer.is_none_or(|peer| peer.newcomers.take_if_there(now)) {
+        if self.peers.lock().take_newcomer(&self.place, &self.peers.limits, now) {
             return Ok(());
         }
-        Err(Refusal::new(Code::Quota, format_args!("too many new connections from {}", self.place.peer)))
+        Err(Refusal::new(
+            Code::Quota,
+            format_args!("too many transactions of newcomers, one more from {}", self.place.peer),
+        ))
     }
 
     /// Charges memory to the peer until the charge is dropped.

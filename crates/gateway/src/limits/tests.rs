@@ -116,6 +116,18 @@ fn a_newcomer_takes_the_place_of_the_oldest_visitor_of_those_who_hold_the_most()
 }
 
 #[test]
+fn newcomers_from_many_addresses_are_bounded_together() {
+    let limits = Limits { newcomer_burst: 4.0, newcomer_rate: 0.2, ..Limits::default() };
+    let (peers, now) = (Peers::new(limits), Instant::now());
+    let seats: Vec<Seat> = (0..40).map(|last| peers.admit(other(last), now).expect("admitted")).collect();
+    assert_eq!((0..9).filter(|_| seats[0].newcomer(now).is_ok()).count(), 4, "of one peer");
+    let all = seats.iter().skip(1).flat_map(|seat| [seat; 4]).filter(|seat| seat.newcomer(now).is_ok()).count();
+    assert_eq!(all, 12, "16 of all peers together, of which 4 were used");
+    assert!(seats[1].newcomer(now + Duration::from_secs(5)).is_ok(), "one in five seconds");
+    assert!(seats[2].newcomer(now + Duration::from_secs(5)).is_err());
+}
+
+#[test]
 fn the_peers_of_an_ipv6_network_hold_visitors_places_together() {
     let limits = Limits { visits: 8, visits_of_peer: 2, ..Limits::default() };
     let (peers, now) = (Peers::new(limits), Instant::now());
