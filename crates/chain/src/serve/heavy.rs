@@ -4,7 +4,7 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use rlp::Rlp;
+use ethers::utils::rlp::Rlp;
 use serde_json::Value;
 
 use crate::model::bytes::unhex;
@@ -62,7 +62,7 @@ mod tests {
 
     /// A transaction that may use this much gas; nobody signed it.
     fn raw(gas: u64) -> Value {
-        let mut list = rlp::RlpStream::new_list(9);
+        let mut list = ethers::utils::rlp::RlpStream::new_list(9);
         list.append(&1u64).append(&0u64).append(&gas);
         (0..6).for_each(|_| {
             list.append_empty_data();
