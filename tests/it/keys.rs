@@ -135,18 +135,22 @@ fn signing_keys_of_openssl_are_loaded_in_each_of_its_forms() {
     authros.json(&["identity", "create"]);
     let pem = home.file("pkcs8.pem", "", 0o600);
     output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &pem]);
-    let [sec1, printed, public] = ["sec1.pem", "printed.pem", "public.pem"].map(|name| home.file(name, "", 0o600));
-    output_of("openssl", &["pkey", "-in", &pem, "-traditional", "-out", &sec1]);
+    let [sec1, printed, public] = ["ecparam.pem", "printed.pem", "public.pem"].map(|name| home.file(name, "", 0o600));
+    output_of("openssl", &["ecparam", "-genkey", "-name", "SM2", "-out", &sec1]);
     output_of("openssl", &["pkey", "-in", &pem, "-text", "-out", &printed]);
     output_of("openssl", &["pkey", "-in", &pem, "-pubout", "-out", &public]);
     let read = |path: &str| fs::read_to_string(path).expect("written");
     let marked = home.file("marked.pem", format!("\u{feff}{}", read(&pem)), 0o600);
     let both = home.file("both.pem", read(&public) + &read(&pem), 0o600);
     let parameters = "-----BEGIN SM2 PARAMETERS-----\nBggqgRzPVQGCLQ==\n-----END SM2 PARAMETERS-----\n";
-    let whole = home.file("whole.pem", parameters.to_owned() + &read(&sec1), 0o600);
+    let whole = home.file("whole.pem", parameters.to_owned() + &read(&pem), 0o600);
     let other = home.file("other.pem", "", 0o600);
     let wanted = public_key(&pem);
-    for file in [&sec1, &printed, &marked, &both, &whole] {
+    for (file, wanted) in [&printed, &marked, &both, &whole]
+        .map(|file| (file, wanted.clone()))
+        .into_iter()
+        .chain([(&sec1, public_key(&sec1))])
+    {
         // Another key in between, so that each file is seen to be read.
         output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &other]);
         authros.json(&["keys", "load", "--sm2", &other]);

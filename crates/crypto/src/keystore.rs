@@ -121,7 +121,7 @@ fn pbkdf2(passphrase: &str, salt: &[u8], iterations: u32) -> Option<Zeroizing<[u
     ));
     let mut out = block.clone();
     for _ in 1..iterations {
-        *block = keyed.clone().chain_update(&*block).finalize().into_bytes().into();
+        *block = keyed.clone().chain_update(*block).finalize().into_bytes().into();
         out.iter_mut().zip(block.iter()).for_each(|(out, byte)| *out ^= byte);
     }
     Some(out)
