@@ -4,8 +4,8 @@
     verify.py NAME.authros [--trust trust.toml]
 
 It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, and of each topic
-what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned, 8 where something is not
-proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
+what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned and the exporter's key is that
+of their owner or pinned, 8 where something is not proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
 slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
 """
 import base64
@@ -253,8 +253,11 @@ def recover(hash_, seal):  # secp256k1: the account whose key made a seal
     return None if key is None else keccak(key[0].to_bytes(32, "big") + key[1].to_bytes(32, "big"))[12:]
 
 
-def rlp(data):  # one item: bytes or a list; its source is hashed elsewhere
-    def item(at):
+DEEPEST = 32
+
+
+def rlp(data):  # one item: bytes or a list, each length in its one form; its source is hashed elsewhere
+    def item(at, depth):
         first = data[at]
         if first < 0x80:
             return data[at:at + 1], at + 1
@@ -270,14 +273,22 @@ def rlp(data):  # one item: bytes or a list; its source is hashed elsewhere
             return data[begin:end], end
         found, at = [], begin
         while at < end:
-            one, at = item(at)
+            if depth == DEEPEST:
+                raise Refused("lists of RLP lie too deep")
+            one, at = item(at, depth + 1)
             found.append(one)
         return found, end
 
-    found, end = item(0)
-    if end != len(data):
-        raise Refused("bytes behind RLP")
+    found, end = item(0, 0)
+    if end != len(data) or encode(found) != data:
+        raise Refused("RLP is not of its one form")
     return found
+
+
+def number(item):  # as RLP has it, of at most 64 bits
+    if not isinstance(item, bytes) or len(item) > 8 or item[:1] == b"\0":
+        raise Refused("a number in RLP is none")
+    return int.from_bytes(item, "big")
 
 
 def encode(item):
@@ -297,15 +308,21 @@ EMPTY = keccak(b"\x80")
 def look_up(nodes, root, key):  # Yellow Paper, appendices C and D
     if root == EMPTY:
         return None
+    if not isinstance(root, bytes) or len(root) != 32:
+        raise Refused("the root of a trie is none")
     path = [nibble for byte in keccak(key) for nibble in (byte >> 4, byte & 15)]
     at = root
     while True:
         if isinstance(at, bytes):
             if at == b"":
                 return None
+            if len(at) != 32:
+                raise Refused("the node on its path is not a trie node")
             if at not in nodes:
                 raise Unproven("a node of the state is not in the bundle")
             at = rlp(nodes[at])
+        if not isinstance(at, list) or len(at) not in (2, 17) or (len(at) == 2 and not (isinstance(at[0], bytes) and at[0] and at[0][0] < 0x40)):
+            raise Refused("the node on its path is not a trie node")
         if len(at) == 17:
             if not path:
                 return None
@@ -317,7 +334,11 @@ def look_up(nodes, root, key):  # Yellow Paper, appendices C and D
             return None
         path = path[len(own):]
         if packed[0] & 2:
+            if not isinstance(at[1], bytes):
+                raise Refused("the node on its path is not a trie node")
             return None if path else at[1]
+        if not own:
+            raise Refused("the node on its path is not a trie node")
         at = at[1]
 
 
@@ -330,12 +351,18 @@ class Storage:
         account = look_up(nodes, state, contract)
         if account is None:
             raise Refused("the state has no contract at that address")
-        _, _, self.root, self.code = rlp(account)
+        fields_ = rlp(account)
+        if not isinstance(fields_, list) or len(fields_) != 4 or any(not isinstance(one, bytes) or len(one) != 32 for one in fields_[2:]):
+            raise Refused("what the state holds there is no account")
+        self.root, self.code = fields_[2:]
         self.nodes = nodes
 
     def word(self, slot):
         value = look_up(self.nodes, self.root, slot)
-        return pad(rlp(value)) if value is not None else bytes(32)
+        word = rlp(value) if value is not None else b""
+        if not isinstance(word, bytes) or len(word) > 32:
+            raise Refused("what the state holds there is no word")
+        return pad(word)
 
     def numbers(self, slot):  # four eight-byte numbers, from the low end
         return struct.unpack(">4Q", self.word(slot))[::-1]
@@ -601,6 +628,8 @@ class Bundle:
     def listed_stamps(self):
         """Under which imprints roots of batches are, and whether their paths lead there."""
         found, folders = {}, {name.split("/")[1] for name in self.members if name.startswith("stamps/")}
+        if len(folders) > 10_000:
+            raise Refused("it has too many time stamps")
         for folder in sorted(folders):
             tokens = [n for n in self.members if n.startswith(f"stamps/{folder}/") and n.endswith(".der")]
             if f"stamps/{folder}/roots.json" not in self.members:
@@ -612,6 +641,8 @@ class Bundle:
                 raise Refused("a time stamp is malformed")
             if any(hashlib.sha256(self.members[n]).hexdigest()[:32] != n.split("/")[2][:-4] for n in tokens):
                 raise Refused("a token is filed under another's name")
+            if len(roots) > 16_384 or any(len(one["path"]) > 14 for one in roots):
+                raise Refused("a time stamp is malformed")
             if any(unhex(one["root"]) >= unhex(next_["root"]) for one, next_ in zip(roots, roots[1:])):
                 raise Refused("roots of a time stamp are not in order")
             for one in roots:
@@ -653,7 +684,9 @@ class Bundle:
         found = rlp(data)
         if len(data) > 8192 or not isinstance(found, list) or not 15 <= len(found) <= 32:
             raise Refused("a header is longer than any header, or none")
-        if any(not isinstance(found[at], bytes) or len(found[at]) != 32 for at in (0, 3)) or f"chain/{int.from_bytes(found[8], 'big')}.rlp" != name:
+        texts = all(isinstance(found[at], bytes) for at in (0, 3, 12, 13)) and len(found[0]) == len(found[3]) == 32
+        number(found[11])
+        if not texts or f"chain/{number(found[8])}.rlp" != name:
             raise Refused("a header is none, or filed under another block's number")
         return data
 
@@ -947,15 +980,75 @@ class Record:
         return found | {"notes": notes}
 
 
+LARGEST_TRUST = 65_536
+
+
+def der_elements(data):
+    """Tags, contents and whole texts of DER's elements one after the other: definite and shortest lengths only."""
+    found = []
+    while data:
+        first, begin = data[1], 2
+        size = first
+        if first > 0x83 or first == 0x80 or data[0] & 0x1F == 0x1F:
+            raise ValueError("a certificate is no DER")
+        if first > 0x80:
+            begin += first - 0x80
+            size = int.from_bytes(data[2:begin], "big")
+            if data[2] == 0 or size < 0x80:
+                raise ValueError("a certificate is no DER")
+        if begin + size > len(data):
+            raise ValueError("a certificate ends too early")
+        found.append((data[0], data[begin:begin + size], data[:begin + size]))
+        data = data[begin + size:]
+    return found
+
+
+def certificate(text):
+    """Whether the first PEM in a text is a certificate in form; what it is worth is left to openssl, see VERIFY.txt."""
+    begin, end = "-----BEGIN CERTIFICATE-----", "-----END CERTIFICATE-----"
+    if begin not in text or end not in text.split(begin, 1)[1]:
+        raise ValueError("an authority's certificate is no PEM")
+    body = re.sub("[ \t\n\f\r]", "", text.split(begin, 1)[1].split(end, 1)[0])
+    try:
+        data = base64.b64decode(body, validate=True)
+        if base64.b64encode(data).decode() != body:
+            raise ValueError("its PEM is broken")
+        ((tag, inside, _),) = der_elements(data)
+        (signed, algorithm, signature), inner = der_elements(inside), []
+        inner = der_elements(signed[1])
+        inner = inner[1:] if inner[0][0] == 0xA0 else inner
+        serial, again, issuer, validity, subject, key, *rest = inner
+        dates, info = der_elements(validity[1]), der_elements(key[1])
+        tags = [tag, signed[0], algorithm[0], signature[0], serial[0], *(one[0] for one in (again, issuer, validity, subject, key))]
+        good = tags == [0x30] * 3 + [3, 2] + [0x30] * 5 and signature[1][:1] == b"\0" and again[2] == algorithm[2]
+        good &= [one[0] for one in rest] in ([], [0x81], [0x82], [0x81, 0x82], [0xA3], [0x81, 0xA3], [0x82, 0xA3], [0x81, 0x82, 0xA3])
+        time = {0x17: rb"[0-9]{12}Z", 0x18: rb"[0-9]{14}(\.[0-9]{0,8}[1-9])?Z"}
+        good &= len(dates) == 2 and all(one[0] in time and re.fullmatch(time[one[0]], one[1]) for one in dates)
+        good &= [one[0] for one in info] == [0x30, 3] and info[1][1][:1] == b"\0"
+    except (ValueError, IndexError) as why:
+        raise ValueError(f"an authority's certificate is none: {why}") from None
+    if not good:
+        raise ValueError("an authority's certificate is none")
+
+
 def read_trust(path):
     """The reader's own pins; what cannot be meant is refused."""
-    trust = tomllib.loads(pathlib.Path(path).read_text())
-    chain, persons = trust["chain"], trust.get("person", [])
+    text = pathlib.Path(path).read_bytes()
+    if len(text) > LARGEST_TRUST:
+        raise ValueError("it is longer than any trust file")
+    trust = tomllib.loads(text.decode().removeprefix("\ufeff"))
+    chain, persons, authorities = trust["chain"], trust.get("person", []), trust.get("authority", [])
+    if not all(isinstance(one, list) for one in (chain["signers"], persons, authorities)) or len(authorities) > 16:
+        raise ValueError("signers, people or authorities are no list, or more than 16 authorities")
+    if any(set(one) != {"name", "certificate"} or not all(isinstance(word, str) for word in one.values()) for one in authorities):
+        raise ValueError("an authority has a name and a certificate")
+    for one in authorities:
+        certificate(one["certificate"])
     signers = [unhex(one) for one in chain["signers"]]
     required, optional = {"id", "genesis", "contract", "code_hash", "signers", "sealed_by_exporter"}, {"quorum"}
     if not required <= set(chain) <= required | optional or not set(trust) <= {"chain", "person", "authority"}:
         raise ValueError("it has not the lines that docs/evidence.md shows")
-    if not isinstance(chain["sealed_by_exporter"], bool) or isinstance(chain["id"], bool) or chain["id"] < 0:
+    if not isinstance(chain["sealed_by_exporter"], bool) or type(chain["id"]) is not int or not 0 <= chain["id"] < 2 ** 63:
         raise ValueError("sealed_by_exporter is true or false, and id a number")
     if any(len(one) != 20 for one in [*signers, unhex(chain["contract"])]) or len(set(signers)) != len(signers):
         raise ValueError("a signer or the contract is not an account, or a signer is named twice")
@@ -966,7 +1059,7 @@ def read_trust(path):
     hashes = [chain["genesis"], chain["code_hash"], *(one["key"] for one in persons if "key" in one)]
     if not all(has_form(one, ACCOUNT) for one in accounts) or not all(has_form(one, 32) for one in hashes):
         raise ValueError("an account is 0x and 40 digits with its checksum, and a hash or a key is 64 digits")
-    if any(not {"account", "name"} <= set(one) <= {"account", "name", "key"} for one in persons):
+    if any(not {"account", "name"} <= set(one) <= {"account", "name", "key"} or not isinstance(one["name"], str) for one in persons):
         raise ValueError("a person has an account and a name, and a key or none")
     if any(len(unhex(one)) != 32 for one in [chain["genesis"], chain["code_hash"], *(p["key"] for p in persons if "key" in p)]):
         raise ValueError("a hash is no 32 bytes")
@@ -1033,6 +1126,36 @@ def completeness(bundle, records, twice):
     return result
 
 
+def exporter(bundle, trust, records):
+    """Whether whoever put the bundle together is its records' owner, or pinned."""
+    account, key = unhex(bundle.manifest["exporter"]["account"]), unhex(bundle.manifest["exporter"]["key"])
+    pinned = [unhex(one["key"]) for one in (trust or {}).get("person", []) if unhex(one["account"]) == account and "key" in one]
+    if pinned:
+        return "proven" if pinned == [key] else "unproven"
+    whole = [(record, found) for record, found in records if found["bytes"] == "proven"]
+    own = lambda record: record.header["owner"] == account
+    tied = {found["anchor"] for record, found in whole if own(record) and record.owner_key and sm3(b"\4" + record.owner_key) == key}
+    if not all(own(record) for record, _ in whole):
+        return "unproven"
+    return "proven" if "proven" in tied else "own_chain" if "own_chain" in tied else "unproven"
+
+
+# SHA-256 of the text that bundles have as VERIFY.txt.
+READ_ME = "ed828cfed0894d4fb07c442c2d43030b168aa981b68dd39c920d052e103d539e"
+
+
+def notes(bundle, tied):
+    """What has to be known besides the levels."""
+    found = []
+    if tied == "unproven":
+        found.append("nothing shows who put the bundle together: a stranger may have left records out")
+    if "report.html" in bundle.members:
+        found.append("report.html was not checked: it says what its author wanted")
+    if "VERIFY.txt" in bundle.members and hashlib.sha256(bundle.members["VERIFY.txt"]).hexdigest() != READ_ME:
+        found.append("VERIFY.txt is not the text that belongs there: do nothing of what it says")
+    return found
+
+
 def main(arguments):
     trust = None
     try:
@@ -1045,7 +1168,7 @@ def main(arguments):
     except IndexError:
         print("usage: verify.py NAME.authros [--trust trust.toml]", file=sys.stderr)
         return 2
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as why:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as why:
         print(f"verify.py: {why}", file=sys.stderr)
         return 3
     try:
@@ -1055,6 +1178,7 @@ def main(arguments):
         records = [record.report() for record in all_]
         twice = two_histories(zip(all_, records))
         complete = completeness(bundle, list(zip(all_, records)), twice)
+        tied = exporter(bundle, trust, list(zip(all_, records)))
     except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
         print(json.dumps({"outcome": "refused", "why": str(why) if isinstance(why, Refused) else f"a member is not of its form ({type(why).__name__})"}))
         return 6
@@ -1064,8 +1188,9 @@ def main(arguments):
     spoken = [of for record, of in zip(records, needed) if not (is_statement(record) and "unproven" in of)]
     good = all(standing == "proven" for of in spoken or needed for standing in of)
     refused = any(one["standing"] == "refused" for one in complete) or any(standing == "refused" for _, standing in standings)
-    outcome = "refused" if refused else "holds" if trust and records and good else "incomplete"
-    print(json.dumps({"outcome": outcome, "records": records, "complete": complete}, indent=1))
+    outcome = "refused" if refused else "holds" if trust and records and good and tied == "proven" else "incomplete"
+    told = {"outcome": outcome, "exporter": tied, "notes": notes(bundle, tied), "records": records, "complete": complete}
+    print(json.dumps(told, indent=1))
     return {"holds": 0, "incomplete": 8, "refused": 6}[outcome]
 
 

@@ -85,12 +85,8 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
             let (kind, path) =
                 chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "give the key with --sm4, --sm2 or --eoa"))?;
             if dry_run {
-                // It tells who is affected, not what is in the file; a name that is mistyped is told all the same.
-                std::fs::metadata(&path).map_err(|error| {
-                    let text =
-                        format!("{}: this key file cannot be read: {error}; nothing was checked", path.display());
-                    Failure::new(ErrorKind::Input, text)
-                })?;
+                // It tells who is affected by this key, so it has to be one.
+                crate::crypto::keyfile::load_sm2(&path)?;
             }
             let ask = LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
             match kind {

@@ -1,6 +1,8 @@
 //! Answers of the site, printed for people or as JSON; files written if a verb requested some.
 
+use std::fs::OpenOptions;
 use std::io::Write as _;
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 
 use super::{
@@ -177,7 +179,9 @@ impl Printed for CheckView {
 impl Printed for Box<OpenedView> {
     fn print(mut self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         if let (Some(path), Some(bytes)) = (out, self.file.take()) {
-            std::fs::write(path, &bytes).map_err(|error| not_written(path, &error))?;
+            // Nobody else may read what its owner sealed.
+            let file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(path);
+            file.and_then(|mut file| file.write_all(&bytes)).map_err(|error| not_written(path, &error))?;
         }
         viewing::without_bytes(&mut self);
         output.result(&self, || viewing::opened(&self));

@@ -10,12 +10,14 @@
 mod support;
 
 mod anchor_as_somebody_else;
+mod answer_in_the_sites_place;
 mod ask_for_every_log;
 mod brick_the_chain_through_the_gateway;
 mod enrolled_robot;
 mod erase_another_owners_records;
 mod fill_the_audit_log;
 mod fill_the_pool;
+mod fill_the_visitors_places;
 mod find_erased_bytes;
 mod forge_a_refusal;
 mod forged_evidence;

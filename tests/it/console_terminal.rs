@@ -40,6 +40,29 @@ fn signals_end_it_with_their_code() {
     }
 }
 
+/// A serial console, or a shell within an editor: 0 by 0 is not a small terminal.
+#[test]
+fn a_terminal_without_a_size_shows_the_console_and_says_how_to_give_it_one() {
+    for (terminal, variables, rows) in
+        [(Terminal::of(80, 24), &[][..], 24), (Terminal::of(100, 30), &[("LINES", "30"), ("COLUMNS", "100")][..], 30)]
+    {
+        let home = Home::new();
+        let mut authros = home.authros().with(&["--robots", "0"]);
+        for (name, value) in variables {
+            authros = authros.with_variable(name, value);
+        }
+        let program = authros.program().to_str().expect("UTF-8").to_owned();
+        let start = "stty rows 0 cols 0; exec \"$0\" \"$@\"";
+        let line = [words(&["sh", "-c", start, &program]), authros.arguments(&[])].concat();
+        let mut console = Console::run(&terminal, &line, &authros.variables());
+        console.wait_for("Overview", 30);
+        let shown = console.wait_for("the terminal reports no size: stty rows 24 cols 80", 30);
+        assert_eq!(shown.lines().count(), rows, "{shown}");
+        console.signal("TERM");
+        console.wait(30);
+    }
+}
+
 #[test]
 fn a_panic_of_the_drawing_thread_gives_the_terminal_back_and_says_where() {
     let Some(program) = faulty() else {

@@ -192,6 +192,7 @@ fn told(home: &Home, bundle: &Path, trust: &Path) {
         Some("holds only by the exporter's own chain, which proves nothing against the exporter"),
         "{own}"
     );
+    assert!(own.contains("note: report.html was not checked") && !own.contains("VERIFY.txt"), "{own}");
     assert!(own.contains("'/robot1/odom' nav_msgs/Odometry") && own.contains("(f) own chain: topic"), "{own}");
     let denied = home.root().join("denied.toml");
     let pins = fs::read_to_string(trust).expect("text");

@@ -14,6 +14,13 @@ use support::{Authros, Home, hex, list, skipped, system_program, text};
 const KNOWN_EOA: &str = "ac0974bec39a17e36ba4a6b4d238ff944bacb478cbed5efcae784d7bf4f2ff80";
 const KNOWN_ADDRESS: &str = "0xf39Fd6e51aad88F6F4ce6aB8827279cffFb92266";
 
+/// The PBKDF2 vector of the Web3 Secret Storage definition.
+const PBKDF2: &str = r#"{"crypto":{"cipher":"aes-128-ctr","cipherparams":{"iv":"6087dab2f9fdbbfaddc31a909735c1e6"},
+    "ciphertext":"5318b4d5bcd28de64ee5559e671353e16f075ecae9f99c7a79a38af5f869aa46","kdf":"pbkdf2",
+    "kdfparams":{"c":262144,"dklen":32,"prf":"hmac-sha256",
+    "salt":"ae3cd4e7013836a3df6bd7241b12db061dbe2c6785853cce422d148a624ce0bd"},
+    "mac":"517ead924a9d0dc3124507e3393d175ce3ff7c1e96529c6c555ce9e51205e9b2"},"version":3}"#;
+
 fn quiet(home: &Home) -> Authros {
     home.authros().with(&["--robots", "0"])
 }
@@ -115,6 +122,78 @@ fn a_signing_key_made_by_openssl_is_loaded() {
     assert_eq!(text(&loaded, "signing_key"), public_key(&pem));
     assert_eq!(loaded["envelope_key"], made["envelope_key"], "the envelope key is another key");
     assert_eq!(authros.json(&["register"])["signing_key"], loaded["signing_key"]);
+}
+
+/// As `openssl ecparam -genkey -name SM2` and `openssl pkey -text` write them, and an editor that puts a mark before them.
+#[test]
+fn signing_keys_of_openssl_are_loaded_in_each_of_its_forms() {
+    if system_program("openssl").is_none() {
+        skipped!("no openssl");
+    }
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.json(&["identity", "create"]);
+    let pem = home.file("pkcs8.pem", "", 0o600);
+    output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &pem]);
+    let [sec1, printed, public] = ["ecparam.pem", "printed.pem", "public.pem"].map(|name| home.file(name, "", 0o600));
+    output_of("openssl", &["ecparam", "-genkey", "-name", "SM2", "-out", &sec1]);
+    output_of("openssl", &["pkey", "-in", &pem, "-text", "-out", &printed]);
+    output_of("openssl", &["pkey", "-in", &pem, "-pubout", "-out", &public]);
+    let read = |path: &str| fs::read_to_string(path).expect("written");
+    let marked = home.file("marked.pem", format!("\u{feff}{}", read(&pem)), 0o600);
+    let both = home.file("both.pem", read(&public) + &read(&pem), 0o600);
+    let parameters = "-----BEGIN SM2 PARAMETERS-----\nBggqgRzPVQGCLQ==\n-----END SM2 PARAMETERS-----\n";
+    let whole = home.file("whole.pem", parameters.to_owned() + &read(&pem), 0o600);
+    let other = home.file("other.pem", "", 0o600);
+    let wanted = public_key(&pem);
+    for (file, wanted) in [&printed, &marked, &both, &whole]
+        .map(|file| (file, wanted.clone()))
+        .into_iter()
+        .chain([(&sec1, public_key(&sec1))])
+    {
+        // Another key in between, so that each file is seen to be read.
+        output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &other]);
+        authros.json(&["keys", "load", "--sm2", &other]);
+        assert_eq!(text(&authros.json(&["keys", "load", "--sm2", file]), "signing_key"), wanted, "{file}");
+    }
+    let twice = home.file("twice.pem", read(&pem) + &read(&other), 0o600);
+    assert!(authros.fails(3, &["keys", "load", "--sm2", &twice]).contains("several private keys"));
+}
+
+#[test]
+fn a_dry_run_reads_the_key_before_it_says_who_is_affected() {
+    if system_program("openssl").is_none() {
+        skipped!("no openssl");
+    }
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.json(&["identity", "create"]);
+    let p256 = home.file("p256.pem", "", 0o600);
+    output_of("openssl", &["genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256", "-out", &p256]);
+    let told = authros.fails(3, &["keys", "load", "--sm2", &p256, "--dry-run"]);
+    assert!(told.contains("another curve"), "{told}");
+    let der = home.file("key.der", "", 0o600);
+    output_of("openssl", &["genpkey", "-algorithm", "SM2", "-outform", "DER", "-out", &der]);
+    let told = authros.fails(3, &["keys", "load", "--sm2", &der, "--dry-run"]);
+    assert!(told.contains("it is binary"), "{told}");
+    let sm2 = home.file("sm2.pem", "", 0o600);
+    output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &sm2]);
+    authros.run(&["keys", "load", "--sm2", &sm2, "--dry-run"]).expect_code(0);
+}
+
+#[test]
+fn a_keystore_under_pbkdf2_is_loaded() {
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.json(&["identity", "create"]);
+    let keystore = home.file("keystore.json", PBKDF2, 0o600);
+    let passphrase = home.file("keystore-passphrase", "testpassword\n", 0o600);
+    let load = ["keys", "load", "--eoa", &keystore, "--keystore-passphrase-file", &passphrase];
+    let loaded = authros.json(&load);
+    assert_eq!(text(&loaded, "address").to_lowercase(), "0x008aeeda4d805471df9b2a5b0f38a0c3bcba786b");
+    let endless = home.file("endless.json", PBKDF2.replace("262144", "4294967295"), 0o600);
+    let told = authros.fails(3, &["keys", "load", "--eoa", &endless, "--keystore-passphrase-file", &passphrase]);
+    assert!(told.contains("out of range"), "{told}");
 }
 
 #[test]

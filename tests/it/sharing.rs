@@ -168,6 +168,8 @@ fn a_picture_is_restored_byte_by_byte() {
     let picture = |authros: &Authros, name: &str| {
         let path = two.home.root().join(name);
         authros.run(&["shared", "open", &id, "--out", path.to_str().expect("UTF-8")]).expect_code(0);
+        let mode = fs::metadata(&path).expect("written").permissions();
+        assert_eq!(std::os::unix::fs::PermissionsExt::mode(&mode) & 0o777, 0o600, "nobody else reads what was sealed");
         fs::read(path).expect("written")
     };
     let (hers, his) = (picture(&two.alice, "hers.jpg"), picture(&two.bob, "his.jpg"));

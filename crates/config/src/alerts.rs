@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::error::ConfigError;
-use super::hands::{self, Fault};
 use super::read::{Source, Values, bytes, number, source_of, span, value, wrong};
+use crate::crypto::hands::{self, Fault};
 use crate::crypto::private_file;
 use crate::model::clean;
 

@@ -8,7 +8,6 @@ mod alerts;
 mod console;
 mod definitions;
 mod error;
-pub mod hands;
 mod lines;
 mod metrics;
 mod operators;

@@ -1,10 +1,12 @@
-//! The Ethereum V3 keystore: an EOA key under scrypt and AES-128-CTR with a Keccak MAC, as JSON. Written with scrypt n
-//! = 2^17; foreign files are read within bounds.
+//! The Ethereum V3 keystore: an EOA key under scrypt or PBKDF2 and AES-128-CTR with a Keccak MAC, as JSON. Written with
+//! scrypt n = 2^17; foreign files are read within bounds.
 
 use aes::Aes128;
 use ctr_legacy::Ctr128BE;
 use ctr_legacy::cipher::{KeyIvInit as _, StreamCipher as _};
+use hmac::{Hmac, KeyInit as _, Mac as _};
 use serde::{Deserialize, Serialize};
+use sha2::Sha256;
 use sha3::{Digest as _, Keccak256};
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
@@ -50,6 +52,17 @@ struct ScryptParams {
     salt: String,
 }
 
+#[derive(Deserialize)]
+struct Pbkdf2Params {
+    c: u32,
+    dklen: u32,
+    prf: String,
+    salt: String,
+}
+
+/// The most iterations of PBKDF2 that a foreign file may ask for: some seconds.
+const MOST_ITERATIONS: u32 = 4_000_000;
+
 /// Why a keystore did not open.
 #[derive(Debug)]
 pub(super) enum Refusal {
@@ -67,23 +80,51 @@ fn content(found: &str) -> Refusal {
 pub(super) fn open(bytes: &[u8], passphrase: &str) -> Result<EoaSecret, Refusal> {
     let store: Keystore = serde_json::from_slice(bytes).map_err(|_| content("its JSON is not a keystore"))?;
     let sealed = &store.crypto;
-    if store.version != 3 || sealed.cipher != "aes-128-ctr" || sealed.kdf != "scrypt" {
+    if store.version != 3 || sealed.cipher != "aes-128-ctr" || !["scrypt", "pbkdf2"].contains(&&*sealed.kdf) {
         let kind = format!("it is version {}, {}, {}", store.version, sealed.cipher, sealed.kdf);
         return Err(content(&clean(&kind, 80)));
     }
-    let params = ScryptParams::deserialize(&sealed.kdfparams).map_err(|_| content("its kdfparams are incomplete"))?;
-    let salt = unhex(&params.salt).ok_or_else(|| content("its salt is not hex"))?;
     let iv: [u8; 16] = exactly(&sealed.cipherparams.iv).ok_or_else(|| content("its iv is not 16 bytes"))?;
     let masked: [u8; 32] = exactly(&sealed.ciphertext).ok_or_else(|| content("its ciphertext is not 32 bytes"))?;
     let mac: [u8; 32] = exactly(&sealed.mac).ok_or_else(|| content("its mac is not 32 bytes"))?;
-    let work = work(&params).ok_or_else(|| content("its scrypt parameters are out of range"))?;
-    let key = stretch::<32>(passphrase, &salt, work).map_err(|_| content("its scrypt parameters are out of range"))?;
+    let key = derived(sealed, passphrase)?;
     if !bool::from(keccak_mac(&key, &masked).ct_eq(&mac)) {
         return Err(Refusal::Passphrase);
     }
     let secret = unmasked(&key, &iv, &masked).ok_or_else(|| content("it holds no valid key"))?;
     same_address(&store.address, &secret)?;
     Ok(secret)
+}
+
+/// The key under which the file is sealed, by the derivation that it names.
+fn derived(sealed: &Sealed, passphrase: &str) -> Result<Zeroizing<[u8; 32]>, Refusal> {
+    let incomplete = |_| content("its kdfparams are incomplete");
+    let salt = |text: &str| unhex(text).ok_or_else(|| content("its salt is not hex"));
+    if sealed.kdf == "scrypt" {
+        let out_of_range = || content("its scrypt parameters are out of range");
+        let params = ScryptParams::deserialize(&sealed.kdfparams).map_err(incomplete)?;
+        let work = work(&params).ok_or_else(out_of_range)?;
+        return stretch::<32>(passphrase, &salt(&params.salt)?, work).map_err(|_| out_of_range());
+    }
+    let params = Pbkdf2Params::deserialize(&sealed.kdfparams).map_err(incomplete)?;
+    if params.prf != "hmac-sha256" || params.dklen != 32 || !(1..=MOST_ITERATIONS).contains(&params.c) {
+        return Err(content("its pbkdf2 parameters are out of range"));
+    }
+    pbkdf2(passphrase, &salt(&params.salt)?, params.c).ok_or_else(|| content("its pbkdf2 parameters are out of range"))
+}
+
+/// PBKDF2 (RFC 8018) with HMAC-SHA256, one block.
+fn pbkdf2(passphrase: &str, salt: &[u8], iterations: u32) -> Option<Zeroizing<[u8; 32]>> {
+    let keyed = Hmac::<Sha256>::new_from_slice(passphrase.as_bytes()).ok()?;
+    let mut block = Zeroizing::new(<[u8; 32]>::from(
+        keyed.clone().chain_update(salt).chain_update(1u32.to_be_bytes()).finalize().into_bytes(),
+    ));
+    let mut out = block.clone();
+    for _ in 1..iterations {
+        *block = keyed.clone().chain_update(*block).finalize().into_bytes().into();
+        out.iter_mut().zip(block.iter()).for_each(|(out, byte)| *out ^= byte);
+    }
+    Some(out)
 }
 
 fn same_address(stated: &str, secret: &EoaSecret) -> Result<(), Refusal> {
@@ -172,6 +213,33 @@ mod tests {
         let secret = open(OFFICIAL.as_bytes(), "testpassword").expect("opens");
         assert_eq!(hex(secret.expose()), "7a28b5ba57c53603b0b07b56bba752f7784bf506fa95edc395f5cf6c7514fe9d");
         assert!(matches!(open(OFFICIAL.as_bytes(), "wrong"), Err(Refusal::Passphrase)));
+    }
+
+    /// The PBKDF2 vector of the Web3 Secret Storage definition, of the same key.
+    const PBKDF2: &str = r#"{"crypto":{"cipher":"aes-128-ctr",
+        "cipherparams":{"iv":"6087dab2f9fdbbfaddc31a909735c1e6"},
+        "ciphertext":"5318b4d5bcd28de64ee5559e671353e16f075ecae9f99c7a79a38af5f869aa46",
+        "kdf":"pbkdf2","kdfparams":{"c":262144,"dklen":32,"prf":"hmac-sha256",
+        "salt":"ae3cd4e7013836a3df6bd7241b12db061dbe2c6785853cce422d148a624ce0bd"},
+        "mac":"517ead924a9d0dc3124507e3393d175ce3ff7c1e96529c6c555ce9e51205e9b2"},
+        "id":"3198bc9c-6672-5ab3-d995-4942343ae5b6","version":3}"#;
+
+    #[test]
+    fn the_official_vector_of_pbkdf2_opens_and_its_iterations_are_bounded() {
+        let secret = open(PBKDF2.as_bytes(), "testpassword").expect("opens");
+        assert_eq!(hex(secret.expose()), "7a28b5ba57c53603b0b07b56bba752f7784bf506fa95edc395f5cf6c7514fe9d");
+        assert!(matches!(open(PBKDF2.as_bytes(), "wrong"), Err(Refusal::Passphrase)));
+        for (from, to) in [
+            ("262144", "0"),
+            ("262144", "4000001"),
+            ("262144", "4294967296"),
+            ("\"dklen\":32", "\"dklen\":64"),
+            ("hmac-sha256", "hmac-sha1"),
+            ("\"salt\":\"ae", "\"salt\":\"zz"),
+        ] {
+            let text = PBKDF2.replace(from, to);
+            assert!(matches!(open(text.as_bytes(), "testpassword"), Err(Refusal::Content(_))), "{to}");
+        }
     }
 
     #[test]

@@ -20,6 +20,7 @@ mod file_key;
 mod gateway_addresses;
 mod gcm;
 pub mod handover;
+pub mod hands;
 pub mod identity;
 pub mod kdf;
 pub mod kept_key;

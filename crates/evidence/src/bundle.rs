@@ -13,6 +13,7 @@ use authros_model::{Address, Digest, Hash, Identity, PublicKey, Signature, Signe
 use serde::{Deserialize, Serialize};
 
 use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
+use crate::form;
 use crate::header::BlockHeader;
 use crate::heights::{self, HEIGHTS, Height};
 use crate::manifest::{MANIFEST, Manifest, SIGNATURE};
@@ -113,7 +114,7 @@ impl AnchorClaim {
 
     fn parse(name: &str, text: &[u8]) -> Result<Self, BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
-        let claim: Self = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
+        let claim: Self = form::from_json(text).map_err(|error| wrong(&error))?;
         if claim.format != ANCHOR_FORMAT {
             return Err(wrong(&format!("its form is not {ANCHOR_FORMAT}")));
         }

@@ -8,7 +8,8 @@ use authros_crypto::{AccountSignature, keccak256, recover_account};
 use authros_model::Address;
 use rlp::{Rlp, RlpStream};
 
-use crate::header::{EXTRA, SEAL, Seals, VANITY, is_whole};
+use crate::form::is_canonical;
+use crate::header::{EXTRA, SEAL, Seals, VANITY};
 
 /// The mix hash of such a header.
 pub(crate) const MIX: [u8; 32] = *b"ctical byzantine fault tolerance";
@@ -86,7 +87,7 @@ impl Committed {
     /// under QBFT, and empty under IBFT 2.0; a round is a number under QBFT, and four bytes under IBFT 2.0.
     pub(crate) fn parse(header: &[u8], extra: &[u8]) -> Option<Self> {
         let list = Rlp::new(extra);
-        if !is_whole(&list, extra) || list.item_count().ok()? != 5 || list.at(0).ok()?.data().ok()?.len() != VANITY {
+        if !is_canonical(extra) || list.item_count().ok()? != 5 || list.at(0).ok()?.data().ok()?.len() != VANITY {
             return None;
         }
         let (vote, round) = (list.at(2).ok()?, list.at(3).ok()?.data().ok()?);

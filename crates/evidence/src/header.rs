@@ -7,6 +7,7 @@ use authros_model::{Address, Hash};
 use rlp::Rlp;
 
 use crate::committed::{Committed, Flaw, MIX, Protocol, recovered, with_extra};
+use crate::form::is_canonical;
 
 /// The longest header, bytes; including a list of a hundred validators and the seals of two thirds of them.
 pub const LONGEST_HEADER: usize = 8192;
@@ -46,7 +47,7 @@ impl BlockHeader {
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         let list = Rlp::new(bytes);
         let fields = list.item_count().ok()?;
-        if bytes.len() > LONGEST_HEADER || !is_whole(&list, bytes) || !(15..=32).contains(&fields) {
+        if bytes.len() > LONGEST_HEADER || !is_canonical(bytes) || !(15..=32).contains(&fields) {
             return None;
         }
         let hash = |at: usize| list.at(at).ok().and_then(|hash| Hash::from_slice(hash.data().ok()?));
@@ -94,12 +95,6 @@ impl BlockHeader {
     pub fn is_ours(&self) -> bool {
         self.extra.starts_with(OURS)
     }
-}
-
-/// Whether an item is all of these bytes.
-pub(crate) fn is_whole(item: &Rlp<'_>, bytes: &[u8]) -> bool {
-    let length = item.payload_info().ok().and_then(|info| info.header_len.checked_add(info.value_len));
-    length == Some(bytes.len())
 }
 
 /// The data signed by a Clique signer: everything except the seal. Between vanity and seal there are whole addresses or

@@ -42,7 +42,7 @@ struct Listed {
 
 pub(crate) fn parse(text: &[u8]) -> Result<Vec<Height>, BundleError> {
     let wrong = |why: &str| BundleError::of(HEIGHTS, why);
-    let listed: Listed = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
+    let listed: Listed = crate::form::from_json(text).map_err(|error| wrong(&error))?;
     if listed.format != FORMAT {
         return Err(wrong(&format!("its format is not {FORMAT}")));
     }

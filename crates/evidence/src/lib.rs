@@ -8,6 +8,7 @@ mod bundle;
 mod committed;
 mod completeness;
 mod disclosure;
+mod form;
 mod header;
 mod heights;
 mod known;

@@ -8,6 +8,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::BundleError;
 use crate::archive::{MIMETYPE, Members};
+use crate::form;
 
 /// The form of a bundle.
 pub const FORMAT: &str = "authros-evidence/1";
@@ -105,8 +106,7 @@ impl Manifest {
             return Err(BundleError::of(MIMETYPE, "does not say that this is an evidence bundle"));
         }
         let text = members.get(MANIFEST).ok_or_else(|| BundleError::of(MANIFEST, "is missing"))?;
-        let manifest: Self =
-            serde_json::from_slice(text).map_err(|error| BundleError::of(MANIFEST, &error.to_string()))?;
+        let manifest: Self = form::from_json(text).map_err(|error| BundleError::of(MANIFEST, &error))?;
         if manifest.format != FORMAT {
             let found = clean(&manifest.format, 40);
             return Err(BundleError::of(

@@ -193,7 +193,7 @@ pub struct HeadsClaim {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Levels (a) to (c) are proven for every record, using what was pinned.
+    /// Levels (a) to (c) are proven for every record, and who put the bundle together, using what was pinned.
     Holds,
     /// Something is not proven, or true only by the word of the exporter's own chain.
     Incomplete,
@@ -229,11 +229,20 @@ impl Report {
         counted.flat_map(RecordReport::needed)
     }
 
+    /// Whether there are records, and (a) to (c) are proven for each that counts.
+    pub(crate) fn is_proven(&self) -> bool {
+        !self.records.is_empty() && self.needed().all(|standing| standing == Standing::Proven)
+    }
+
     /// The last line for people.
     pub fn last_line(&self) -> &'static str {
         let by_own_chain = || self.needed().all(|one| matches!(one, Standing::Proven | Standing::OwnChain));
         match self.outcome {
             Outcome::Holds => "levels (a) to (c) hold for every record, given what you pinned; read the notes",
+            Outcome::Incomplete if self.pinned && self.is_proven() => {
+                "levels (a) to (c) hold for every record, but NOTHING SHOWS WHO PUT THE BUNDLE TOGETHER: a stranger may have \
+                 left records out; pin the exporter's key, or ask the owner for the bundle"
+            }
             Outcome::Incomplete if !self.records.is_empty() && by_own_chain() => {
                 "holds only by the exporter's own chain, which proves nothing against the exporter"
             }

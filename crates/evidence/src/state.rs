@@ -6,6 +6,7 @@ use authros_crypto::keccak256;
 use authros_model::{Address, Hash};
 use rlp::{Rlp, RlpStream};
 
+use crate::form::is_canonical;
 use crate::trie::{EMPTY_ROOT, Step, follow, nibbles};
 
 /// The most nodes in a bundle.
@@ -119,7 +120,8 @@ impl Nodes {
             let node = self.0.get(&hash).ok_or(Unproven::Missing(hash))?;
             passed(hash, node);
             let rest = path.get(path.len() - left.min(path.len())..).unwrap_or_default();
-            match follow(&Rlp::new(node), rest).ok_or(Unproven::Malformed(hash))? {
+            let whole = Some(Rlp::new(node)).filter(|_| is_canonical(node));
+            match whole.and_then(|node| follow(&node, rest)).ok_or(Unproven::Malformed(hash))? {
                 Step::End(value) => return Ok(value),
                 // Only the root may be reached without consuming a step.
                 Step::Down(_, length) if length >= left => return Err(Unproven::Malformed(hash)),
@@ -250,6 +252,9 @@ impl<'a> Storage<'a> {
         let fields = Rlp::new(&account);
         let hash = |at: usize| fields.at(at).ok().and_then(|hash| Hash::from_slice(hash.data().ok()?));
         let (root, code) = (hash(2), hash(3));
+        if !is_canonical(&account) {
+            return Err(Unproven::Value("account"));
+        }
         let (Some(root), Some(code_hash), Ok(4)) = (root, code, fields.item_count()) else {
             return Err(Unproven::Value("account"));
         };
@@ -262,8 +267,12 @@ impl<'a> Storage<'a> {
     /// [`Unproven`] if the nodes do not show it.
     pub fn word(&self, slot: Slot) -> Result<Word, Unproven> {
         let Some(value) = self.nodes.look_up(self.root, &slot.0)? else { return Ok(Word([0; 32])) };
-        let value = Rlp::new(&value);
-        let bytes = value.data().ok().filter(|bytes| bytes.len() <= 32).ok_or(Unproven::Value("word"))?;
+        let item = Rlp::new(&value);
+        let bytes = item
+            .data()
+            .ok()
+            .filter(|bytes| bytes.len() <= 32 && is_canonical(&value))
+            .ok_or(Unproven::Value("word"))?;
         Ok(Word(padded(bytes)))
     }
 

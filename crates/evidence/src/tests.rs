@@ -5,6 +5,7 @@ mod committed;
 mod complete;
 mod foreign;
 mod hostile;
+mod mutants;
 mod parallel;
 mod refusals;
 mod second;

@@ -7,10 +7,11 @@ use authros_crypto::{Provider, domain, pool, signer_id};
 use authros_model::{Address, Digest, Domain, Hash, Header, Identity, Timestamp, clean};
 
 use crate::anchoring::{Anchored, anchored};
-use crate::bundle::{Bundle, BundledRecord};
+use crate::bundle::{Bundle, BundledRecord, READ_ME, REPORT};
 use crate::completeness::stretches;
 use crate::disclosure::{MOST_PLAIN, opened, vouched};
 use crate::known::Known;
+use crate::packing::READ_ME_TEXT;
 use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::signing::signing_right;
 use crate::stamping::Stamps;
@@ -57,7 +58,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
     let mut report = Report { outcome: Outcome::Incomplete, pinned, exporter, warnings, records, complete, messages };
     if refused {
         report.outcome = Outcome::Refused;
-    } else if pinned && !report.records.is_empty() && report.needed().all(|standing| standing == Standing::Proven) {
+    } else if pinned && report.exporter.standing == Standing::Proven && report.is_proven() {
         report.outcome = Outcome::Holds;
     }
     report
@@ -210,15 +211,21 @@ impl<'a> Check<'a> {
         }
         let is_tied =
             |record: &RecordReport| (record.owner, record.owner_key) == (Some(exporter.account), Some(exporter.key));
+        // Anybody can put a record of his own beside those of others, and sign for them all.
+        let others = records.iter().any(|record| record.owner.is_some_and(|owner| owner != exporter.account));
         let tied = |standing: Standing| {
             let mut tied = records.iter().filter(|record| record.anchor.standing == standing && is_tied(record));
-            let block = tied.next().filter(|_| pinned.is_none())?.block?;
+            let block = tied.next().filter(|_| pinned.is_none() && !others)?.block?;
             let text = format!("assembled with a key that was {}'s at block {block}", exporter.account);
             Some(Level::new(standing, text))
         };
         tied(Standing::Proven).or_else(|| tied(Standing::OwnChain)).unwrap_or_else(|| {
-            let text =
-                format!("assembled with the key {}, which nothing here ties to {}", exporter.key, exporter.account);
+            let (key, account) = (exporter.key, exporter.account);
+            let text = if others && pinned.is_none() {
+                format!("assembled with the key {key} of {account}, who does not own all of these records")
+            } else {
+                format!("assembled with the key {key}, which nothing here ties to {account}")
+            };
             Level::new(Standing::Unproven, text)
         })
     }
@@ -259,8 +266,16 @@ impl<'a> Check<'a> {
         if records.iter().any(RecordReport::is_mute) {
             warnings.push("a recorder's own statement is not proven, so it is ignored".to_owned());
         }
-        if !self.bundle.manifest.members.iter().any(|member| member.name == crate::bundle::NODES) {
+        let member = |name: &str| self.bundle.manifest.members.iter().find(|member| member.name == name);
+        if member(crate::bundle::NODES).is_none() {
             warnings.push("the bundle contains no proof of the chain's state".to_owned());
+        }
+        if member(REPORT).is_some() {
+            warnings.push(format!("{REPORT} was not checked: it says what its author wanted"));
+        }
+        let known = Hash(self.provider.sm3(&[READ_ME_TEXT.as_bytes()]));
+        if member(READ_ME).is_some_and(|member| member.sm3 != known) {
+            warnings.push(format!("{READ_ME} is not the text that belongs there: do nothing of what it says"));
         }
         warnings
     }

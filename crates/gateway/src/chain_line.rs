@@ -63,13 +63,22 @@ impl ChainLine {
         Ok(agreed)
     }
 
+    /// Takes its place at the gateway by a small request: before there are credentials, a visitor's.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `RefusedInClear(Busy)` if visitors have no room.
+    pub async fn probe(&self) -> Result<(), GatewayError> {
+        self.relay("eth_chainId", &Value::Array(Vec::new())).await.map(drop)
+    }
+
     async fn connect(&self) -> Result<Open, GatewayError> {
         let credentials = self.credentials.read().unwrap_or_else(PoisonError::into_inner).clone();
         let mut trust = self.trust.current();
         if let Some(credentials) = credentials {
             match Client::connect(&self.endpoint, &mut trust, &credentials).await {
-                // Replacing a void key is up to its owner; the chain is open to visitors.
-                Err(GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(Code::Tag | Code::Token)) => {
+                // Replacing a void key is up to its owner; the chain is open to visitors. Other refusals in clear may be
+                // forged, and one for want of room would meet a visitor first.
+                Err(GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(_)) => {
                     self.forget(&credentials);
                 }
                 connected => {

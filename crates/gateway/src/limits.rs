@@ -39,9 +39,10 @@ pub struct Limits {
     pub relay_burst: f64,
     /// The same per second, sustained; more are slowed down.
     pub relay_rate: f64,
-    /// Transactions of newcomers from one peer at once.
+    /// Transactions of newcomers from one peer at once; four times as many from all peers together.
     pub newcomer_burst: f64,
-    /// The same per second, sustained; more are refused.
+    /// The same per second, sustained, of one peer and of all together; more are refused: each one makes the chain longer
+    /// for ever.
     pub newcomer_rate: f64,
     /// Bytes of large frames and of messages in parts that one peer may have in flight.
     pub quota_of_peer: usize,
@@ -57,7 +58,8 @@ pub struct Limits {
     pub write_time: Duration,
     /// Subscriptions of one connection.
     pub subscriptions: usize,
-    /// Total connections that read the chain without a transport key.
+    /// Total connections that read the chain without a transport key. When all places are taken, the oldest of those who
+    /// hold the most is dropped.
     pub visits: usize,
     /// The same of one peer.
     pub visits_of_peer: usize,

@@ -101,7 +101,8 @@ impl FromStr for Address {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        let digits = text.strip_prefix("0x").ok_or(AddressError::Shape)?;
+        // Not twice: below, another 0x would be passed over.
+        let digits = text.strip_prefix("0x").filter(|digits| !digits.starts_with("0x")).ok_or(AddressError::Shape)?;
         let bytes = unhex(digits).ok_or(AddressError::Shape)?;
         let address = Self::from_slice(&bytes).ok_or(AddressError::Shape)?;
         let mixed = digits.bytes().any(|b| b.is_ascii_uppercase()) && digits.bytes().any(|b| b.is_ascii_lowercase());
@@ -143,5 +144,6 @@ mod tests {
         assert_eq!(text.parse::<Address>(), Err(AddressError::Checksum));
         assert_eq!("0x12".parse::<Address>(), Err(AddressError::Shape));
         assert_eq!("hello".parse::<Address>(), Err(AddressError::Shape));
+        assert_eq!(format!("0x{}", text.to_lowercase()).parse::<Address>(), Err(AddressError::Shape), "0x twice");
     }
 }

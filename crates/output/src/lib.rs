@@ -9,6 +9,8 @@ use authros_service::{Failure, NoticeLevel};
 
 /// Widest line of text, characters.
 const WIDEST: usize = 2000;
+/// The longest cell that widens its column, characters: a fingerprint with a word beside it.
+const WIDEST_CELL: usize = 80;
 
 /// The format of messages beside the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -129,11 +131,13 @@ pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> 
     spelt_out(&serde_json::to_string(&line).unwrap_or_default()).into_owned()
 }
 
-/// Columns of text, each as wide as its widest cell. A cell stays on its line, whatever is in it.
+/// Columns of text, each as wide as its widest cell of at most [`WIDEST_CELL`] characters: a longer one moves what follows
+/// in its own line, and in no other. A cell stays on its line, whatever is in it.
 pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let rows: Vec<Vec<String>> = rows.iter().map(|row| row.iter().map(|cell| clean(cell, WIDEST)).collect()).collect();
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
+        let cells = cells.filter(|width| *width <= WIDEST_CELL);
         cells.chain(head.get(column).map(|cell| cell.chars().count())).max().unwrap_or(0)
     };
     let widths: Vec<usize> = (0..head.len()).map(width).collect();
@@ -172,6 +176,18 @@ mod tests {
         assert!(message.chars().all(|character| is_shown(character) || character == '\n'), "{message:?}");
         let whole = log_line(Timestamp(1_700_000_000_000_000_000), NoticeLevel::Info, "site", "t");
         assert!(whole.contains("22:13:20.000Z"), "{whole}");
+    }
+
+    #[test]
+    fn a_long_name_widens_no_line_but_its_own() {
+        let row = |topic: &str| vec![topic.to_owned(), "verified".to_owned()];
+        let long = format!("/{}", "x".repeat(60_000));
+        let told = table(&["topic", "state"], &[row("/odom"), row(&long), row(&"y".repeat(WIDEST_CELL))]);
+        let lines: Vec<&str> = told.lines().collect();
+        assert_eq!(lines[1], format!("{:WIDEST_CELL$}  verified", "/odom"));
+        assert!(lines[2].starts_with("/xxx") && lines[2].ends_with("  verified"), "nothing of it is lost");
+        let told = table(&["topic", "state"], &[row("/odom"), row(&long)]);
+        assert_eq!(told.lines().nth(1), Some("/odom  verified"));
     }
 
     #[test]

@@ -238,6 +238,12 @@ impl Owner {
         Ok(Arc::new(EpochKeys::new(domain, (epoch, token), self.signing(), key, self.index())))
     }
 
+    /// Token of the epoch that the keyring takes for the current one; the chain need not be known.
+    pub fn current_token(&self, domain: Domain) -> Option<Token> {
+        let current = self.keyring().keys().networks.get(&domain).map(|network| network.current);
+        current.and_then(|epoch| self.token(domain, epoch))
+    }
+
     /// Whether an epoch of this owner was seen on the chain.
     pub fn has_registered_epoch(&self, domain: Domain) -> bool {
         let keyring = self.keyring();

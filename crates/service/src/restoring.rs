@@ -13,7 +13,7 @@ use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, fault};
 use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
-use crate::store::{archive, note_restored, snapshot};
+use crate::store::{archive, files, note_restored, snapshot};
 
 /// Restores a backup as the home, which must be empty or absent; so must the places beside it for which the backup has
 /// settings.
@@ -32,6 +32,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
         SealedReader::open(io::BufReader::new(opened), &passphrase).map_err(|error| unread(file, &error))?;
     unfinished::sweep(parent).map_err(|error| unmade(parent, &error))?;
     let folder = UnfinishedFolder::new(parent).map_err(|error| unmade(parent, &error))?;
+    files::check_hands(folder.path())?;
     let unpacked = archive::unpack(&mut sealed, folder.path()).map_err(|error| unread(file, &error))?;
     fault::point("restore-unpacked");
     let copied = Home::new(folder.path().to_owned());

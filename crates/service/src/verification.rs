@@ -1,5 +1,6 @@
 //! The check of an export folder by somebody without a home or keys, against a chain that they trust.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -14,6 +15,9 @@ use crate::service::failure::input;
 use crate::service::reply::Failure;
 use crate::service::verdict;
 pub use crate::service::verdict::verdict;
+
+/// The most anchors of a record that are looked at, and the most besides in the block that the folder names.
+const MOST_ANCHORS: usize = 256;
 
 /// The result of checking a folder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -180,16 +184,39 @@ async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<
     }
     let Some(inclusion) = folder.proof.inclusion() else { return Ok(Vec::new()) };
     let head = chain.head().await?.number;
-    let mut blocks = Vec::new();
-    for at in chain.anchors_of(inclusion.root, pin.deployed_at, head).await? {
-        let Event::Anchored { account, root, count, .. } = at.event else { continue };
-        // The contract's own state, so that events need not be trusted.
-        let stands = count == inclusion.count && chain.root_anchored(account, root).await?.is_some();
-        if stands && !blocks.contains(&at.block) {
-            blocks.push(at.block);
+    let told = chain.anchors_of(inclusion.root, pin.deployed_at, head).await?;
+    let told = told.iter().filter_map(|at| match &at.event {
+        Event::Anchored { account, count, .. } if *count == inclusion.count => Some((*account, at.block)),
+        _ => None,
+    });
+    let (mut standing, mut blocks) = (BTreeMap::new(), BTreeSet::new());
+    for (account, block) in chosen(told, folder.proof.anchor.block) {
+        // The contract's own state, so that events need not be trusted; once for each account.
+        let stands = match standing.get(&account) {
+            Some(stands) => *stands,
+            None => chain.root_anchored(account, inclusion.root).await?.is_some(),
+        };
+        standing.insert(account, stands);
+        if stands {
+            blocks.insert(block);
         }
     }
-    Ok(blocks)
+    Ok(blocks.into_iter().collect())
+}
+
+/// The earliest of these anchors, and those in the block that the folder names: anybody can anchor a root again without
+/// end, and each one costs questions to the node.
+fn chosen(told: impl Iterator<Item = (Address, u64)>, claimed: Option<u64>) -> BTreeSet<(Address, u64)> {
+    let (mut first, mut named) = (BTreeSet::new(), BTreeSet::new());
+    for (account, block) in told {
+        if first.len() < MOST_ANCHORS {
+            first.insert((account, block));
+        } else if claimed == Some(block) && named.len() < MOST_ANCHORS {
+            named.insert((account, block));
+        }
+    }
+    first.append(&mut named);
+    first
 }
 
 /// Whether the chain has the record in the block named in proof.json.
@@ -257,4 +284,24 @@ async fn judge_signer(
     let text = refused.map_or_else(|| "the chain has no block of its anchor".to_owned(), |why| why.to_string());
     steps.push(VerifyStep::new("registration", false, &text));
     Ok(claimed.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stranger_who_anchors_a_root_again_and_again_costs_a_bounded_number_of_questions() {
+        let (owner, stranger) = (Address([1; 20]), Address([2; 20]));
+        let again = (10..100_000).map(|block| (stranger, block));
+        let told = || std::iter::once((owner, 9)).chain(again.clone()).chain([(owner, 100_000)]);
+        let found = chosen(told(), Some(100_000));
+        assert!(found.len() <= 2 * MOST_ANCHORS, "{}", found.len());
+        assert!(
+            found.contains(&(owner, 9)) && found.contains(&(owner, 100_000)),
+            "the first, and the one that is named"
+        );
+        let crowd = (0..5_000u16).map(|number| (Address([number.to_be_bytes()[1]; 20]), u64::from(number)));
+        assert_eq!(chosen(crowd, None).len(), MOST_ANCHORS);
+    }
 }

@@ -28,6 +28,28 @@ pub enum StoreError {
         /// The permission bits it should have.
         advised: u32,
     },
+    /// A home, or a folder above it, belongs to somebody else.
+    #[error(
+        "{} belongs to user {owner}, not to you (user {user}), who could read what you type and write here; run this as that \
+         user, for example with `sudo -u`, or choose another home with --home", path.display()
+    )]
+    Foreign {
+        /// The directory.
+        path: PathBuf,
+        /// Whose it is.
+        owner: u32,
+        /// Who asks.
+        user: u32,
+    },
+    /// Others can write to a home, or to a folder above it.
+    #[error(
+        "others can write to {} and could put a keyring or a socket of their own there; run `chmod go-w {}`, check what is in \
+         it, then try again", path.display(), path.display()
+    )]
+    Open {
+        /// The directory.
+        path: PathBuf,
+    },
     /// The disk is full; nothing of the request was acknowledged.
     #[error("the disk that holds {} is full; free some space", file.display())]
     DiskFull {
@@ -208,7 +230,11 @@ impl StoreError {
             | Self::VaultUrl { .. } => ErrorKind::Input,
             Self::Corrupt { .. } => ErrorKind::Tampered,
             Self::Unreachable { .. } => ErrorKind::Unreachable,
-            Self::Bound { .. } | Self::Policy { .. } | Self::VaultRefused { .. } => ErrorKind::Refused,
+            Self::Bound { .. }
+            | Self::Policy { .. }
+            | Self::VaultRefused { .. }
+            | Self::Foreign { .. }
+            | Self::Open { .. } => ErrorKind::Refused,
             Self::VaultFull { .. } | Self::Backlog { .. } => ErrorKind::Incomplete,
             Self::Database { .. }
             | Self::Closed

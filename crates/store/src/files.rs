@@ -4,10 +4,11 @@
 
 use std::fs::{self, DirBuilder, File, OpenOptions, TryLockError};
 use std::io::Write as _;
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _, PermissionsExt as _};
+use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
 use std::path::Path;
 
 use super::StoreError;
+use crate::crypto::hands::{self, Fault};
 use crate::crypto::unfinished;
 
 const PRIVATE_DIRECTORY: u32 = 0o700;
@@ -23,19 +24,34 @@ pub fn free_bytes(path: &Path) -> Result<u64, StoreError> {
     Ok(about.f_bavail.saturating_mul(about.f_frsize))
 }
 
-/// Creates a directory and its parents (mode 0700) if missing, and tries writing to it.
+/// Creates a directory and its parents (mode 0700) if missing, checks whose it is, and tries writing to it.
 ///
-/// An existing one keeps its mode; see [`mode_advice`].
+/// An existing one may be readable by others; see [`mode_advice`].
 ///
 /// # Errors
-/// [`StoreError::Home`] if it cannot be created or written, [`StoreError::DiskFull`].
+/// [`StoreError::Home`] if it cannot be created or written, [`StoreError::DiskFull`], and those of [`check_hands`].
 pub fn private_directory(path: &Path) -> Result<(), StoreError> {
-    DirBuilder::new()
-        .recursive(true)
-        .mode(PRIVATE_DIRECTORY)
-        .create(path)
-        .and_then(|()| tempfile::tempfile_in(path).map(drop))
-        .map_err(|error| StoreError::home(path, &error))
+    let unusable = |error| StoreError::home(path, &error);
+    DirBuilder::new().recursive(true).mode(PRIVATE_DIRECTORY).create(path).map_err(unusable)?;
+    check_hands(path)?;
+    tempfile::tempfile_in(path).map(drop).map_err(unusable)
+}
+
+/// Checks that nobody but this user and root could put a keyring or a socket of his own into a home, or another home in
+/// its place. The door of every home: before a passphrase is sent into it, or a secret written.
+///
+/// # Errors
+/// [`StoreError::Foreign`] or [`StoreError::Open`] with the remedy, [`StoreError::Home`] if it cannot be examined.
+pub fn check_hands(path: &Path) -> Result<(), StoreError> {
+    let user = rustix::process::geteuid().as_raw();
+    match hands::fault_of_home(path, user).map_err(|error| StoreError::home(path, &error))? {
+        None => Ok(()),
+        Some(Fault::Foreign(path)) => {
+            let owner = fs::metadata(&path).map_err(|error| StoreError::home(&path, &error))?.uid();
+            Err(StoreError::Foreign { path, owner, user })
+        }
+        Some(Fault::Open(path)) => Err(StoreError::Open { path }),
+    }
 }
 
 /// Advice about a file or directory that others can access; `None` if all is well.
@@ -183,6 +199,26 @@ mod tests {
         assert_eq!(error.kind(), ErrorKind::Input);
         assert!(error.to_string().contains("0644") && error.to_string().contains("chmod 600"), "{error}");
         assert!(open_private(&file).is_err());
+    }
+
+    #[test]
+    fn a_home_that_others_can_write_is_refused_with_the_remedy() {
+        let folder = tempfile::tempdir().expect("temporary directory");
+        let home = folder.path().join("home");
+        private_directory(&home).expect("made");
+        for mode in [0o777, 0o770, 0o702] {
+            fs::set_permissions(&home, Permissions::from_mode(mode)).expect("chmod");
+            let error = private_directory(&home).expect_err("refused");
+            assert_eq!(error.kind(), ErrorKind::Refused);
+            assert!(error.to_string().contains("chmod go-w"), "{error}");
+        }
+        fs::set_permissions(&home, Permissions::from_mode(0o755)).expect("chmod");
+        private_directory(&home).expect("others may look at its names");
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o757)).expect("chmod");
+        let error = check_hands(&home).expect_err("it could be replaced");
+        assert!(
+            matches!(error, StoreError::Open { path } if folder.path().canonicalize().is_ok_and(|folder| folder == path))
+        );
     }
 
     #[test]

@@ -53,7 +53,7 @@ pub enum KeysVerb {
         /// SM4 key: 16 bytes, or 32 hex digits
         #[arg(long, value_name = "FILE", group = "key")]
         sm4: Option<PathBuf>,
-        /// SM2 signing key: PKCS#8 PEM, or 64 hex digits
+        /// SM2 signing key: PEM (PKCS#8 or SEC1), or 64 hex digits
         #[arg(long, value_name = "FILE", group = "key")]
         sm2: Option<PathBuf>,
         /// EOA: 64 hex digits, or a V3 keystore

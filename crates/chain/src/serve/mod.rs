@@ -4,6 +4,7 @@
 //! listens only on loopback, and only while it is explicitly run. There is no ws; news comes through filters.
 
 mod filters;
+mod heavy;
 mod http;
 mod rpc;
 #[cfg(test)]

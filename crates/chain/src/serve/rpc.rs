@@ -1,8 +1,11 @@
 //! JSON-RPC 2.0 over the embedded chain: single requests and bounded batches, reads and raw transactions.
 
+use std::time::Instant;
+
 use serde_json::{Value, json};
 
 use super::filters::Filters;
+use super::heavy::Heavy;
 use crate::chain::embedded::{Embedded, Fault};
 use crate::model::clean;
 
@@ -56,12 +59,13 @@ const METHODS: [&str; 35] = [
 pub struct Service {
     chain: Embedded,
     filters: Filters,
+    heavy: Heavy,
 }
 
 impl Service {
     /// Over a chain.
     pub fn new(chain: Embedded) -> Self {
-        Self { chain, filters: Filters::default() }
+        Self { chain, filters: Filters::default(), heavy: Heavy::new(Instant::now()) }
     }
 
     /// The answer to a body; empty if it needs none.
@@ -131,6 +135,11 @@ impl Service {
             "eth_newFilter" | "eth_newBlockFilter" => self.filters.install(&self.chain, method, parameters).await,
             "eth_getFilterChanges" => self.filters.changes(&self.chain, &parameters).await,
             "eth_getFilterLogs" => self.filters.logs(&self.chain, &parameters).await,
+            "eth_sendRawTransaction" => {
+                let counted = self.heavy.count(parameters.first(), Instant::now());
+                counted.map_err(|pause| too_heavy(pause.as_secs() + 1))?;
+                self.chain.request(method, Value::Array(parameters)).await
+            }
             "eth_uninstallFilter" => self.filters.uninstall(&parameters).await,
             _ => self.chain.request(method, Value::Array(parameters)).await,
         }
@@ -163,6 +172,13 @@ fn span(filter: &Value, head: u64) -> u64 {
 /// A refused request.
 pub fn fault(code: i64, message: impl Into<String>) -> Fault {
     Fault::new(code, message)
+}
+
+fn too_heavy(seconds: u64) -> Fault {
+    fault(
+        -32005,
+        format!("transactions of more than a million gas are taken only now and then; send it again in {seconds} s"),
+    )
 }
 
 fn too_long() -> Fault {

@@ -10,6 +10,7 @@ use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifier
 use zeroize::Zeroizing;
 
 use super::guard::THREAD_PREFIX;
+use super::size;
 use crate::app::{Action, Key};
 
 /// How long the thread waits for a key before it checks whether it should end. Each check costs CPU on an idle console,
@@ -54,7 +55,10 @@ fn actions(event: Event) -> Vec<Action> {
             MouseEventKind::Down(MouseButton::Left) => vec![Action::Click { column: mouse.column, row: mouse.row }],
             _ => Vec::new(),
         },
-        Event::Resize(columns, rows) => vec![Action::Resize { columns, rows }],
+        Event::Resize(columns, rows) => {
+            let (columns, rows) = size::known((columns, rows), |name| std::env::var(name).ok());
+            vec![Action::Resize { columns, rows }]
+        }
         _ => Vec::new(),
     }
 }

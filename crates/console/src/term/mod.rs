@@ -17,6 +17,7 @@ pub mod input;
 pub mod pixels;
 pub mod renderer;
 pub mod signals;
+mod size;
 pub mod stage;
 
 mod kept;

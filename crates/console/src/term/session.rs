@@ -18,7 +18,7 @@ use super::pixels::{self, Pixels};
 use super::renderer::{self, Painter};
 use super::signals::{self, Listener};
 use super::stage::{Stage, Wish};
-use super::{ConsoleOptions, ExitReason, TermError, clipboard, guard, input};
+use super::{ConsoleOptions, ExitReason, TermError, clipboard, guard, input, size};
 use crate::app::zone::Zone;
 use crate::app::{Action, Effect, Settings, State, update};
 use crate::config::Pictures;
@@ -62,7 +62,11 @@ impl Session {
         if let Some(kept) = super::kept::read(&options.kept) {
             crate::app::resume::recall(&mut state, &kept);
         }
-        state.size = crossterm::terminal::size()?;
+        let (size, reported) = size::size()?;
+        state.size = size;
+        if !reported {
+            state.warn(size::ADVICE);
+        }
         let (sending, messages) = channel();
         let signals = Listener::start(sender(&sending, Message::Signal))?;
         let guard = guard::Guard::enter(
@@ -239,14 +243,14 @@ impl Session {
     fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
         let taken = {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
-            guard::take().and_then(|()| crossterm::terminal::size())
+            guard::take().and_then(|()| size::size())
         };
         self.stage.change(Wish::Now, |scene| scene.anew = true);
         if self.mouse {
             self.take_mouse(true);
         }
         match taken {
-            Ok((columns, rows)) => self.act(Action::Resize { columns, rows }),
+            Ok(((columns, rows), _)) => self.act(Action::Resize { columns, rows }),
             Err(error) => Some(Err(error.into())),
         }
     }

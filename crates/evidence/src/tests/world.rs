@@ -149,6 +149,21 @@ pub struct World {
     pub shown_at: u64,
     /// QBFT or IBFT 2.0 in place of Clique.
     pub commit: Option<Commit>,
+    /// RLP of a part of the state in other bytes.
+    pub respell: Respell,
+}
+
+type Respell = Box<dyn Fn(Part, Vec<u8>) -> Vec<u8>>;
+
+/// What of the state can be written in other bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Its root node.
+    Root,
+    /// The contract's account.
+    Account,
+    /// Each word of the contract's storage.
+    Word,
 }
 
 impl World {
@@ -182,6 +197,7 @@ impl World {
             sealers: vec![1, 2],
             shown_at: BLOCK,
             commit: None,
+            respell: Box::new(|_, bytes| bytes),
         };
         world.put(Slot::anchor(anchorer, root), word(&[BLOCK, 5, TIME, 1]));
         world.put(Slot::account(owner), word(&[1, 0, 1]));
@@ -206,14 +222,18 @@ impl World {
             .filter(|(_, value)| **value != [0; 32])
             .map(|(slot, value)| {
                 let value: Vec<u8> = value.iter().copied().skip_while(|byte| *byte == 0).collect();
-                (slot.to_vec(), rlp::encode(&value).to_vec())
+                (slot.to_vec(), (self.respell)(Part::Word, rlp::encode(&value).to_vec()))
             })
             .collect();
         let storage = trie(&storage, &mut nodes);
         let mut account = RlpStream::new_list(4);
         account.append(&1u64).append(&0u64).append(&&storage.0[..]).append(&&CODE.0[..]);
         let stranger = (vec![7u8; 20], rlp::encode(&vec![1u8; 40]).to_vec());
-        let state = trie(&[(CONTRACT.0.to_vec(), account.out().to_vec()), stranger], &mut nodes);
+        let account = (self.respell)(Part::Account, account.out().to_vec());
+        trie(&[(CONTRACT.0.to_vec(), account), stranger], &mut nodes);
+        let root = (self.respell)(Part::Root, nodes.last().expect("a root").clone());
+        let state = Hash(keccak256(&[&root]));
+        nodes.push(root);
         let mut packing = Packing::default();
         let mut parent = Hash([8; 32]);
         for (number, sealer) in (self.shown_at..).zip(&self.sealers) {

@@ -142,7 +142,7 @@ impl DraftStamp {
     pub fn take(&mut self, name: &str, part: &str, bytes: &[u8]) -> Result<(), BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
         if part == ROOTS {
-            let listed: Listed = serde_json::from_slice(bytes).map_err(|error| wrong(&error.to_string()))?;
+            let listed: Listed = crate::form::from_json(bytes).map_err(|error| wrong(&error))?;
             if listed.format != FORMAT {
                 return Err(wrong(&format!("its format is not {FORMAT}")));
             }

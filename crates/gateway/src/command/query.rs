@@ -1,7 +1,7 @@
 //! Queries and their answers. Topics, types and tags are pseudonyms that the reader computes; the wire carries no
 //! names.
 
-use crate::model::header::MOST_FILTERS;
+use crate::model::header::{LARGEST_STORED, MOST_FILTERS};
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, FilterId, RecordKind, RecorderId, Timestamp, TopicId};
 
@@ -102,7 +102,11 @@ impl Query {
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         let query = Self {
             selection: Selection::read(reader)?,
-            from: Timestamp(reader.u64("from")?),
+            // No record was captured after this, and no ledger can compare it. An end beyond it means none.
+            from: Some(reader.u64("from")?)
+                .filter(|from| *from <= LARGEST_STORED)
+                .map(Timestamp)
+                .ok_or(WireError::Value("from"))?,
             until: Timestamp(reader.u64("until")?),
             cursor: u128::from_be_bytes(reader.array("cursor")?),
             limit: reader.u16("limit")?,

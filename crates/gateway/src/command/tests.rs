@@ -2,7 +2,9 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::crypto::TransportKey;
+use crate::gateway::code::{Code, Refusal};
 use crate::gateway::tests::{sample_answers, sample_requests, sessions};
+use crate::model::Timestamp;
 
 fn client_text(request: &Request, body: &[u8]) -> Vec<u8> {
     let command = request.command();
@@ -47,6 +49,26 @@ fn what_is_cut_or_longer_is_refused() {
         }
         let longer = [&body[..], &[0]].concat();
         assert!(Request::parse(request.command(), &longer).is_err() || open_ended, "{:?}", request.command());
+    }
+}
+
+#[test]
+fn a_time_that_no_ledger_can_hold_is_malformed_and_not_our_fault() {
+    let requests = sample_requests();
+    let query = requests.iter().find_map(|request| match request {
+        Request::Query(query) => Some(query.clone()),
+        _ => None,
+    });
+    let query = query.expect("a query");
+    let parsed = |from| {
+        let request = Request::Query(Query { from: Timestamp(from), ..query.clone() });
+        Request::parse(Command::Query, &request.encode())
+    };
+    assert!(parsed(u64::MAX >> 1).is_ok());
+    for from in [1 << 63, u64::MAX] {
+        let error = parsed(from).expect_err("refused");
+        assert_eq!(error, WireError::Value("from"));
+        assert_eq!(Refusal::from(error).code, Code::Malformed);
     }
 }
 

@@ -54,7 +54,7 @@ impl Connection {
                 filled = self.line.fill(), if has_room => filled?,
                 () = sleep(ROOM), if !has_room => {}
                 () = self.seat.evicted() => {
-                    return Err(Refusal::new(Code::Busy, "dropped in favour of newer handshakes").into());
+                    return Err(Refusal::new(Code::Busy, "dropped in favour of newer connections without a transport key").into());
                 }
                 fed = next_fed(feeds.as_deref_mut()) => return Ok(Next::Fed(fed)),
                 () = sleep_until(deadline) => {

@@ -1,5 +1,6 @@
-//! Who holds what at a gateway, and who is waiting to authenticate, oldest first.
+//! Who holds what at a gateway; who is waiting to authenticate and who is visiting, oldest first.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap};
 use std::net::{IpAddr, Ipv6Addr};
 use std::time::{Duration, Instant};
@@ -37,7 +38,7 @@ pub(super) struct Peer {
     pub frames: Bucket,
     pub bytes: Bucket,
     pub relays: Bucket,
-    pub newcomers: Bucket,
+    newcomers: Bucket,
 }
 
 /// What the peers of a network hold together.
@@ -49,9 +50,9 @@ pub(super) struct Network {
     arrivals: Bucket,
 }
 
-/// A connection that has not authenticated.
+/// A connection that may have to make room for another one.
 #[derive(Debug)]
-struct Handshake {
+struct Evictable {
     place: Place,
     evict: oneshot::Sender<()>,
 }
@@ -59,10 +60,13 @@ struct Handshake {
 #[derive(Debug, Default)]
 pub(super) struct Counts {
     pub connections: usize,
-    pub visits: usize,
     pub charged: usize,
-    /// By number, the oldest first.
-    handshaking: BTreeMap<u64, Handshake>,
+    /// Transactions of newcomers, all peers together.
+    newcomers: Option<Bucket>,
+    /// Connections that have not authenticated, by number, the oldest first.
+    handshaking: BTreeMap<u64, Evictable>,
+    /// Connections that read the chain without a transport key, likewise.
+    visiting: BTreeMap<u64, Evictable>,
     numbers: u64,
     /// When idle peers were last forgotten.
     forgot: Option<Instant>,
@@ -185,7 +189,7 @@ impl Counts {
         }
         let (evict, evicted) = oneshot::channel();
         self.numbers += 1;
-        self.handshaking.insert(self.numbers, Handshake { place, evict });
+        self.handshaking.insert(self.numbers, Evictable { place, evict });
         self.connections += 1;
         self.change(&place, |peer| (peer.connections, peer.handshakes) = (peer.connections + 1, peer.handshakes + 1));
         self.change_network(&place, |network| {
@@ -196,7 +200,7 @@ impl Counts {
 
     /// Returns a handshake's place; does nothing if it has none any more.
     pub fn leave_handshake(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
-        let Handshake { place, evict } = self.handshaking.remove(&number)?;
+        let Evictable { place, evict } = self.handshaking.remove(&number)?;
         self.change(&place, |peer| peer.handshakes = peer.handshakes.saturating_sub(1));
         self.change_network(&place, |network| network.handshakes = network.handshakes.saturating_sub(1));
         Some(evict)
@@ -216,12 +220,58 @@ impl Counts {
         }
     }
 
-    /// Whether a visitor's place is free for this peer.
-    pub fn has_room_for_visit(&self, place: &Place, limits: &Limits) -> bool {
+    /// Gives a connection a visitor's place. If all are taken, the oldest visitor of those who hold the most has to go:
+    /// somebody with many addresses must not keep others out.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Busy` if its peer or network holds its share already.
+    pub fn enter_visit(&mut self, place: Place, limits: &Limits) -> Result<(u64, oneshot::Receiver<()>), Refusal> {
         let of_network = limits.visits_of_peer.saturating_mul(2);
         let network = place.network.and_then(|key| self.networks.get(&key));
-        self.visits < limits.visits
-            && network.is_none_or(|network| network.visits < of_network)
-            && self.peers.get(&place.peer).is_some_and(|peer| peer.visits < limits.visits_of_peer)
+        let has_share = network.is_some_and(|network| network.visits >= of_network)
+            || self.peers.get(&place.peer).is_none_or(|peer| peer.visits >= limits.visits_of_peer);
+        if has_share {
+            return Err(Refusal::new(Code::Busy, format_args!("too many visitors, one more from {}", place.peer)));
+        }
+        while self.visiting.len() >= limits.visits.max(1) {
+            let Some(dropped) = self.visit_to_end().and_then(|number| self.leave_visit(number)) else { break };
+            // One that is ending by itself needs no notice.
+            let _ = dropped.send(());
+        }
+        let (evict, evicted) = oneshot::channel();
+        self.numbers += 1;
+        self.visiting.insert(self.numbers, Evictable { place, evict });
+        self.change(&place, |peer| peer.visits += 1);
+        self.change_network(&place, |network| network.visits += 1);
+        Ok((self.numbers, evicted))
+    }
+
+    /// The oldest visit of the network, or peer without one, that holds the most.
+    fn visit_to_end(&self) -> Option<u64> {
+        let held = |place: &Place| match place.network {
+            Some(network) => self.networks.get(&network).map_or(0, |network| network.visits),
+            None => self.peers.get(&place.peer).map_or(0, |peer| peer.visits),
+        };
+        let visits = self.visiting.iter().map(|(number, visit)| (held(&visit.place), Reverse(*number)));
+        visits.max().map(|(_, Reverse(number))| number)
+    }
+
+    /// Counts a transaction of a newcomer; `false` if its peer, or all peers together, have sent as many as they may.
+    pub fn take_newcomer(&mut self, place: &Place, limits: &Limits, now: Instant) -> bool {
+        #[expect(clippy::cast_precision_loss, reason = "a handful")]
+        let burst = limits.newcomer_burst * PEERS_OF_NETWORK as f64;
+        if self.peers.get_mut(&place.peer).is_some_and(|peer| !peer.newcomers.take_if_there(now)) {
+            return false;
+        }
+        let all = self.newcomers.get_or_insert_with(|| Bucket::new(limits.newcomer_rate, burst, now));
+        all.take_if_there(now)
+    }
+
+    /// Returns a visitor's place; does nothing if it has none any more.
+    pub fn leave_visit(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
+        let Evictable { place, evict } = self.visiting.remove(&number)?;
+        self.change(&place, |peer| peer.visits = peer.visits.saturating_sub(1));
+        self.change_network(&place, |network| network.visits = network.visits.saturating_sub(1));
+        Some(evict)
     }
 }

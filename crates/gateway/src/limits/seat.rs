@@ -15,12 +15,13 @@ pub struct Seat {
     place: Place,
     /// Its number among the handshakes, and the signal that it must go.
     handshake: Option<(u64, oneshot::Receiver<()>)>,
-    visits: bool,
+    /// The same among the visitors.
+    visit: Option<(u64, oneshot::Receiver<()>)>,
 }
 
 impl Seat {
     pub(super) fn new(peers: Peers, place: Place, number: u64, evicted: oneshot::Receiver<()>) -> Self {
-        Self { peers, place, handshake: Some((number, evicted)), visits: false }
+        Self { peers, place, handshake: Some((number, evicted)), visit: None }
     }
 
     /// The handshake is over.
@@ -30,41 +31,28 @@ impl Seat {
         }
     }
 
-    /// Completes when the connection has to make room for another handshake; never once it is authenticated. Can be
-    /// cancelled at any point.
+    /// Completes when the connection has to make room for another handshake or visitor; never once it is authenticated.
+    /// Can be cancelled at any point.
     pub async fn evicted(&mut self) {
-        if let Some((_, evicted)) = &mut self.handshake
+        if let Some((_, evicted)) = self.handshake.as_mut().or(self.visit.as_mut())
             && evicted.await.is_ok()
         {
-            self.handshake = None;
+            (self.handshake, self.visit) = (None, None);
             return;
         }
         std::future::pending().await
     }
 
     /// The connection reads the chain without a transport key: the handshake is over, and it takes a visitor's place
-    /// until it ends.
+    /// until it ends or has to make room for another visitor ([`Self::evicted`]).
     ///
     /// # Errors
     /// [`Refusal`] with `Busy`.
     pub fn visit(&mut self) -> Result<(), Refusal> {
-        if self.visits {
-            return Ok(());
+        if self.visit.is_none() {
+            self.visit = Some(self.peers.lock().enter_visit(self.place, &self.peers.limits)?);
+            self.authenticated();
         }
-        {
-            let mut counts = self.peers.lock();
-            if !counts.has_room_for_visit(&self.place, &self.peers.limits) {
-                return Err(Refusal::new(
-                    Code::Busy,
-                    format_args!("too many visitors, one more from {}", self.place.peer),
-                ));
-            }
-            counts.visits += 1;
-            counts.change(&self.place, |peer| peer.visits += 1);
-            counts.change_network(&self.place, |network| network.visits += 1);
-        }
-        self.visits = true;
-        self.authenticated();
         Ok(())
     }
 
@@ -88,12 +76,13 @@ impl Seat {
     /// # Errors
     /// [`Refusal`] with `Quota`.
     pub fn newcomer(&self, now: Instant) -> Result<(), Refusal> {
-        let mut counts = self.peers.lock();
-        let peer = counts.peers.get_mut(&self.place.peer);
-        if peer.is_none_or(|peer| peer.newcomers.take_if_there(now)) {
+        if self.peers.lock().take_newcomer(&self.place, &self.peers.limits, now) {
             return Ok(());
         }
-        Err(Refusal::new(Code::Quota, format_args!("too many new connections from {}", self.place.peer)))
+        Err(Refusal::new(
+            Code::Quota,
+            format_args!("too many transactions of newcomers, one more from {}", self.place.peer),
+        ))
     }
 
     /// Charges memory to the peer until the charge is dropped.
@@ -117,17 +106,13 @@ impl Seat {
 impl Drop for Seat {
     fn drop(&mut self) {
         self.authenticated();
-        let (mut counts, visits) = (self.peers.lock(), usize::from(self.visits));
+        let mut counts = self.peers.lock();
+        if let Some((number, _)) = self.visit.take() {
+            counts.leave_visit(number);
+        }
         counts.connections = counts.connections.saturating_sub(1);
-        counts.visits = counts.visits.saturating_sub(visits);
-        counts.change(&self.place, |peer| {
-            peer.connections = peer.connections.saturating_sub(1);
-            peer.visits = peer.visits.saturating_sub(visits);
-        });
-        counts.change_network(&self.place, |network| {
-            network.connections = network.connections.saturating_sub(1);
-            network.visits = network.visits.saturating_sub(visits);
-        });
+        counts.change(&self.place, |peer| peer.connections = peer.connections.saturating_sub(1));
+        counts.change_network(&self.place, |network| network.connections = network.connections.saturating_sub(1));
     }
 }
 

@@ -89,6 +89,61 @@ fn a_network_of_ipv6_has_a_share_and_its_peers_have_theirs() {
 }
 
 #[test]
+fn a_newcomer_takes_the_place_of_the_oldest_visitor_of_those_who_hold_the_most() {
+    let limits = Limits { visits: 8, visits_of_peer: 2, ..Limits::default() };
+    let (peers, now) = (Peers::new(limits), Instant::now());
+    let visit = |address: IpAddr| {
+        let mut seat = peers.admit(address, now).expect("admitted");
+        seat.visit().map(|()| seat)
+    };
+    let mut held: Vec<Seat> = (0..8).map(|index| visit(other(1 + index / 2)).expect("two each of four")).collect();
+    assert_eq!(visit(other(1)).expect_err("a third of one peer").code, Code::Busy);
+    assert!(!held.iter_mut().any(is_evicted), "who has his share drops nobody");
+    let mut newcomer = visit(other(9)).expect("a newcomer takes a place");
+    assert!(is_evicted(&mut held[0]) && !is_evicted(&mut held[1]), "the oldest goes");
+    // The one that was dropped comes back at once: it drops others who hold two, never the newcomer.
+    let mut again: Vec<Seat> = (0..3).map(|_| visit(other(1))).filter_map(Result::ok).collect();
+    assert_eq!(again.len(), 1, "one more is its share");
+    assert!(is_evicted(&mut held[1]) || is_evicted(&mut held[2]));
+    for round in 10..40 {
+        again.push(visit(other(round)).expect("another newcomer"));
+        let dropped = is_evicted(&mut newcomer);
+        assert!(round > 12 || !dropped, "dropped while others hold two each: {round}");
+    }
+    drop((held, again, newcomer));
+    let all: Vec<Seat> = (0..8).map(|index| visit(other(1 + index / 2)).expect("all places came back")).collect();
+    assert_eq!(all.len(), 8);
+}
+
+#[test]
+fn newcomers_from_many_addresses_are_bounded_together() {
+    let limits = Limits { newcomer_burst: 4.0, newcomer_rate: 0.2, ..Limits::default() };
+    let (peers, now) = (Peers::new(limits), Instant::now());
+    let seats: Vec<Seat> = (0..40).map(|last| peers.admit(other(last), now).expect("admitted")).collect();
+    assert_eq!((0..9).filter(|_| seats[0].newcomer(now).is_ok()).count(), 4, "of one peer");
+    let all = seats.iter().skip(1).flat_map(|seat| [seat; 4]).filter(|seat| seat.newcomer(now).is_ok()).count();
+    assert_eq!(all, 12, "16 of all peers together, of which 4 were used");
+    assert!(seats[1].newcomer(now + Duration::from_secs(5)).is_ok(), "one in five seconds");
+    assert!(seats[2].newcomer(now + Duration::from_secs(5)).is_err());
+}
+
+#[test]
+fn the_peers_of_an_ipv6_network_hold_visitors_places_together() {
+    let limits = Limits { visits: 8, visits_of_peer: 2, ..Limits::default() };
+    let (peers, now) = (Peers::new(limits), Instant::now());
+    let visit = |address: IpAddr| {
+        let mut seat = peers.admit(address, now).expect("admitted");
+        seat.visit().map(|()| seat)
+    };
+    let mut held: Vec<Seat> = (0..4).map(|peer| visit(six(1, peer)).expect("one each of four")).collect();
+    assert_eq!(visit(six(1, 5)).expect_err("a fifth of the network").code, Code::Busy);
+    let mut single = visit(six(2, 0)).expect("another network");
+    let others: Vec<Seat> = (0..4).map(|last| visit(other(last)).expect("more")).collect();
+    assert!(is_evicted(&mut held[0]) && !is_evicted(&mut single), "the network that holds four makes room");
+    drop(others);
+}
+
+#[test]
 fn frames_bytes_and_requests_to_the_chain_over_the_rate_wait() {
     let (peers, now) = (Peers::new(small()), Instant::now());
     let seat = peers.admit(HERE, now).expect("admitted");

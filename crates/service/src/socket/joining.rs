@@ -12,7 +12,7 @@ use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::sync::{broadcast, mpsc, oneshot};
 
 use super::{FromSite, Greeting, LONGEST_LINE, Numbered, QUEUE, line_of, reachable, read_line, write_lines};
-use crate::config::hands::{self, Fault};
+use crate::crypto::hands::{self, Fault};
 use crate::model::{ErrorKind, ProfileName, Timestamp, clean};
 use crate::paths::Home;
 use crate::service::client::{Call, Client};
@@ -20,6 +20,7 @@ use crate::service::command::Needed;
 use crate::service::event::{Event, NoticeLevel};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, Reply};
+use crate::store::files;
 
 /// How long a site may take to greet.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -34,11 +35,29 @@ enum Role {
 /// Joins the site of a home, if one answers on its socket.
 ///
 /// # Errors
-/// If the site refuses, or is of another version.
+/// If somebody else could have put the socket there or answers at it, the site refuses, or it is of another version.
 pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, Greeting)>, Failure> {
+    if home.root().exists() {
+        files::check_hands(home.root())?;
+    }
     let Ok((path, _directory)) = reachable(&home.socket()) else { return Ok(None) };
     let Ok(stream) = UnixStream::connect(path).await else { return Ok(None) };
+    let (owner, peer) = (std::fs::metadata(home.root()), stream.peer_cred());
+    let (Ok(owner), Ok(peer)) = (owner, peer) else { return Ok(None) };
+    check_peer(&home.socket(), owner.uid(), peer.uid())?;
     greeted(stream, profile, Role::Owner).await
+}
+
+/// Whoever answers may be sent a passphrase: that is the owner, or root.
+fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<(), Failure> {
+    if peer == owner || peer == 0 {
+        return Ok(());
+    }
+    Err(refused(format!(
+        "a process of user {peer} answers at {}, which belongs to user {owner}; nothing was sent to it: have root end that \
+         process, and find out how it got there",
+        socket.display()
+    )))
 }
 
 /// Joins a site as an operator, at the socket that it keeps for them.
@@ -64,12 +83,7 @@ pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Clien
     let owner = owner_of(path, &failed)?;
     let (short, _directory) = reachable(path).map_err(failed)?;
     let stream = UnixStream::connect(short).await.map_err(failed)?;
-    let site = stream.peer_cred().map_err(failed)?.uid();
-    if site != owner && site != 0 {
-        return Err(refused(format!(
-            "a process of user {site} answers at {shown}, which belongs to user {owner}; ask the site's owner"
-        )));
-    }
+    check_peer(path, owner, stream.peer_cred().map_err(failed)?.uid())?;
     let joined = greeted(stream, profile, Role::Operator).await?;
     joined.map(|(client, _)| client).ok_or_else(|| absent("it does not greet".to_owned()))
 }
@@ -192,6 +206,28 @@ mod tests {
 
     use super::*;
     use crate::service::socket::bind;
+
+    #[test]
+    fn nobody_but_the_owner_and_root_is_sent_anything() {
+        let socket = Path::new("/srv/home/site.sock");
+        assert!(check_peer(socket, 1000, 1000).is_ok() && check_peer(socket, 1000, 0).is_ok());
+        for (owner, peer) in [(1000, 1001), (0, 1000)] {
+            let refusal = check_peer(socket, owner, peer).expect_err("somebody else");
+            assert!(refusal.kind == ErrorKind::Refused && refusal.message.contains("nothing was sent"), "{refusal:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_home_that_others_can_write_is_not_joined() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = Home::new(folder.path().join("home"));
+        assert!(join(&home, ProfileName::default()).await.expect("nobody").is_none(), "no home yet");
+        std::fs::create_dir(home.root()).expect("a home");
+        let _listener = bind(&home.socket(), 0o666).expect("listens");
+        set_permissions(home.root(), Permissions::from_mode(0o777)).expect("its mode");
+        let refusal = join(&home, ProfileName::default()).await.map(|_| ()).expect_err("not joined");
+        assert!(refusal.kind == ErrorKind::Refused && refusal.message.contains("chmod go-w"), "{refusal:?}");
+    }
 
     #[tokio::test]
     async fn a_socket_that_somebody_else_could_have_put_there_is_not_joined() {

@@ -6,6 +6,7 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
+use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
@@ -36,6 +37,7 @@ pub(in crate::site) struct Connection {
     pub(super) link: Arc<Link>,
     pub(super) life: Arc<Lifetime>,
     pub(super) sender: Arc<Sender>,
+    pub(super) owners: Arc<Owners>,
     pub(super) remote: Option<Arc<Remote>>,
     pub(super) deploying: tokio::sync::Mutex<()>,
 }
@@ -43,8 +45,9 @@ pub(in crate::site) struct Connection {
 impl Connection {
     /// From the shared parts.
     pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
-        let Parts { home, config, plant, hub, log, link, life, sender, .. } = parts.clone();
-        Self { home, config, plant, hub, log, link, life, sender, remote, deploying: tokio::sync::Mutex::default() }
+        let Parts { home, config, plant, hub, log, link, life, sender, owners, .. } = parts.clone();
+        let deploying = tokio::sync::Mutex::default();
+        Self { home, config, plant, hub, log, link, life, sender, owners, remote, deploying }
     }
 }
 
@@ -114,7 +117,7 @@ impl Connection {
     async fn reach_chain(&self) -> Result<Chain, Lost> {
         let (pinned, contract, confirmations) = (self.pin()?, self.config.contract, self.config.confirmations);
         if let Some(remote) = &self.remote {
-            return remote.chain(pinned, contract, confirmations).await;
+            return remote.chain((&self.home, &self.owners), pinned, contract, confirmations).await;
         }
         let endpoint = match &self.config.chain_url {
             Some(url) => Endpoint::Node { url: url.clone() },

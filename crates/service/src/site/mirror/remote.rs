@@ -24,11 +24,17 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{internal, refused};
 use crate::service::reply::Failure;
 use crate::site::chain::connection::Lost;
+use crate::site::identity::owners::Owners;
 
 /// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// How long a command waits until the gateway's records are here.
 const FIRST_ROUND: Duration = Duration::from_secs(90);
+
+/// How long a home with a transport key waits for its owner to unlock it where visitors have no room, and how often it
+/// looks.
+const UNLOCKING: Duration = Duration::from_secs(10);
+const LOOKING: Duration = Duration::from_millis(100);
 
 /// What a profile's mirror has come to.
 #[derive(Debug, Clone)]
@@ -123,6 +129,7 @@ impl Remote {
     /// If the gateway does not answer, or its chain does not, or is a different one.
     pub async fn chain(
         &self,
+        (home, owners): (&Home, &Owners),
         pinned: Option<Pin>,
         contract: Option<Address>,
         confirmations: u64,
@@ -132,7 +139,7 @@ impl Remote {
             None => Client::inquire(&self.addresses, PATIENCE).await.map_err(Failure::from)?,
         };
         let line = self.line(named.domain())?;
-        line.meet().await.map_err(Failure::from)?;
+        self.meet(&line, home, owners).await.map_err(Failure::from)?;
         let contract = Some(contract.unwrap_or(named.contract));
         let endpoint = Endpoint::Relay(RelayLine(line as Arc<dyn Relay>));
         let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
@@ -141,6 +148,47 @@ impl Remote {
             return Err(refused(format!("the gateway {} {what}", self.address())).into());
         }
         Ok(chain)
+    }
+
+    /// Begins with the transport key of a profile that is unlocked. Where no profile is, but one has such a key, a
+    /// visit will do; if visitors have no room, its owner is waited for, not a visitor's place.
+    async fn meet(&self, line: &ChainLine, home: &Home, owners: &Owners) -> Result<(), GatewayError> {
+        let domain = line.endpoint().context.domain;
+        let prove = || {
+            let known = block_in_place(|| owners.all().iter().find_map(|owner| self.kept(home, owner, domain)));
+            known.map(|credentials| line.prove_by(credentials)).is_some()
+        };
+        let proven = prove();
+        line.meet().await?;
+        let has_key = || home.profiles().iter().any(|profile| home.transport_key(profile).exists());
+        if proven || !has_key() {
+            return Ok(());
+        }
+        let full = |error: &GatewayError| {
+            matches!(error, GatewayError::Refused(Code::Busy) | GatewayError::RefusedInClear(Code::Busy))
+        };
+        // Other failures of the chain are told by whoever asks it next.
+        if line.probe().await.is_err_and(|error| full(&error)) {
+            let begun = Instant::now();
+            while begun.elapsed() < UNLOCKING && !prove() {
+                tokio::time::sleep(LOOKING).await;
+            }
+        }
+        Ok(())
+    }
+
+    /// The credentials of a profile as they are kept here; nothing if it is locked or has none for this gateway.
+    fn kept(&self, home: &Home, owner: &Owner, domain: Domain) -> Option<Credentials> {
+        if owner.is_locked() {
+            return None;
+        }
+        let (gateway, token) = (self.trust.current().pinned?, owner.current_token(domain)?);
+        let usage = TransportUse { domain: &domain, gateway: &gateway, name: &owner.profile };
+        let secret = owner.envelope().secret;
+        let kept = load_transport_key(&home.transport_key(&owner.profile), self.provider, &secret, usage);
+        // A key that cannot be read is told where it is needed: by `connect`.
+        let key = kept.ok().flatten()?;
+        Some(Credentials { name: owner.profile.clone(), key, token })
     }
 
     /// The account that registered the gateway's identity key.

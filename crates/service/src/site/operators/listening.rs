@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio::net::UnixListener;
 use tokio::task::block_in_place;
 
-use crate::config::hands::{self, Fault};
+use crate::crypto::hands::{self, Fault};
 use crate::paths::Home;
 use crate::service::accounts;
 use crate::service::event::NoticeLevel;
