@@ -63,7 +63,7 @@ impl Anvil {
     /// A registered account with ether, and stored records.
     async fn process(&self, cap: Option<u128>, records: u64) -> Process {
         let options = ChainOptions {
-            endpoint: Endpoint::Node { url: self.url.clone() },
+            endpoint: Endpoint::Node { url: self.url.clone(), roots: None },
             contract: None,
             pinned: None,
             confirmations: 1,
