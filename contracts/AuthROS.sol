@@ -141,8 +141,8 @@ contract AuthROS {
 
     /// @notice An account registered; it stands at epoch 1.
     event Registered(address indexed owner, bytes32 indexed token, bytes identity);
-    /// @notice An account replaced its SM2 keys.
-    event KeysRotated(address indexed owner, uint64 keys, bytes identity);
+    /// @notice An account replaced its SM2 keys; the envelope hands them to whoever has the account's earlier ones.
+    event KeysRotated(address indexed owner, uint64 keys, bytes identity, bytes envelope);
     /// @notice A digest was uploaded: the owner's `number`-th, sealed in `epoch`.
     event DataUploaded(
         address indexed owner,
@@ -156,7 +156,7 @@ contract AuthROS {
     event Granted(
         address indexed owner, address indexed grantee, uint64 epoch, uint64 expiry, bytes16[] scope, bytes envelope
     );
-    /// @notice A grantee got the envelope of a further epoch.
+    /// @notice A grantee got the envelope of a further epoch; or an owner, who is the grantee then, that of a new epoch.
     event Wrapped(address indexed owner, address indexed grantee, uint64 epoch, bytes envelope);
     /// @notice A grant ended, and with it the epoch: `epoch` and `token` are the new ones.
     event Revoked(address indexed owner, address indexed grantee, uint64 epoch, bytes32 token);
@@ -233,7 +233,8 @@ contract AuthROS {
     /// @notice Registers the sender at epoch 1.
     /// @dev The SM2 proof cannot be checked here: every client checks it, else the identity counts as unregistered.
     /// @param identity token || P_C || P_E || proof, 224 bytes
-    function register(bytes calldata identity) external {
+    /// @param envelope the epoch's key, wrapped for the sender itself; empty where nothing is sealed under it
+    function register(bytes calldata identity, bytes calldata envelope) external {
         Account storage account = accounts[msg.sender];
         require(!paused(), "paused");
         require(!account.suspended, "suspended");
@@ -244,23 +245,28 @@ contract AuthROS {
         heads[msg.sender] = NO_ROOT;
         setToken(account, token);
         emit Registered(msg.sender, token, identity);
+        keepEnvelope(1, envelope);
     }
 
     /// @notice Replaces the sender's SM2 keys; the epoch goes on.
     /// @param identity the current token || new P_C || new P_E || new proof, 224 bytes
-    function rotateKeys(bytes calldata identity) external acting {
+    /// @param envelope the new keys, wrapped for the sender's earlier ones
+    function rotateKeys(bytes calldata identity, bytes calldata envelope) external acting {
         Account storage account = accounts[msg.sender];
+        require(envelope.length <= LONGEST_ENVELOPE, "envelope");
         require(tokenOf(identity) == account.token, "token unknown");
         setKeys(account, account.keys + 1, identity);
-        emit KeysRotated(msg.sender, account.keys, identity);
+        emit KeysRotated(msg.sender, account.keys, identity, envelope);
     }
 
     /// @notice Ends the sender's epoch and begins the next.
     /// @param newToken the token of the next epoch
-    function rotate(bytes32 newToken) external registered {
+    /// @param envelope the next epoch's key, wrapped for the sender itself
+    function rotate(bytes32 newToken, bytes calldata envelope) external registered {
         Account storage account = accounts[msg.sender];
         setToken(account, newToken);
         emit Rotated(msg.sender, account.epoch, newToken);
+        keepEnvelope(account.epoch, envelope);
     }
 
     /// @notice Names who may stop a succession of the sender's account. It takes effect after the delay, so that a thief
@@ -392,7 +398,8 @@ contract AuthROS {
     /// @notice Ends a grant, and with it the sender's epoch.
     /// @param grantee who may no longer read what is sealed from now on
     /// @param newToken the token of the next epoch
-    function authorityRevoke(address grantee, bytes32 newToken) external registered {
+    /// @param envelope the next epoch's key, wrapped for the sender itself
+    function authorityRevoke(address grantee, bytes32 newToken, bytes calldata envelope) external registered {
         Grant storage grant = grantOf[msg.sender][grantee];
         require(grant.active, "no grant");
         grant.active = false;
@@ -400,6 +407,7 @@ contract AuthROS {
         Account storage account = accounts[msg.sender];
         setToken(account, newToken);
         emit Revoked(msg.sender, grantee, account.epoch, newToken);
+        keepEnvelope(account.epoch, envelope);
     }
 
     // ---- devices ----
@@ -621,6 +629,13 @@ contract AuthROS {
         account.epoch += 1;
         account.token = token;
         epochOf[msg.sender][token] = account.epoch;
+    }
+
+    /// @dev Puts the envelope of the sender's new epoch among the events, for the sender itself: whoever has its keys and
+    ///      the chain has every epoch. Nothing is stored, and what the envelope carries cannot be checked here.
+    function keepEnvelope(uint64 epoch, bytes calldata envelope) private {
+        require(envelope.length <= LONGEST_ENVELOPE, "envelope");
+        if (envelope.length != 0) emit Wrapped(msg.sender, msg.sender, epoch, envelope);
     }
 
     /// @dev Notes the one envelope of (sender, grantee, epoch): one more only after a revoke or for new keys.

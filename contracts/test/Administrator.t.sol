@@ -53,9 +53,9 @@ contract AdministratorTest is World {
 
     function test_the_administrator_changes_nobodys_data() public {
         refused(ADMIN, "unregistered");
-        authros.rotate(bytes32(uint256(0xa2)));
+        authros.rotate(bytes32(uint256(0xa2)), "");
         refused(ADMIN, "unregistered");
-        authros.authorityRevoke(B, bytes32(uint256(0xa2)));
+        authros.authorityRevoke(B, bytes32(uint256(0xa2)), "");
         refused(ADMIN, "unregistered");
         authros.authorityGrant(B, 1, 0, topics(0), "envelope");
         vm.assertEq(mayRead(ADMIN, 0xa1, A), false, "reads");
@@ -88,7 +88,7 @@ contract AdministratorTest is World {
         emitted("Dismissed(address)", abi.encode(STRANGER), "");
         vm.assertEq(authros.admitted(STRANGER), false, "dismissed");
         refused(STRANGER, "closed");
-        authros.register(identity(7, 1));
+        authros.register(identity(7, 1), "");
         refused(ADMIN, "unchanged");
         authros.dismiss(STRANGER);
         by(ADMIN);
@@ -150,7 +150,7 @@ contract AdministratorTest is World {
         authros.pause(1001);
         stopped("paused");
         refused(STRANGER, "paused");
-        authros.register(identity(7, 1));
+        authros.register(identity(7, 1), "");
         goesOn();
         by(ADMIN);
         authros.resume();
@@ -169,7 +169,7 @@ contract AdministratorTest is World {
         by(ADMIN);
         authros.suspend(STRANGER);
         refused(STRANGER, "suspended");
-        authros.register(identity(7, 1));
+        authros.register(identity(7, 1), "");
     }
 
     function prepare() private {
@@ -190,7 +190,7 @@ contract AdministratorTest is World {
         refused(A, reason);
         authros.lend(bytes32(uint256(0xe)), 0);
         refused(A, reason);
-        authros.rotateKeys(identity(0xa1, 2));
+        authros.rotateKeys(identity(0xa1, 2), "");
         refused(A, reason);
         authros.extend(B, 0);
         refused(A, reason);

@@ -123,7 +123,7 @@ contract DigestsTest is World {
         by(A);
         authros.anchor(bytes32(uint256(1)), 5, bytes32(0));
         by(A);
-        authros.rotateKeys(identity(0xa1, 2));
+        authros.rotateKeys(identity(0xa1, 2), "");
         vm.roll(71);
         vm.warp(1001);
         by(A);
@@ -139,7 +139,7 @@ contract DigestsTest is World {
 
     function test_an_anchor_names_the_version_of_the_keys() public {
         by(A);
-        authros.rotateKeys(identity(0xa1, 2));
+        authros.rotateKeys(identity(0xa1, 2), "");
         by(A);
         authros.anchor(bytes32(uint256(1)), 5, bytes32(0));
         (,,, uint64 keys) = authros.anchorOf(A, bytes32(uint256(1)));

@@ -10,7 +10,7 @@ contract FuzzTest is World {
         if (whole) text = abi.encodePacked(keccak256(text), filled(192, uint8(text.length)));
         bool due = text.length == 224;
         vm.prank(STRANGER);
-        (bool done,) = address(authros).call(abi.encodeWithSelector(authros.register.selector, text));
+        (bool done,) = address(authros).call(abi.encodeWithSelector(authros.register.selector, text, ""));
         vm.assertEq(done, due, "registered");
         vm.assertEq(accountOf(STRANGER).identity, due ? text : bytes(""), "identity");
         vm.assertEq(accountOf(STRANGER).epoch, due ? 1 : 0, "epoch");
@@ -44,7 +44,7 @@ contract FuzzTest is World {
         for (uint256 index = 0; index < tokens.length; index++) {
             bool due = tokens[index] != 0 && authros.epochOf(A, tokens[index]) == 0;
             vm.prank(A);
-            (bool done,) = address(authros).call(abi.encodeWithSelector(authros.rotate.selector, tokens[index]));
+            (bool done,) = address(authros).call(abi.encodeWithSelector(authros.rotate.selector, tokens[index], ""));
             vm.assertEq(done, due, "rotated");
             if (due) epoch += 1;
             vm.assertEq(accountOf(A).epoch, epoch, "epoch");
@@ -144,11 +144,16 @@ contract FuzzTest is World {
         bytes4[25] memory acts = selectors();
         if (act % 3 == 0) first = bytes32(uint256(uint160(A)));
         if (act % 3 == 1) (first, second) = (bytes32(uint256(uint160(C))), bytes32(uint256(uint160(A))));
+        bytes4 chosen = acts[act % acts.length];
+        bytes memory data = chosen == authros.rotate.selector
+            ? abi.encodeWithSelector(chosen, first, tail)
+            : abi.encodePacked(chosen, first, second, third, tail);
         vm.prank(B);
-        (bool done,) = address(authros).call(abi.encodePacked(acts[act % acts.length], first, second, third, tail));
+        (bool done,) = address(authros).call(data);
         vm.assertEq(stateOfA(), before, "as before");
-        if (acts[act % acts.length] == authros.rotate.selector) {
-            vm.assertEq(done, first != bytes32(uint256(0xb1)) && first != 0, "B's own");
+        if (chosen == authros.rotate.selector) {
+            bool due = first != bytes32(uint256(0xb1)) && first != 0 && tail.length <= authros.LONGEST_ENVELOPE();
+            vm.assertEq(done, due, "B's own");
         }
     }
 

@@ -27,12 +27,13 @@ abstract contract Gas is World {
 
     function test_gas_of_accounts() public {
         by(STRANGER);
-        authros.register(identity(token(1), 0xaa));
+        authros.register(identity(token(1), 0xaa), filled(400, 0xee));
         note("register");
         by(A);
-        authros.rotateKeys(identity(token(1), 0xbb));
+        authros.rotateKeys(identity(token(1), 0xbb), filled(400, 0xee));
         note("rotateKeys");
-        rotate(A, token(2));
+        by(A);
+        authros.rotate(bytes32(token(2)), filled(400, 0xee));
         note("rotate");
         by(A);
         authros.lend(bytes32(DEVICE), 1800000000);
@@ -95,7 +96,8 @@ abstract contract Gas is World {
         by(A);
         authros.extend(B, 1800000001);
         note("extend");
-        revoke(A, B, token(2));
+        by(A);
+        authros.authorityRevoke(B, bytes32(token(2)), filled(400, 0xee));
         note("authorityRevoke");
         by(A);
         authros.wrap(only(C), 2, only(filled(400, 0xee)));

@@ -87,7 +87,7 @@ contract GrantsTest is World {
         grant(A, B, 1);
         grant(A, C, 1);
         by(A);
-        authros.authorityRevoke(B, bytes32(uint256(0xa2)));
+        authros.authorityRevoke(B, bytes32(uint256(0xa2)), "");
         emitted("Revoked(address,address,uint64,bytes32)", abi.encode(A, B), abi.encode(uint64(2), uint256(0xa2)));
         vm.assertEq(accountOf(A).epoch, 2, "epoch");
         vm.assertEq(accountOf(A).token, bytes32(uint256(0xa2)), "token");
@@ -103,19 +103,19 @@ contract GrantsTest is World {
     function test_a_revoke_needs_a_grant_of_the_sender_and_a_fresh_token() public {
         grant(A, B, 1);
         refused(A, "no grant");
-        authros.authorityRevoke(C, bytes32(uint256(0xa2)));
+        authros.authorityRevoke(C, bytes32(uint256(0xa2)), "");
         refused(C, "no grant");
-        authros.authorityRevoke(B, bytes32(uint256(0xc2)));
+        authros.authorityRevoke(B, bytes32(uint256(0xc2)), "");
         refused(STRANGER, "unregistered");
-        authros.authorityRevoke(B, bytes32(uint256(7)));
+        authros.authorityRevoke(B, bytes32(uint256(7)), "");
         refused(A, "token used");
-        authros.authorityRevoke(B, bytes32(uint256(0xa1)));
+        authros.authorityRevoke(B, bytes32(uint256(0xa1)), "");
         refused(A, "empty");
-        authros.authorityRevoke(B, bytes32(0));
+        authros.authorityRevoke(B, bytes32(0), "");
         vm.assertEq(mayRead(B, 0xa1, A), true, "a refused revoke changes nothing");
         revoke(A, B, 0xa2);
         refused(A, "no grant");
-        authros.authorityRevoke(B, bytes32(uint256(0xa3)));
+        authros.authorityRevoke(B, bytes32(uint256(0xa3)), "");
     }
 
     function test_who_is_granted_anew_reads_no_earlier_epoch_without_its_envelope() public {
@@ -135,7 +135,7 @@ contract GrantsTest is World {
         refused(A, "wrapped");
         authros.wrap(only(B), 1, only("envelope"));
         by(B);
-        authros.rotateKeys(identity(0xb1, 2));
+        authros.rotateKeys(identity(0xb1, 2), "");
         by(A);
         authros.wrap(only(B), 1, only("again"));
         emitted("Wrapped(address,address,uint64,bytes)", abi.encode(A, B), abi.encode(uint64(1), bytes("again")));

@@ -59,7 +59,7 @@ contract InvariantsTest is Cheats {
             (bool active,,,,) = authros.grantOf(person, reader);
             if (!active) continue;
             vm.prank(person);
-            authros.authorityRevoke(reader, keccak256(abi.encode("revoke", other)));
+            authros.authorityRevoke(reader, keccak256(abi.encode("revoke", other)), "");
             vm.prank(reader);
             (bool authorised,,,) = authros.dataQuery(abi.encode(tokenOf(person)), person);
             vm.assertEq(authorised, false, "revoked");
@@ -71,7 +71,7 @@ contract InvariantsTest is Cheats {
             authros.recall(bytes32(device));
         }
         vm.prank(person);
-        authros.rotate(keccak256("rotate"));
+        authros.rotate(keccak256("rotate"), "");
         vm.assertEq(tokenOf(person), keccak256("rotate"), "rotated");
     }
 

@@ -43,7 +43,7 @@ abstract contract World is Cheats {
 
     function register(address who, uint256 token) internal {
         by(who);
-        authros.register(identity(token, 1));
+        authros.register(identity(token, 1), "");
     }
 
     /// @dev 224 bytes: the token, then keys and proof made of `fill`; the contract does not check them.
@@ -120,12 +120,12 @@ abstract contract World is Cheats {
 
     function revoke(address owner, address grantee, uint256 newToken) internal {
         by(owner);
-        authros.authorityRevoke(grantee, bytes32(newToken));
+        authros.authorityRevoke(grantee, bytes32(newToken), "");
     }
 
     function rotate(address owner, uint256 newToken) internal {
         by(owner);
-        authros.rotate(bytes32(newToken));
+        authros.rotate(bytes32(newToken), "");
     }
 
     function mayRead(address reader, uint256 token, address owner) internal returns (bool authorised) {

@@ -8,6 +8,7 @@ use super::check::{absolute, backed_up, backup_passphrase};
 use super::connect::{Connection, Context};
 use super::plans;
 use super::verbs::{self, NEITHER};
+use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::model::{ErrorKind, Timestamp};
 use crate::paths::Home;
 use crate::service::command::BackUp;
@@ -93,7 +94,8 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
         Failure::new(ErrorKind::Home, format!("a folder in {} cannot be created: {error}", beside.display()))
     };
     std::fs::create_dir_all(&beside).map_err(unmade)?;
-    let folder = tempfile::Builder::new().prefix(".authros-drill-").tempdir_in(&beside).map_err(unmade)?;
+    unfinished::sweep(&beside).map_err(unmade)?;
+    let folder = UnfinishedFolder::new(&beside).map_err(unmade)?;
     let home: PathBuf = folder.path().join("home");
     let view = restoring::restore(file, &Home::new(home.clone()), &passphrase)?;
     output.note(&backed_up(&view));

@@ -341,7 +341,11 @@ fn dear_call(number: u64, grantee: Address) -> Vec<u8> {
         let (scope, envelope) = (Scope::All, vec![7; 4_096]);
         Call::AuthorityGrant { grantee, epoch: 1 + number / 2, expiry: None, scope, envelope }
     } else {
-        Call::AuthorityRevoke { grantee, new_token: Token([number.to_be_bytes(); 4].concat().try_into().expect("32")) }
+        Call::AuthorityRevoke {
+            grantee,
+            new_token: Token([number.to_be_bytes(); 4].concat().try_into().expect("32")),
+            envelope: Vec::new(),
+        }
     };
     call.encode().expect("encodes")
 }

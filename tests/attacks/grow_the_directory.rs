@@ -75,7 +75,10 @@ impl Field {
             let (token, key, proof) = (self.token(), PublicKey([9; 64]), Signature([9; 64]));
             self.calls(
                 stranger,
-                &[Call::Register { identity: Identity { token, signing: key, envelope: key, proof } }],
+                &[Call::Register {
+                    identity: Identity { token, signing: key, envelope: key, proof },
+                    envelope: Vec::new(),
+                }],
             );
         }
     }
@@ -122,7 +125,7 @@ impl Field {
             for epoch in some {
                 let (scope, envelope) = (Scope::All, vec![7; 4_096]);
                 calls.push(Call::AuthorityGrant { grantee, epoch: *epoch, expiry: None, scope, envelope });
-                calls.push(Call::AuthorityRevoke { grantee, new_token: self.token() });
+                calls.push(Call::AuthorityRevoke { grantee, new_token: self.token(), envelope: vec![7; 4_096] });
             }
             self.calls(0, &calls);
         }

@@ -115,11 +115,13 @@ async fn rename_a_topic() {
     let scene = Scene::new();
     let (lost, honest) = (Robot::enrol(&scene, "scout-1", &[]), Robot::enrol(&scene, "scout-2", &[]));
     let thief = Thief::of(lost.stolen());
-    let forged = [
+    let mut forged = vec![
         (thief.seal(1, TRUE, (FALSE.0, TRUE.1)), "false topic"),
         (thief.seal(2, TRUE, (TRUE.0, FALSE.1)), "false type"),
         (thief.seal(1, (LINES, TRUE.1), (LINES, TRUE.1)), "false topic"),
     ];
+    // More than are opened to learn a name.
+    forged.extend((3..12).map(|seq| (thief.seal(seq, TRUE, (FALSE.0, TRUE.1)), "false topic")));
     // Before any honest record: the first record of a topic that opens used to give it its name.
     let mut client = session(&thief.robot).await.expect("the robot's own session");
     let (mut ids, mut words, mut uploads) = (Vec::new(), Vec::new(), Vec::new());
@@ -130,9 +132,13 @@ async fn rename_a_topic() {
     }
     client.upload(uploads).await.expect("a gateway sees no names");
     scene.alice.records(&["uploads", "list"]);
+    let mut parts = Parts::default();
+    let alone = scene.alice.records(&["uploads", "list", "--topic", TRUE.0]);
+    if alone.len() + 1 != ids.len() {
+        parts.reached(format!("records of {} are not found by its name: {alone:?}", TRUE.0));
+    }
     honest.capture(2);
 
-    let mut parts = Parts::default();
     judge_list(&mut parts, &scene, 2, &ids);
     for (id, what) in ids.iter().zip(words) {
         judge_one(&mut parts, &scene, id, what);

@@ -10,6 +10,7 @@ mod erasing;
 mod granting;
 mod ground;
 mod killing;
+mod lost_machine;
 mod sessions;
 mod swarm;
 

@@ -114,3 +114,38 @@ fn kills_while_a_keyring_is_saved_lose_no_epochs_key() {
     }
     field.every_record_opens();
 }
+
+#[test]
+fn an_older_keyring_gets_what_it_lacks_from_the_chain() {
+    let field = Field::new();
+    let site = field.alice.serve(&field.home);
+    let old = field.home.root().join("old.keyring");
+    field.alice.run(&["keys", "backup", "--out", old.to_str().expect("UTF-8")]).expect_code(0);
+    let captured = || field.alice.records(&["uploads", "list", "--topic", TOPIC]).len();
+    for _ in 0..3 {
+        field.alice.json(&["keys", "rotate"]);
+        let before = captured();
+        wait_until(60, "records of this epoch", || (captured() >= before + 3).then_some(()));
+    }
+    field.alice.json(&["keys", "rotate", "--envelope"]);
+    field.alice.json(&["keys", "rotate"]);
+    field.alice.json(&["keys", "rotate", "--envelope"]);
+    let newest = field.alice.json(&["keys", "list"]);
+    site.stop("TERM", 30).expect_code(0);
+
+    let place = field.home.path().join("profiles/alice/keyring");
+    std::fs::copy(&old, &place).expect("put back");
+    assert_eq!(field.epochs_of_the_keyring(), [1], "it knows the first epoch alone");
+    // Without the keys on the chain this site ends at once, and so does each command that unlocks.
+    let site = field.alice.serve(&field.home);
+    wait_until(60, "the chain returns the keys", || (field.epochs_of_the_keyring().len() == 5).then_some(()));
+    assert_eq!(field.epoch_with_all_keys(), 5);
+    let now = field.alice.json(&["keys", "list"]);
+    assert_eq!((&now["envelope_key"], &now["epochs"]), (&newest["envelope_key"], &newest["epochs"]));
+    field.every_record_opens();
+    let before = captured();
+    wait_until(60, "capture goes on", || (captured() >= before + 3).then_some(()));
+    field.alice.json(&["keys", "rotate"]);
+    assert_eq!(field.epoch_with_all_keys(), 6);
+    site.stop("TERM", 30).expect_code(0);
+}

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use authros::crypto::{
-    EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, epoch_key,
-    filter_id, provider, random_bytes, seal, token, topic_id, topic_key,
+    EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, filter_id,
+    provider, random_bytes, seal, token, topic_id, topic_key,
 };
 use authros::gateway::{Applicant, Client, Context, Credentials, Endpoint, GatewayError, Trust, Upload};
 use authros::model::head::Compression;
@@ -75,8 +75,7 @@ impl Member {
     }
 
     pub fn epoch_key(&self) -> EpochKey {
-        let secret = &self.keyring.networks[&self.domain].epochs[&self.epoch];
-        epoch_key(&secret.sm4, secret.salt.expose(), &self.domain, &self.address(), self.epoch)
+        self.keyring.networks[&self.domain].epochs[&self.epoch].key.clone()
     }
 
     pub fn token(&self) -> Token {

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
-use authros_crypto::{Keyring, Passphrase, epoch_key};
+use authros_crypto::{Keyring, Passphrase};
 
 use super::authros::files_below;
 
@@ -44,12 +44,9 @@ pub fn secrets_below(folder: &Path) -> Vec<(String, Vec<u8>)> {
         add("envelope key", keys.envelope.secret.expose());
         add("SM4 key", keys.sm4.expose());
         add("index key", keys.index.expose());
-        for (domain, network) in &keys.networks {
-            for (number, epoch) in &network.epochs {
-                let key = epoch_key(&epoch.sm4, epoch.salt.expose(), domain, &keys.eoa.address(), *number);
-                add("epoch key", key.expose());
-                add("epoch salt", epoch.salt.expose());
-                add("SM4 key of an epoch", epoch.sm4.expose());
+        for network in keys.networks.values() {
+            for epoch in network.epochs.values() {
+                add("epoch key", epoch.key.expose());
             }
         }
     }

@@ -19,11 +19,15 @@ pub enum Call {
     Register {
         /// Token, keys and proof.
         identity: Identity,
+        /// The epoch's key, wrapped for the sender; empty if it seals nothing.
+        envelope: Vec<u8>,
     },
     /// Replaces the sender's SM2 keys; the epoch continues.
     RotateKeys {
         /// Current token, new keys and proof.
         identity: Identity,
+        /// The new keys, wrapped for the keys that they replace.
+        envelope: Vec<u8>,
     },
     /// Puts one digest on the chain.
     DataUpload {
@@ -60,11 +64,15 @@ pub enum Call {
         grantee: Address,
         /// Token of the next epoch.
         new_token: Token,
+        /// Its key, wrapped for the sender.
+        envelope: Vec<u8>,
     },
     /// Ends the epoch.
     Rotate {
         /// Token of the next epoch.
         new_token: Token,
+        /// Its key, wrapped for the sender.
+        envelope: Vec<u8>,
     },
     /// Anchors a Merkle root.
     Anchor {
@@ -198,7 +206,9 @@ impl Call {
 
     fn arguments(&self) -> Result<Vec<AbiToken>, ChainError> {
         Ok(match self {
-            Self::Register { identity } | Self::RotateKeys { identity } => vec![AbiToken::Bytes(identity.encode())],
+            Self::Register { identity, envelope } | Self::RotateKeys { identity, envelope } => {
+                vec![AbiToken::Bytes(identity.encode()), own(envelope)?]
+            }
             Self::DataUpload { digest, token, timestamp } => {
                 let fields = [&digest.0[..], &token.0, &timestamp.0.to_be_bytes()];
                 fields.iter().map(|field| AbiToken::Bytes(field.to_vec())).collect()
@@ -211,8 +221,10 @@ impl Call {
                 AbiToken::Bytes(bounded(envelope)?),
             ],
             Self::Wrap { epoch, envelopes } => wrap(*epoch, envelopes)?,
-            Self::AuthorityRevoke { grantee, new_token } => vec![address(*grantee), word(new_token.0)],
-            Self::Rotate { new_token } => vec![word(new_token.0)],
+            Self::AuthorityRevoke { grantee, new_token, envelope } => {
+                vec![address(*grantee), word(new_token.0), own(envelope)?]
+            }
+            Self::Rotate { new_token, envelope } => vec![word(new_token.0), own(envelope)?],
             Self::Anchor { root, count, previous } => vec![word(root.0), number(*count), word(previous.0)],
             Self::Lend { device, until } => vec![word(device.0), number(seconds(*until)?)],
             Self::Recall { device } => vec![word(device.0)],
@@ -277,6 +289,11 @@ fn bounded(envelope: &[u8]) -> Result<Vec<u8>, ChainError> {
     Ok(envelope.to_vec())
 }
 
+/// An owner's envelope for itself; accounts that seal nothing have none.
+fn own(envelope: &[u8]) -> Result<AbiToken, ChainError> {
+    if envelope.is_empty() { Ok(AbiToken::Bytes(Vec::new())) } else { bounded(envelope).map(AbiToken::Bytes) }
+}
+
 fn wrap(epoch: u64, envelopes: &[(Address, Vec<u8>)]) -> Result<Vec<AbiToken>, ChainError> {
     if envelopes.is_empty() || envelopes.len() > MOST_WRAPS {
         let found = envelopes.len();
@@ -312,6 +329,7 @@ mod tests {
             grant(None, Scope::Topics(vec![TopicId([1; 16]); 33]), 1),
             grant(None, Scope::All, 0),
             grant(None, Scope::All, 4097),
+            Call::Rotate { new_token: Token([1; 32]), envelope: vec![1; 4097] },
             Call::Wrap { epoch: 1, envelopes: Vec::new() },
             Call::Wrap { epoch: 1, envelopes: vec![(Address([1; 20]), vec![1]); 33] },
         ] {

@@ -14,7 +14,7 @@ pub enum Event {
     /// An account registered at epoch 1.
     Registered { owner: Address, identity: Identity, epoch: u64 },
     /// An account replaced its SM2 keys; `keys` is their version, from 1.
-    KeysRotated { owner: Address, keys: u64, identity: Identity },
+    KeysRotated { owner: Address, keys: u64, identity: Identity, envelope: Vec<u8> },
     /// A grant was extended; `None` = no end.
     Extended { owner: Address, grantee: Address, expiry: Option<Timestamp> },
     /// From `from` on `recovery` may stop a succession of the owner's account; `None` = nobody.
@@ -120,9 +120,12 @@ impl Fields {
                 let (owner, _) = (self.address()?, self.word()?);
                 Event::Registered { owner, identity: self.identity()?, epoch: 1 }
             }
-            "KeysRotated" => {
-                Event::KeysRotated { owner: self.address()?, keys: self.number()?, identity: self.identity()? }
-            }
+            "KeysRotated" => Event::KeysRotated {
+                owner: self.address()?,
+                keys: self.number()?,
+                identity: self.identity()?,
+                envelope: self.bytes()?,
+            },
             "DataUploaded" => self.uploaded()?,
             "Granted" => self.granted()?,
             "Wrapped" => Event::Wrapped {

@@ -80,6 +80,7 @@ mod tests {
             let bytes = match call.as_str() {
                 "authorityGrant, 32 topics, envelope of 2000 bytes" => 2000 + 32 * 32,
                 "authorityGrant, all topics, envelope of 400 bytes" => 400,
+                "register" | "rotateKeys" | "rotate" | "authorityRevoke" => 400,
                 "wrap for 1 grantee" => 512,
                 "wrap for 32 grantees" => 32 * 512,
                 _ => 0,

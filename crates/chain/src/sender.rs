@@ -14,10 +14,11 @@ use super::embedded::Transaction;
 use super::error::explain;
 use super::gas;
 use super::reader::reason;
+use super::relay::rules::registration;
 use super::watcher::RawLog;
 use super::{Call, Chain, ChainError, Receipt, SignedTransaction};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Hash, bytes::hex};
+use crate::model::{Address, Hash, Identity, bytes::hex};
 
 impl Chain {
     /// Signs a call as a legacy transaction. Nothing is sent.
@@ -84,12 +85,12 @@ impl Chain {
         self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Checks that these bytes are a transaction that `account` signed for this chain and that makes exactly this call
-    /// of the contract.
+    /// Checks that these bytes are a transaction that `account` signed for this chain and that does nothing but register
+    /// this identity with the contract.
     ///
     /// # Errors
     /// [`ChainError::Input`] saying what differs.
-    pub fn expect_call(&self, raw: &[u8], account: Address, call: &Call) -> Result<Hash, ChainError> {
+    pub fn expect_registration(&self, raw: &[u8], account: Address, identity: &Identity) -> Result<Hash, ChainError> {
         let transaction = Transaction::decode(raw, self.chain_id()).map_err(ChainError::Input)?;
         let contract = self.pin().map(|pin| pin.contract);
         let other = |what: &str| Err(ChainError::Input(format!("the transaction is not the one described: {what}")));
@@ -99,7 +100,7 @@ impl Chain {
         if contract.is_none() || transaction.to != contract {
             return other("it is not for this contract");
         }
-        if transaction.input != call.encode()? || !transaction.value.is_zero() {
+        if registration(&transaction.input).as_deref() != Some(identity) || !transaction.value.is_zero() {
             return other("it makes a different call");
         }
         Ok(transaction.hash)

@@ -21,7 +21,7 @@ fn node(url: &str) -> ChainOptions {
 fn register(number: u8) -> Call {
     let key = PublicKey([number; 64]);
     let identity = Identity { token: Token([number; 32]), signing: key, envelope: key, proof: Signature([1; 64]) };
-    Call::Register { identity }
+    Call::Register { identity, envelope: Vec::new() }
 }
 
 fn upload(number: u64, token: u8) -> Call {

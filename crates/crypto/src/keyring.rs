@@ -1,6 +1,5 @@
-//! The keys of one profile: EOA, the two SM2 pairs, K_C, IK, and the secrets of every epoch on every network, from
-//! which all old epoch keys can be derived again. The file format is in `file`; what is registered on the chain is not
-//! known here.
+//! The keys of one profile: EOA, the two SM2 pairs, K_C, IK, and the key of every epoch on every network. The file
+//! format is in `file`; what is registered on the chain is not known here.
 
 use std::collections::BTreeMap;
 
@@ -21,15 +20,24 @@ pub enum EpochState {
     Active,
 }
 
-/// What an epoch's key is derived from.
+/// The key of an epoch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EpochSecret {
-    /// r: secret and random.
-    pub salt: EpochSalt,
-    /// K_C as it was when the epoch began.
-    pub sm4: Sm4Key,
+    /// EK.
+    pub key: EpochKey,
     /// Whether the chain knows it.
     pub state: EpochState,
+}
+
+impl EpochSecret {
+    /// The key of an epoch that begins, from K_C and a fresh salt, which is needed only here.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] if the random source fails.
+    pub fn begin(sm4: &Sm4Key, domain: &Domain, owner: &Address, epoch: u64) -> Result<Self, CryptoError> {
+        let salt = EpochSalt::generate()?;
+        Ok(Self { key: epoch_key(sm4, salt.expose(), domain, owner, epoch), state: EpochState::Pending })
+    }
 }
 
 /// The epochs of a profile on one network.
@@ -112,10 +120,10 @@ impl Keyring {
     /// # Errors
     /// [`CryptoError::Random`] if the random source fails.
     pub fn start_epoch(&mut self, domain: &Domain) -> Result<u64, CryptoError> {
-        let salt = EpochSalt::generate()?;
+        let owner = self.eoa.address();
         let network = self.networks.entry(*domain).or_default();
         let epoch = network.epochs.last_key_value().map_or(0, |(last, _)| *last) + 1;
-        let secret = EpochSecret { salt, sm4: self.sm4.clone(), state: EpochState::Pending };
+        let secret = EpochSecret::begin(&self.sm4, domain, &owner, epoch)?;
         network.epochs.insert(epoch, secret);
         network.current = epoch;
         Ok(epoch)
@@ -149,8 +157,7 @@ impl Keyring {
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
     pub fn epoch_key(&self, domain: &Domain, epoch: u64) -> Result<EpochKey, CryptoError> {
         let secret = self.networks.get(domain).and_then(|network| network.epochs.get(&epoch));
-        let secret = secret.ok_or(CryptoError::NoEpoch(epoch))?;
-        Ok(epoch_key(&secret.sm4, secret.salt.expose(), domain, &self.eoa.address(), epoch))
+        Ok(secret.ok_or(CryptoError::NoEpoch(epoch))?.key.clone())
     }
 
     /// The token of an epoch.

@@ -19,6 +19,7 @@ pub mod error;
 mod file_key;
 mod gateway_addresses;
 mod gcm;
+pub mod handover;
 pub mod identity;
 pub mod kdf;
 pub mod kept_key;
@@ -43,6 +44,7 @@ mod sm2;
 pub mod sm3;
 mod sm4_gcm;
 pub mod transport_file;
+pub mod unfinished;
 
 #[cfg(test)]
 mod differential_tests;
@@ -67,6 +69,7 @@ pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use erased::ErasedStatement;
 pub use error::CryptoError;
 pub use gateway_addresses::GatewayAddresses;
+pub use handover::{hand_over, take_over};
 pub use identity::{check_identity, prove};
 pub use kdf::{hkdf_sm3, hmac_sm3};
 pub use kept_key::{open_transport_key, seal_transport_key};

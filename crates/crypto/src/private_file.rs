@@ -9,6 +9,7 @@ use zeroize::Zeroizing;
 
 use super::CryptoError;
 use super::error::shown;
+use super::{fault, unfinished};
 
 /// Permission bits of group and others.
 const OTHERS: u32 = 0o077;
@@ -68,6 +69,8 @@ pub fn change_private(
     change: impl FnOnce(Option<&[u8]>) -> Result<Option<Vec<u8>>, CryptoError>,
 ) -> Result<(), CryptoError> {
     let _lock = lock_directory(path)?;
+    // What cannot be listed is no reason to write nothing.
+    drop(unfinished::sweep(&directory_of(path)));
     let there = match read_private(path, most) {
         Ok(bytes) => Some(bytes),
         Err(CryptoError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
@@ -82,9 +85,10 @@ pub fn change_private(
 fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<(), CryptoError> {
     let directory = directory_of(path);
     let write = CryptoError::write(path);
-    let mut file = tempfile::Builder::new().prefix(".new-").tempfile_in(&directory).map_err(&write)?;
+    let mut file = unfinished::new_file(&directory).map_err(&write)?;
     file.write_all(bytes).map_err(&write)?;
     file.as_file().sync_all().map_err(&write)?;
+    fault::point("file-unfinished");
     let moved = if over { file.persist(path) } else { file.persist_noclobber(path) };
     moved.map_err(|error| match error.error.kind() {
         ErrorKind::AlreadyExists if !over => CryptoError::Exists(shown(path)),

@@ -81,7 +81,7 @@ secret_bytes! {
     FilterKey(32);
     /// K_T: the key a client and its gateway mix into every session; it opens no record.
     TransportKey(32);
-    /// r: the secret random salt of an epoch, kept in the keyring.
+    /// r: the secret random salt of an epoch, drawn when it begins and not kept.
     EpochSalt(32);
 }
 

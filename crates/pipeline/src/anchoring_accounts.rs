@@ -55,7 +55,9 @@ pub async fn ensure_ready(
     // A token of its own that belongs to no key: these accounts seal nothing.
     let token = Token(random_bytes()?);
     let identity = prove(plant.provider, &network.domain, &account, &signing, &envelope, token)?;
-    sender.send(&network.chain, key, Call::Register { identity }, "register anchoring account").await?;
+    sender
+        .send(&network.chain, key, Call::Register { identity, envelope: Vec::new() }, "register anchoring account")
+        .await?;
     Ok(false)
 }
 

@@ -81,8 +81,16 @@ pub enum PipelineError {
         report: Digest,
     },
     /// The keyring lacks the key of an epoch.
-    #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]
+    #[error(
+        "the keyring has no key of epoch {0}; it is fetched once the chain answers, or restore a newer keyring of this profile"
+    )]
     UnknownEpoch(u64),
+    /// The chain has newer SM2 pairs of an account than its keyring, and no key of the keyring leads to them.
+    #[error(
+        "the chain has newer SM2 keys of {0} than the keyring, and none of its keys opens them; restore a newer keyring of \
+         this profile"
+    )]
+    NoHandover(Address),
     /// A topic whose key was not issued.
     #[error("there is no key for topic {0} here, so it is not captured; enrol again with `--topic` for it")]
     Uncovered(String),
@@ -183,7 +191,7 @@ impl PipelineError {
                 ErrorKind::Tampered
             }
             Self::Deleted(..) | Self::Erased { .. } => ErrorKind::Refused,
-            Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
+            Self::UnknownEpoch(_) | Self::NoHandover(_) | Self::Uncovered(_) => ErrorKind::Refused,
             Self::NotMined(_) | Self::Unsteady | Self::NodeBehind { .. } | Self::NotSeen { .. } => {
                 ErrorKind::Incomplete
             }

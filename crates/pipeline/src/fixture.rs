@@ -107,7 +107,7 @@ pub fn identity(chain: &Chain, eoa: &EoaSecret) -> Call {
     let pairs = [(); 2].map(|()| SmKeyPair::generate(provider).expect("pair"));
     let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
     let identity = prove(provider, &domain, &eoa.address(), &pairs[0], &pairs[1].public, TOKEN).expect("proves");
-    Call::Register { identity }
+    Call::Register { identity, envelope: Vec::new() }
 }
 
 /// Signs and sends without any ledger, and waits for the block.

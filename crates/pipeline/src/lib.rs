@@ -50,6 +50,7 @@ pub mod record_audit;
 pub mod recorded_names;
 pub mod recorder;
 pub mod recorder_heads;
+pub mod recovery;
 pub mod retention;
 pub mod ring;
 mod sampler;

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::crypto::{
-    CryptoError, EoaSecret, EpochKey, EpochSalt, EpochSecret, EpochState, IndexKey, NetworkKeys, Provider, SealingKey,
-    SmKeyPair, UnlockedKeyring, WrappedKeys, epoch_key, token, topic_id,
+    CryptoError, EoaSecret, EpochKey, EpochSecret, EpochState, IndexKey, NetworkKeys, Provider, SealingKey, SmKeyPair,
+    UnlockedKeyring, WrappedKeys, token, topic_id,
 };
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
 
@@ -127,6 +127,37 @@ impl Owner {
         (keyring.keys().signing.public, keyring.keys().envelope.public)
     }
 
+    /// P_C and P_E once a change of the pairs that was begun is finished.
+    pub fn next_public_keys(&self) -> (PublicKey, PublicKey) {
+        let keyring = self.keyring();
+        let (keys, further) = (keyring.keys(), &keyring.keys().further);
+        let signing = further.next_signing.as_ref().unwrap_or(&keys.signing);
+        (signing.public, further.next_envelope.as_ref().unwrap_or(&keys.envelope).public)
+    }
+
+    /// Saves pairs as the next ones, in place of any others, and those between as former ones.
+    ///
+    /// # Errors
+    /// Errors of saving the keyring; nothing is changed then.
+    pub fn note_pairs(
+        &self,
+        signing: SmKeyPair,
+        envelope: SmKeyPair,
+        between: Vec<(SmKeyPair, SmKeyPair)>,
+    ) -> Result<(), CryptoError> {
+        self.keyring().change(|keys| {
+            for (_, former) in between {
+                let further = &mut keys.further.envelopes;
+                if former != keys.envelope && former != envelope && !further.contains(&former) {
+                    further.push(former);
+                }
+            }
+            keys.further.next_signing = Some(signing).filter(|pair| *pair != keys.signing);
+            keys.further.next_envelope = Some(envelope).filter(|pair| *pair != keys.envelope);
+            Ok(())
+        })
+    }
+
     /// IK.
     pub fn index(&self) -> IndexKey {
         self.keyring().keys().index.clone()
@@ -146,7 +177,7 @@ impl Owner {
     pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Option<EpochKey> {
         let keyring = self.keyring();
         let secret = keyring.keys().networks.get(&domain).and_then(|network| network.epochs.get(&epoch))?;
-        Some(epoch_key(&secret.sm4, secret.salt.expose(), &domain, &self.address, epoch))
+        Some(secret.key.clone())
     }
 
     /// Numbers of the epochs in the keyring, oldest first.
@@ -172,8 +203,7 @@ impl Owner {
             let has_it = |network: &NetworkKeys| network.epochs.contains_key(&epoch);
             if !keyring.keys().networks.get(&domain).is_some_and(has_it) {
                 keyring.change(|keys| {
-                    let secret =
-                        EpochSecret { salt: EpochSalt::generate()?, sm4: keys.sm4.clone(), state: EpochState::Pending };
+                    let secret = EpochSecret::begin(&keys.sm4, &domain, &self.address, epoch)?;
                     keys.networks.entry(domain).or_default().epochs.insert(epoch, secret);
                     Ok(())
                 })?;
@@ -213,6 +243,28 @@ impl Owner {
         let keyring = self.keyring();
         let network = keyring.keys().networks.get(&domain);
         network.is_some_and(|network| network.epochs.values().any(|secret| matches!(secret.state, EpochState::Active)))
+    }
+
+    /// Saves keys of epochs that the chain returned, over any other of the same epochs, and IK if one came with them.
+    ///
+    /// # Errors
+    /// Errors of saving the keyring; nothing is changed then.
+    pub fn adopt(
+        &self,
+        domain: Domain,
+        epochs: Vec<(u64, EpochKey)>,
+        index: Option<IndexKey>,
+    ) -> Result<(), CryptoError> {
+        self.keyring().change(|keys| {
+            let network = keys.networks.entry(domain).or_default();
+            for (epoch, key) in epochs {
+                network.epochs.insert(epoch, EpochSecret { key, state: EpochState::Active });
+            }
+            if let Some(index) = index {
+                keys.index = index;
+            }
+            Ok(())
+        })
     }
 
     /// The chain has this epoch: records that in the keyring.

@@ -1,6 +1,7 @@
 //! Reading: who may, with which key, and the results of the checks. The vault's bytes are compared with the chain
 //! before anything else, and nothing is shown before the last check.
 
+mod definitions;
 mod granted;
 mod own;
 
@@ -12,16 +13,13 @@ use crate::crypto::{
     Anchor, CryptoError, Expected, GrantedKeys, IndexKey, Names, OpenedRecord, TopicKey, WrappedKeys, check,
     check_deleted, open, topic_key, unwrap,
 };
-use crate::model::{Address, Digest, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
-use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
+use crate::model::{Address, Digest, GrantTerms, Header, RecordState, TopicId, Verdict};
+use crate::store::{KeptEnvelope, RecordRow, Retained};
 
 use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
 use super::directory::{Granted, kept};
 use super::retention::erasing::is_stated;
 use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
-
-/// The most definition records examined for one message.
-const MOST_DEFINITIONS: usize = 200;
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
@@ -247,34 +245,6 @@ impl Reader<'_> {
         self.reader.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(digest, Arc::clone(&wrapped));
         Ok(wrapped)
     }
-
-    /// The text of the definition that an opened message names, from its owner's definition records, as its publisher
-    /// gave it.
-    ///
-    /// # Errors
-    /// Errors of the ledger. `None` if no readable record holds it.
-    pub async fn definition_text(
-        &self,
-        row: &RecordRow,
-        opened: &OpenedRecord,
-    ) -> Result<Option<String>, PipelineError> {
-        let query = RecordQuery {
-            owner: Some(row.owner),
-            topic_ids: Some(vec![row.topic_id]),
-            kind: Some(RecordKind::Definition),
-            limit: MOST_DEFINITIONS,
-            newest_first: true,
-            ..RecordQuery::default()
-        };
-        let page = block_in_place(|| self.plant.ledger.list(&query))?;
-        for candidate in page.rows.iter().filter(|candidate| candidate.epoch == row.epoch) {
-            let Ok(found) = self.open(candidate).await else { continue };
-            if Digest(self.plant.provider.sm3(&[&found.body])) == opened.head.definition {
-                return Ok(Some(String::from_utf8_lossy(&found.body).into_owned()));
-            }
-        }
-        Ok(None)
-    }
 }
 
 /// The first success; the first failure if there is none; `None` for an empty list.
@@ -283,21 +253,28 @@ fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) ->
     Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
 }
 
+impl Reader<'_> {
+    /// IK of an owner: the reader's own, or the one that a grant of all topics carries.
+    pub fn index_of(&self, owner: Address) -> Option<IndexKey> {
+        if owner == self.reader.address {
+            return Some(self.reader.index());
+        }
+        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return None };
+        let index = |wrapped: Arc<WrappedKeys>| match &wrapped.keys {
+            GrantedKeys::All { index_key, .. } => Some(index_key.clone()),
+            GrantedKeys::Topics { .. } => None,
+        };
+        self.envelopes(&grant).unwrap_or_default().into_iter().find_map(index)
+    }
+}
+
 impl columns::Keys for Reader<'_> {
     fn opening(&self, header: &Header) -> Option<(TopicKey, Names)> {
         self.opening_of(header.owner, header.epoch, header.topic_id).ok()
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
-        if row.owner == self.reader.address {
-            return Some(self.reader.index());
-        }
-        let Ok(ReadingRight::Granted(grant)) = self.right(row.owner, None) else { return None };
-        let index = |wrapped: Arc<WrappedKeys>| match &wrapped.keys {
-            GrantedKeys::All { index_key, .. } => Some(index_key.clone()),
-            GrantedKeys::Topics { .. } => None,
-        };
-        self.envelopes(&grant).unwrap_or_default().into_iter().find_map(index)
+        self.index_of(row.owner)
     }
 }
 

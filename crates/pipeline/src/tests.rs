@@ -2,6 +2,7 @@
 
 mod asking;
 mod chain_proofs;
+mod definitions;
 mod erased;
 mod flipped;
 mod keeping;
@@ -68,7 +69,7 @@ impl Line {
         let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));
-        let call = Call::Register { identity: identity.expect("proven") };
+        let call = Call::Register { identity: identity.expect("proven"), envelope: Vec::new() };
         sender.send(&network.chain, &owner.eoa(), call, "register").await.expect("registered");
         let line = Self { plant, network, sender, owner, _home: home };
         line.watch().await;

@@ -2,14 +2,15 @@
 
 use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::Path;
 
 use super::command::SecretText;
 use super::failure::{input, refused};
 use super::reply::{BackupView, Failure};
-use crate::crypto::Passphrase;
 use crate::crypto::sealed_stream::SealedReader;
+use crate::crypto::unfinished::{self, UnfinishedFolder};
+use crate::crypto::{Passphrase, fault};
 use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
 use crate::store::{archive, note_restored, snapshot};
@@ -29,12 +30,10 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     let opened = File::open(file).map_err(|error| unread(file, &error))?;
     let mut sealed =
         SealedReader::open(io::BufReader::new(opened), &passphrase).map_err(|error| unread(file, &error))?;
-    let folder = tempfile::Builder::new()
-        .prefix(".restoring-")
-        .permissions(fs::Permissions::from_mode(0o700))
-        .tempdir_in(parent)
-        .map_err(|error| unmade(parent, &error))?;
+    unfinished::sweep(parent).map_err(|error| unmade(parent, &error))?;
+    let folder = UnfinishedFolder::new(parent).map_err(|error| unmade(parent, &error))?;
     let unpacked = archive::unpack(&mut sealed, folder.path()).map_err(|error| unread(file, &error))?;
+    fault::point("restore-unpacked");
     let copied = Home::new(folder.path().to_owned());
     if !copied.ledger().exists() {
         return Err(Failure::new(
@@ -103,7 +102,7 @@ fn move_to(from: &Path, place: &Path) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::CrossesDevices => {}
         done => return done,
     }
-    let folder = tempfile::Builder::new().prefix(".restoring-").tempdir_in(parent)?;
+    let folder = UnfinishedFolder::new(parent)?;
     let copy = folder.path().join("copy");
     copy_all(from, &copy)?;
     fs::rename(&copy, place)?;

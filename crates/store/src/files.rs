@@ -2,12 +2,13 @@
 //!
 //! Directories get mode 0700, files 0600. The content of the files is up to other modules.
 
-use std::fs::{self, DirBuilder, File, OpenOptions, Permissions, TryLockError};
+use std::fs::{self, DirBuilder, File, OpenOptions, TryLockError};
 use std::io::Write as _;
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _, PermissionsExt as _};
 use std::path::Path;
 
 use super::StoreError;
+use crate::crypto::unfinished;
 
 const PRIVATE_DIRECTORY: u32 = 0o700;
 const PRIVATE_FILE: u32 = 0o600;
@@ -93,8 +94,7 @@ pub fn atomic_write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
 }
 
 fn replace(directory: &Path, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let permissions = Permissions::from_mode(PRIVATE_FILE);
-    let mut file = tempfile::Builder::new().prefix(".new-").permissions(permissions).tempfile_in(directory)?;
+    let mut file = unfinished::new_file(directory)?;
     file.write_all(bytes)?;
     file.as_file().sync_all()?;
     file.persist(path).map_err(|error| error.error)?;
@@ -149,6 +149,8 @@ impl ConsoleLock {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::Permissions;
+
     use super::*;
     use crate::model::ErrorKind;
 

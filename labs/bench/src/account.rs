@@ -81,7 +81,7 @@ impl Account {
     pub fn registration(&self) -> Result<Call, Failure> {
         let envelope = &self.envelope.public;
         let identity = prove(self.provider, &self.domain, &self.address, &self.signing, envelope, self.token)?;
-        Ok(Call::Register { identity })
+        Ok(Call::Register { identity, envelope: Vec::new() })
     }
 
     /// Starts its lane at the nonce that the chain expects next.

@@ -62,20 +62,12 @@ impl Mission {
         add("SM4 key", keys.sm4.expose());
         add("index key", keys.index.expose());
         for network in keys.networks.values() {
-            for (epoch, secret) in &network.epochs {
-                add("epoch salt", secret.salt.expose());
-                let key = crate::crypto::epoch_key(
-                    &secret.sm4,
-                    secret.salt.expose(),
-                    &self.network.domain,
-                    &owner.address,
-                    *epoch,
-                );
-                add("epoch key", key.expose());
+            for secret in network.epochs.values() {
+                add("epoch key", secret.key.expose());
                 for topic in &self.topics {
                     // Not by the owner: the keyring is in use here.
                     let id = crate::crypto::topic_id(&keys.index, topic.as_str());
-                    add("topic key", topic_key(&key, &id).expose());
+                    add("topic key", topic_key(&secret.key, &id).expose());
                 }
             }
         }

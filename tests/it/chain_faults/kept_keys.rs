@@ -6,7 +6,7 @@ use authros::crypto::{
     Anchor, EpochKey, Expected, GrantedKeys, Keyring, Names, Passphrase, Provider, ProviderName, domain, open,
     provider, topic_key, unwrap,
 };
-use authros::model::{Domain, GrantTerms, Identity, ProfileName, RecordKind, Timestamp};
+use authros::model::{Domain, GrantTerms, Identity, ProfileName, RecordKind, Scope, Timestamp};
 use authros::store::{Ledger, RecordQuery, RecordRow, Vault, open_vault};
 
 use super::NO_NODE;
@@ -103,6 +103,15 @@ async fn keep_everything(home: &Home, node: Option<&Anvil>) -> Kept {
     for at in &events {
         let (terms, envelope) = match &at.event {
             Event::Granted { terms, envelope } => (terms.clone(), envelope),
+            // What others keep for themselves is on the chain for everybody to try.
+            Event::Wrapped { owner: keeper, grantee, epoch, envelope } if keeper == grantee => {
+                let (owner, grantee, scope) = (*keeper, *grantee, Scope::All);
+                let own = GrantTerms { owner, grantee, epoch: *epoch, expiry: None, scope };
+                let signer = if *keeper == alice.address { alice.signing } else { bob.signing.public };
+                let opened = unwrap(provider, &domain, envelope, &own, &signer, &bob.envelope.secret);
+                assert_eq!(opened.is_ok(), *keeper == bob.eoa.address(), "only its owner opens it");
+                continue;
+            }
             Event::Wrapped { grantee, epoch, envelope, .. } if *grantee == bob.eoa.address() => {
                 (GrantTerms { epoch: *epoch, ..last.clone().expect("a grant before") }, envelope)
             }

@@ -55,7 +55,7 @@ fn a_back_up_under_load_becomes_a_home_that_goes_on() {
         !fs::read_dir(home.path())
             .expect("there")
             .flatten()
-            .any(|entry| entry.file_name().to_string_lossy().starts_with(".back-up"))
+            .any(|entry| entry.file_name().to_string_lossy().starts_with(".authros-new-"))
     );
 
     let restored = other.authros().with(&["--robots", "2"]);

@@ -12,6 +12,7 @@ use crate::support;
 mod audit;
 mod backup;
 mod doctor;
+mod killed_backup;
 mod verify;
 
 use std::fs;

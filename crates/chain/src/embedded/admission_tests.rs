@@ -38,12 +38,14 @@ fn the_contract_fits() {
     let owner = Address([0xa0; 20]);
     let people: Vec<Address> = (1..=32).map(|number| Address([number; 20])).collect();
     for who in people.iter().chain([&owner]) {
-        world.send(*who, &Call::Register { identity: identity(Token([who.0[0]; 32])) }).expect("registers");
+        world
+            .send(*who, &Call::Register { identity: identity(Token([who.0[0]; 32])), envelope: Vec::new() })
+            .expect("registers");
     }
     for grantee in &people {
         world.send(owner, &grant(*grantee, 1, None)).expect("grants");
     }
-    world.send(owner, &Call::Rotate { new_token: Token([0xf0; 32]) }).expect("rotates");
+    world.send(owner, &Call::Rotate { new_token: Token([0xf0; 32]), envelope: Vec::new() }).expect("rotates");
     let envelopes = people.iter().map(|grantee| (*grantee, vec![0xff; 3_800])).collect();
     world.send(owner, &Call::Wrap { epoch: 2, envelopes }).expect("wraps");
     assert!(world.gas < TRANSACTION_GAS * 4 / 5, "32 envelopes: {}", world.gas);

@@ -48,7 +48,7 @@ fn grown(directory: &Path, blocks: u64) {
     writer.block(None, artefact().expect("artefact").creation(true, 86_400).expect("code"));
     let (signing, envelope) = (PublicKey([1; 64]), PublicKey([2; 64]));
     let identity = Identity { token: Token([1; 32]), signing, envelope, proof: Signature([3; 64]) };
-    writer.block(Some(contract), Call::Register { identity }.encode().expect("encodes"));
+    writer.block(Some(contract), Call::Register { identity, envelope: Vec::new() }.encode().expect("encodes"));
     let root = |number: u64| {
         let mut root = [1; 32];
         root[..8].copy_from_slice(&number.to_be_bytes());

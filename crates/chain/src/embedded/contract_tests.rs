@@ -88,7 +88,7 @@ pub(super) fn grant(grantee: Address, epoch: u64, expiry: Option<u64>) -> Call {
 }
 
 fn revoke(grantee: Address, new_token: Token) -> Call {
-    Call::AuthorityRevoke { grantee, new_token }
+    Call::AuthorityRevoke { grantee, new_token, envelope: Vec::new() }
 }
 
 fn wrap(epoch: u64, grantees: &[Address]) -> Call {
@@ -116,7 +116,9 @@ impl World {
     fn peopled() -> Self {
         let mut world = Self::new(true);
         for (who, number) in [(A, 0xa1), (B, 0xb1), (C, 0xc1)] {
-            world.send(who, &Call::Register { identity: identity(token(number)) }).expect("registers");
+            world
+                .send(who, &Call::Register { identity: identity(token(number)), envelope: Vec::new() })
+                .expect("registers");
         }
         world
     }
@@ -196,11 +198,11 @@ impl World {
 #[test]
 fn an_account_registers_once_with_a_whole_identity() {
     let mut world = World::new(true);
-    let call = Call::Register { identity: identity(token(1)) };
+    let call = Call::Register { identity: identity(token(1)), envelope: Vec::new() };
     let event = world.send(A, &call).expect("registers");
     assert_eq!(event, Event::Registered { owner: A, identity: identity(token(1)), epoch: 1 });
     world.refused(A, &call, "registered");
-    world.refused(B, &Call::Register { identity: identity(token(0)) }, "empty");
+    world.refused(B, &Call::Register { identity: identity(token(0)), envelope: Vec::new() }, "empty");
     world.send(B, &call).expect("tokens are per owner: nobody can take another's first");
     for length in [0, 223, 225] {
         let refused = world.raw(C, "register", &[AbiToken::Bytes(vec![1; length])]);
@@ -258,7 +260,7 @@ fn a_grant_expires() {
     assert!(world.query(B, token(0xa1), A).0);
     world.place.timestamp = 1_010;
     assert!(!world.query(B, token(0xa1), A).0);
-    world.send(A, &Call::Rotate { new_token: token(0xa2) }).expect("rotates");
+    world.send(A, &Call::Rotate { new_token: token(0xa2), envelope: Vec::new() }).expect("rotates");
     world.refused(A, &wrap(2, &[B]), "no grant");
     world.send(A, &revoke(B, token(0xa3))).expect("an expired grant can be revoked");
 }
@@ -267,9 +269,9 @@ fn a_grant_expires() {
 fn keys_rotate_within_the_epoch() {
     let mut world = World::peopled();
     let new = Identity { signing: PublicKey([7; 64]), ..identity(token(0xa1)) };
-    let event = world.send(A, &Call::RotateKeys { identity: new }).expect("rotates keys");
-    assert_eq!(event, Event::KeysRotated { owner: A, keys: 2, identity: new });
-    world.refused(A, &Call::RotateKeys { identity: identity(token(0xa2)) }, "token unknown");
+    let event = world.send(A, &Call::RotateKeys { identity: new, envelope: Vec::new() }).expect("rotates keys");
+    assert_eq!(event, Event::KeysRotated { owner: A, keys: 2, identity: new, envelope: Vec::new() });
+    world.refused(A, &Call::RotateKeys { identity: identity(token(0xa2)), envelope: Vec::new() }, "token unknown");
     let values = world.view(B, "accountOf", &[address(A)]);
     assert_eq!(values[0], AbiToken::Bytes(new.encode()));
     assert_eq!(values[1], AbiToken::Uint(1.into()));
@@ -294,7 +296,7 @@ fn pause_and_suspension_stop_all_but_what_takes_rights_away() {
             wrap(1, &[B]),
             anchor(1, 0),
             Call::Lend { device: SignerId([2; 32]), until: None },
-            Call::RotateKeys { identity: identity(token(0xa1)) },
+            Call::RotateKeys { identity: identity(token(0xa1)), envelope: Vec::new() },
             Call::Extend { grantee: B, expiry: None },
             Call::NameRecovery { recovery: Some(C) },
         ] {
@@ -302,7 +304,7 @@ fn pause_and_suspension_stop_all_but_what_takes_rights_away() {
         }
         assert!(world.query(B, token(0xa1), A).0 && world.query(A, token(0xa1), A).0, "reads go on");
         world.send(A, &Call::Recall { device: SignerId([1; 32]) }).expect("recalls");
-        world.send(A, &Call::Rotate { new_token: token(0xa2) }).expect("rotates");
+        world.send(A, &Call::Rotate { new_token: token(0xa2), envelope: Vec::new() }).expect("rotates");
         world.send(A, &revoke(B, token(0xa3))).expect("revokes");
         world.send(ADMIN, &go).expect("goes on");
         world.refused(ADMIN, &go, "unchanged");
@@ -313,7 +315,7 @@ fn pause_and_suspension_stop_all_but_what_takes_rights_away() {
 #[test]
 fn closed_registration_takes_whom_the_administrator_admits() {
     let mut world = World::new(false);
-    let call = Call::Register { identity: identity(token(1)) };
+    let call = Call::Register { identity: identity(token(1)), envelope: Vec::new() };
     world.refused(A, &call, "closed");
     world.send(ADMIN, &Call::Admit { account: A }).expect("admits");
     world.refused(ADMIN, &Call::Admit { account: A }, "unchanged");

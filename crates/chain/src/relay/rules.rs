@@ -20,8 +20,10 @@ const MOST_BLOCKS: u64 = 10_000;
 const LONGEST_DATA: usize = LONGEST_RAW;
 /// The most slots of one proof.
 const MOST_SLOTS: usize = 64;
-/// A registration's call data: selector, offset, length, identity.
-const REGISTRATION: usize = 4 + 2 * 32 + Identity::LENGTH;
+/// Where a registration's call data has its identity: after the selector, two offsets and a length.
+const IDENTITY_AT: usize = 4 + 3 * 32;
+/// Where its envelope begins: after the identity and a length.
+const ENVELOPE_AT: usize = IDENTITY_AT + Identity::LENGTH + 32;
 
 /// The caller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,13 +152,15 @@ fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
 }
 
 /// The identity that this call data registers, if that is exactly what it does.
-fn registration(data: &[u8]) -> Option<Box<Identity>> {
-    let padded = REGISTRATION.next_multiple_of(32) + 4;
-    if data.len() < REGISTRATION || data.len() > padded {
+pub(crate) fn registration(data: &[u8]) -> Option<Box<Identity>> {
+    if data.len() > LONGEST_DATA {
         return None;
     }
-    let identity = Identity::parse(data.get(4 + 64..REGISTRATION)?).ok()?;
-    let call = Call::Register { identity }.encode().ok()?;
+    let identity = Identity::parse(data.get(IDENTITY_AT..IDENTITY_AT + Identity::LENGTH)?).ok()?;
+    let length = u32::from_be_bytes(data.get(ENVELOPE_AT - 4..ENVELOPE_AT)?.try_into().ok()?);
+    let envelope = data.get(ENVELOPE_AT..)?.get(..usize::try_from(length).ok()?)?.to_vec();
+    // What differs anywhere else is no registration.
+    let call = Call::Register { identity, envelope }.encode().ok()?;
     (call == data).then(|| Box::new(identity))
 }
 

@@ -27,7 +27,7 @@ mod body;
 const MAGIC: [u8; 8] = *b"\x89AuthKey";
 const VERSION: u8 = 1;
 const LABEL: &str = "AuthROS/keyring/1";
-/// The largest keyring accepted, bytes: about 290,000 epochs.
+/// The largest keyring accepted, bytes: about 400,000 epochs.
 const LARGEST: usize = 16 * 1024 * 1024;
 /// Length of the header, bytes.
 const HEADER: usize = 266;

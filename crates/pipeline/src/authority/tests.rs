@@ -67,7 +67,7 @@ fn an_owner_signs_from_registration_on_and_by_the_key_of_that_block() {
     let first = told.register(10, OWNER);
     let (second, unproven) = (pair(), pair());
     let rotated = identity(&second, OWNER);
-    told.tell(20, Event::KeysRotated { owner: OWNER, keys: 2, identity: rotated });
+    told.tell(20, Event::KeysRotated { owner: OWNER, keys: 2, identity: rotated, envelope: Vec::new() });
     assert!(matches!(told.sign(first, 9, 0), Err(NoRight::Unregistered { .. })));
     assert!(matches!(told.sign(first, 10, 0), Ok(SigningRight::Owner(_))));
     assert!(matches!(told.sign(first, 19, 0), Ok(SigningRight::Owner(_))));
@@ -75,7 +75,7 @@ fn an_owner_signs_from_registration_on_and_by_the_key_of_that_block() {
     assert_eq!(told.sign(signer_id(&second.public), 20, 0), Ok(SigningRight::Owner(second.public)));
     assert!(matches!(told.sign(signer_id(&second.public), 19, 0), Err(NoRight::Unknown { .. })));
     let stolen = identity(&unproven, READER);
-    told.tell(30, Event::KeysRotated { owner: OWNER, keys: 3, identity: stolen });
+    told.tell(30, Event::KeysRotated { owner: OWNER, keys: 3, identity: stolen, envelope: Vec::new() });
     assert_eq!(told.sign(signer_id(&unproven.public), 30, 0), Err(NoRight::Unproven { owner: OWNER }));
 }
 

@@ -38,11 +38,16 @@ impl Told {
     pub fn to_row(&self) -> RightEvent {
         let mut event = self.event.clone();
         let envelope = match &mut event {
-            Event::Granted { envelope, .. } | Event::Wrapped { envelope, .. } => Some(std::mem::take(envelope)),
+            Event::Granted { envelope, .. } | Event::Wrapped { envelope, .. } | Event::KeysRotated { envelope, .. } => {
+                Some(std::mem::take(envelope))
+            }
             _ => None,
         };
         let (kind, grantee, epoch, token) = match &event {
             Event::Granted { terms, .. } => (RightKind::Grant, Some(terms.grantee), Some(terms.epoch), None),
+            Event::Wrapped { owner, grantee, epoch, .. } if owner == grantee => {
+                (RightKind::Own, None, Some(*epoch), None)
+            }
             Event::Wrapped { grantee, epoch, .. } => (RightKind::Envelope, Some(*grantee), Some(*epoch), None),
             Event::Extended { grantee, .. } => (RightKind::Extension, Some(*grantee), None, None),
             Event::Revoked { grantee, epoch, token, .. } => {
@@ -61,7 +66,9 @@ impl Told {
     /// Whether this is what was stored of an event on the chain.
     pub(crate) fn is_of(&self, at: &EventAt) -> bool {
         let mut event = at.event.clone();
-        if let Event::Granted { envelope, .. } | Event::Wrapped { envelope, .. } = &mut event {
+        if let Event::Granted { envelope, .. } | Event::Wrapped { envelope, .. } | Event::KeysRotated { envelope, .. } =
+            &mut event
+        {
             envelope.clear();
         }
         self.transaction == at.transaction && self.event == event
@@ -157,6 +164,22 @@ pub fn envelopes(ledger: &Ledger, grant: &Granted) -> Result<Vec<KeptEnvelope>, 
         }
     }
     Ok(epochs.into_values().rev().flat_map(|known| known.into_iter().rev()).collect())
+}
+
+/// The identities that an account rotated to, with the envelope that hands each over to the keys before it, in the
+/// chain's order.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn handed_over(ledger: &Ledger, account: Address) -> Result<Vec<(Identity, Vec<u8>)>, StoreError> {
+    let mut found = Vec::new();
+    for told in ledger.other_rights(account)?.iter().filter_map(Told::from_row) {
+        let Event::KeysRotated { identity, .. } = &told.event else { continue };
+        if let Some(envelope) = ledger.envelope_at(told.block, told.place)? {
+            found.push((*identity, envelope));
+        }
+    }
+    Ok(found)
 }
 
 /// The token that an account registered for an epoch.

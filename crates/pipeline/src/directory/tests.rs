@@ -171,7 +171,7 @@ impl Story {
                 let signing = PublicKey([u8::try_from(self.made % 250).expect("small"); 64]);
                 let token = self.token();
                 let identity = Identity { token, signing, envelope: signing, proof: Signature([1; 64]) };
-                Event::KeysRotated { owner: address(*owner), keys: 2, identity }
+                Event::KeysRotated { owner: address(*owner), keys: 2, identity, envelope: Vec::new() }
             }
             Act::Lend(owner, number) => Event::Lent { owner: address(*owner), device: device(number), until: None },
             Act::Recall(owner, number) => Event::Recalled { owner: address(*owner), device: device(number) },

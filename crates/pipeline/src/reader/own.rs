@@ -1,12 +1,11 @@
 //! The contents of a reader's own records, whether or not a chain confirms them, for an import to compare with or to seal
 //! anew.
 
-use super::{MOST_DEFINITIONS, Reader};
-use crate::crypto::sm3::sm3;
+use super::Reader;
 use crate::crypto::{Anchor, Expected, Names, OpenedRecord, open, signer_id};
-use crate::model::{PublicKey, RecordKind, SignerId};
+use crate::model::{PublicKey, SignerId};
 use crate::pipeline::PipelineError;
-use crate::store::{RecordQuery, RecordRow};
+use crate::store::RecordRow;
 
 impl Reader<'_> {
     /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for ledger and vault.
@@ -63,28 +62,5 @@ impl Reader<'_> {
     pub fn is_own_key(&self, signer: SignerId) -> bool {
         signer_id(&self.reader.signing().public) == signer
             || self.registered_keys().iter().any(|key| signer_id(key) == signer)
-    }
-
-    /// The definition that an opened own message names; `None` if no record that opens holds it. Waits for ledger and
-    /// vault.
-    ///
-    /// # Errors
-    /// Errors of ledger and vault.
-    pub fn own_definition(&self, row: &RecordRow, opened: &OpenedRecord) -> Result<Option<String>, PipelineError> {
-        let query = RecordQuery {
-            owner: Some(row.owner),
-            topic_ids: Some(vec![row.topic_id]),
-            kind: Some(RecordKind::Definition),
-            limit: MOST_DEFINITIONS,
-            newest_first: true,
-            ..RecordQuery::default()
-        };
-        for candidate in self.plant.ledger.list(&query)?.rows {
-            let Some(found) = self.own_contents(&candidate)? else { continue };
-            if sm3(&[&found.body]) == opened.head.definition.0 {
-                return Ok(Some(String::from_utf8_lossy(&found.body).into_owned()));
-            }
-        }
-        Ok(None)
     }
 }

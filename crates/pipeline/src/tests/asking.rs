@@ -20,7 +20,7 @@ impl Line {
         let (signing, envelope) = (self.owner.signing(), self.owner.envelope().public);
         let identity =
             prove(self.plant.provider, &self.network.domain, &reader.address(), &signing, &envelope, Token([2; 32]));
-        let call = Call::Register { identity: identity.expect("proven") };
+        let call = Call::Register { identity: identity.expect("proven"), envelope: Vec::new() };
         self.sender.send(&self.network.chain, &reader, call, "register").await.expect("mined");
         reader.address()
     }
@@ -52,7 +52,7 @@ async fn the_contract_answers_as_its_events_say() {
     assert_eq!(line.asked(line.owner.address, 2).await.expect("read"), None, "no token of that epoch yet");
     assert_eq!(line.answer(STRANGER, 1).await, (false, 1, 0));
 
-    line.send(Call::Rotate { new_token: Token([3; 32]) }).await;
+    line.send(Call::Rotate { new_token: Token([3; 32]), envelope: Vec::new() }).await;
     line.send(Line::grant(reader, 2)).await;
     line.watch().await;
     assert_eq!(line.answer(reader, 2).await, (true, 2, 2));
@@ -80,7 +80,7 @@ async fn an_answer_that_the_events_contradict_is_refused_in_words() {
     refused("lets").await;
     line.watch().await;
     assert_eq!(line.answer(reader, 1).await, (true, 1, 0));
-    line.send(Call::AuthorityRevoke { grantee: reader, new_token: Token([3; 32]) }).await;
+    line.send(Call::AuthorityRevoke { grantee: reader, new_token: Token([3; 32]), envelope: Vec::new() }).await;
     refused("does not let").await;
     line.watch().await;
     assert_eq!(line.answer(reader, 1).await, (false, 1, 0));

@@ -96,6 +96,18 @@ pub(super) fn sealed_elsewhere(
     owner: &Owner,
     seq: u64,
     filters: Vec<FilterId>,
+    contents: (&Head, &[u8]),
+    wrong: Option<&TopicKey>,
+) -> SealedRecord {
+    sealed_as(RecordKind::Data, owner, seq, filters, contents, wrong)
+}
+
+/// The same of this kind.
+pub(super) fn sealed_as(
+    kind: RecordKind,
+    owner: &Owner,
+    seq: u64,
+    filters: Vec<FilterId>,
     (head, body): (&Head, &[u8]),
     wrong: Option<&TopicKey>,
 ) -> SealedRecord {
@@ -110,7 +122,7 @@ pub(super) fn sealed_elsewhere(
         recorder: RecorderPrefix::ledger([9; 7]),
         seq,
         topic_id: topic.id,
-        kind: RecordKind::Data,
+        kind,
         filters,
         captured_at: Timestamp(seq),
         head,

@@ -161,7 +161,7 @@ async fn a_right_that_ended_does_not_come_back_while_the_chain_is_read_again() {
     lend(&chain, &own, 1).await;
     watch_round(&process.plant, &process.network).await.expect("reads");
     lag.logs.store(0, SeqCst);
-    let revoke = Call::AuthorityRevoke { grantee: reader.address(), new_token: Token([9; 32]) };
+    let revoke = Call::AuthorityRevoke { grantee: reader.address(), new_token: Token([9; 32]), envelope: Vec::new() };
     by_hand(&chain, &own, &revoke).await;
     watch_round(&process.plant, &process.network).await.expect("reads");
     let directory = Arc::clone(&process.network.directory);

@@ -90,6 +90,7 @@ use super::event::Event;
 use super::failure::internal;
 use super::reply::Failure;
 use crate::config::Config;
+use crate::crypto::unfinished;
 use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::recorder::CapturedMessage;
@@ -178,6 +179,16 @@ impl Drop for Guest {
     }
 }
 
+/// Removes what processes that were killed left unfinished in the home: copies of a backup, of which no erasure knows,
+/// and files that were to replace others.
+fn sweep(home: &Home) {
+    unfinished::sweep_below(home.root());
+    for (_, place) in home.outside() {
+        let folder = if place.is_dir() { Some(place) } else { place.parent() };
+        drop(folder.map(unfinished::sweep));
+    }
+}
+
 impl Site {
     /// Opens ledger and vault and starts the parts needed.
     ///
@@ -186,6 +197,7 @@ impl Site {
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
+        sweep(&home);
         let (parts, opened, copied) = Parts::open(home, config, needs.chain)?;
         let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);
         let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);

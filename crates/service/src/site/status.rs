@@ -44,6 +44,7 @@ impl Site {
         health.extend(self.stamps.health()?);
         health.extend(self.chain_proofs.health()?);
         health.extend(self.account_health()?);
+        health.extend(self.sharing.missing_text().map(|text| part("keys", HealthLevel::Failed, &text)));
         health.extend(self.devices.untold_text().map(|text| part("robots", HealthLevel::Failed, &text)));
         Ok(health)
     }

@@ -23,6 +23,8 @@ pub enum RightKind {
     Epoch = 4,
     /// Anything else.
     Other = 5,
+    /// The key of an epoch, wrapped for its own owner. It is history from the start: only its owner ever reads it.
+    Own = 6,
 }
 
 /// An event to be stored.
@@ -271,6 +273,36 @@ impl Ledger {
         })
     }
 
+    /// The envelopes that an owner made for itself, from one epoch to another; in the chain's order.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn own_envelopes(&self, owner: Address, from: u64, to: u64) -> Result<Vec<KeptEnvelope>, StoreError> {
+        let (from, to) = (whole("epoch", from)?, whole("epoch", to)?);
+        self.read(|connection| {
+            let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
+                       JOIN envelopes e ON e.block = r.block AND e.place = r.place
+                       WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
+            let mut statement = connection.prepare_cached(sql)?;
+            let found = statement.query_map(params![owner.0, from, to], |row| {
+                Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
+            })?;
+            Ok(found.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// The envelope of one event.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn envelope_at(&self, block: u64, place: u64) -> Result<Option<Vec<u8>>, StoreError> {
+        let at = (whole("block", block)?, whole("place", place)?);
+        self.read(|connection| {
+            let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
+            Ok(connection.prepare_cached(sql)?.query_row([at.0, at.1], |row| row.get(0)).optional()?)
+        })
+    }
+
     /// The token that an owner registered for an epoch.
     ///
     /// # Errors
@@ -352,8 +384,8 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
     connection
         .prepare_cached(
-            "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+            "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
         )?
         .execute(params![
             block,
@@ -364,6 +396,7 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
             epoch,
             event.token.map(|token| token.0),
             event.event,
+            (event.kind == RightKind::Own).then_some(block),
         ])?;
     if let Some(envelope) = &event.envelope {
         connection

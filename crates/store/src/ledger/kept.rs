@@ -3,6 +3,7 @@
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::Ledger;
+use crate::model::bytes::hex;
 use crate::model::{Address, Digest, FilterId, ProfileName, PublicKey, SignerId, TopicId};
 use crate::store::StoreError;
 
@@ -160,6 +161,21 @@ impl Ledger {
                 .execute(params![owner.0, id, name])?;
             Ok(())
         })
+    }
+
+    /// The name of a topic of an owner, derived by who asks; nothing happens if the topic is not here, or has a name.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn name_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
+        let is_here = self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
+                 AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))",
+            )?;
+            Ok(statement.query_row(params![owner.0, topic.0], |row| row.get::<_, bool>(0))?)
+        })?;
+        if is_here { self.name(owner, hex(&topic.0), name) } else { Ok(()) }
     }
 
     /// Every name that a topic of an owner ever had here: captured, learnt or given; none of them is proven.

@@ -132,6 +132,7 @@ CREATE INDEX rights_standing ON rights (owner, kind, grantee) WHERE replaced IS 
 CREATE INDEX rights_given ON rights (owner, grantee) WHERE revoked IS NOT NULL;
 CREATE INDEX rights_received ON rights (grantee) WHERE revoked IS NOT NULL;
 CREATE INDEX rights_tokens ON rights (owner, epoch) WHERE token IS NOT NULL;
+CREATE INDEX rights_own ON rights (owner, epoch) WHERE kind = 6;
 
 -- The envelopes of grants and later events; read only by those who open them.
 CREATE TABLE envelopes (

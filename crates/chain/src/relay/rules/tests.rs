@@ -67,7 +67,7 @@ fn a_transaction_goes_to_the_contract_or_nowhere() {
 
 #[test]
 fn a_registration_is_told_from_every_other_call() {
-    let data = Call::Register { identity: identity() }.encode().expect("encodes");
+    let data = Call::Register { identity: identity(), envelope: vec![5; 363] }.encode().expect("encodes");
     let registers =
         |data: &[u8]| match ask(Asker::Visitor, "eth_sendRawTransaction", &signed(Some(CONTRACT), 500_000, 0, 7, data))
         {
@@ -75,7 +75,11 @@ fn a_registration_is_told_from_every_other_call() {
             other => panic!("{other:?}"),
         };
     assert_eq!(registers(&data), Some(Box::new(identity())));
-    let rotation = Call::RotateKeys { identity: identity() }.encode().expect("encodes");
+    for length in [0, 1, 32, 4_096] {
+        let with = Call::Register { identity: identity(), envelope: vec![6; length] }.encode().expect("encodes");
+        assert_eq!(registers(&with), Some(Box::new(identity())), "an envelope of {length} bytes");
+    }
+    let rotation = Call::RotateKeys { identity: identity(), envelope: Vec::new() }.encode().expect("encodes");
     let (longer, shorter) = ([&data[..], &[0]].concat(), &data[..data.len() - 1]);
     for other in [&rotation[..], &longer, shorter, &[], &data[..4]] {
         assert_eq!(registers(other), None);

@@ -1,5 +1,5 @@
 //! The sealed part of a keyring file: EOA (32), d_C (32), d_E (32), K_C (16), IK (32), then a counted list of networks
-//! (domain, current epoch, counted epochs of number, salt, K_C and state), then the number of further pairs (4) and for
+//! (domain, current epoch, counted epochs of number, EK and state), then the number of further pairs (4) and for
 //! each its use (1: former d_E, 2: next d_C, 3: next d_E, 4: gateway) and its secret (32), ordered by use.
 
 use std::collections::BTreeMap;
@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use zeroize::Zeroizing;
 
 use crate::crypto::keyring::{EpochSecret, EpochState, FurtherPairs, Keyring, NetworkKeys};
-use crate::crypto::{EoaSecret, EpochSalt, IndexKey, ProviderName, Sm4Key, SmKeyPair, SmSecret, provider};
+use crate::crypto::{EoaSecret, EpochKey, IndexKey, ProviderName, Sm4Key, SmKeyPair, SmSecret, provider};
 use crate::model::Domain;
 use crate::model::wire::{Reader, WireError};
 
@@ -22,7 +22,7 @@ pub(super) fn encode(keyring: &Keyring) -> Zeroizing<Vec<u8>> {
     let epochs: usize = keyring.networks.values().map(|network| network.epochs.len()).sum();
     // Reserved in one piece, tag included: growing the buffer would leave unwiped copies behind.
     let further = further(keyring);
-    let length = 256 + keyring.networks.len() * 44 + epochs * 57 + further.len() * 33;
+    let length = 256 + keyring.networks.len() * 44 + epochs * 41 + further.len() * 33;
     let mut out = Zeroizing::new(Vec::with_capacity(length));
     out.extend_from_slice(keyring.eoa.expose());
     out.extend_from_slice(keyring.signing.secret.expose());
@@ -36,8 +36,7 @@ pub(super) fn encode(keyring: &Keyring) -> Zeroizing<Vec<u8>> {
         put_count(&mut out, network.epochs.len());
         for (epoch, secret) in &network.epochs {
             out.extend_from_slice(&epoch.to_be_bytes());
-            out.extend_from_slice(secret.salt.expose());
-            out.extend_from_slice(secret.sm4.expose());
+            out.extend_from_slice(secret.key.expose());
             out.push(if secret.state == EpochState::Active { ACTIVE } else { PENDING });
         }
     }
@@ -118,8 +117,7 @@ fn read_network(reader: &mut Reader<'_>) -> Result<NetworkKeys, WireError> {
 
 fn read_epoch(reader: &mut Reader<'_>) -> Result<EpochSecret, WireError> {
     Ok(EpochSecret {
-        salt: EpochSalt::new(reader.array("epoch salt")?),
-        sm4: Sm4Key::new(reader.array("SM4 key")?),
+        key: EpochKey::new(reader.array("epoch key")?),
         state: match reader.u8("epoch state")? {
             PENDING => EpochState::Pending,
             ACTIVE => EpochState::Active,

@@ -13,7 +13,6 @@ use crate::site::progress::{Run, Runs};
 use crate::site::quarantine::Quarantine;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -22,7 +21,9 @@ use tokio::runtime::Handle;
 use super::blocking;
 use crate::chain::Chain;
 use crate::crypto::Passphrase;
+use crate::crypto::fault;
 use crate::crypto::sealed_stream::SealedWriter;
+use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::model::{ErrorKind, ProfileName, clean};
 use crate::service::command::SecretText;
 use crate::service::failure::input;
@@ -37,7 +38,7 @@ const CHAIN: &str = "chain/chain.db";
 /// The folder of a robot's ring, of which files fall out at any time.
 const RING: &str = "ring/";
 /// Files that belong to the running process, or are recreated: by the beginning of the name.
-const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", ".new-", ".back-up-"];
+const LEFT_OUT: [&str; 4] = ["backup.lock", "backup.sock", "reserve", unfinished::PREFIX];
 
 /// Backups of a running home.
 pub(in crate::site) struct Backup {
@@ -90,11 +91,10 @@ impl Backup {
 
     /// The three databases as of one moment.
     fn moment(&self, runtime: &Handle) -> Result<Moment, Failure> {
-        let folder = tempfile::Builder::new()
-            .prefix(".back-up-")
-            .permissions(fs::Permissions::from_mode(0o700))
-            .tempdir_in(self.home.root())
-            .map_err(|error| unwritten(self.home.root(), &error))?;
+        let unwritten = |error| unwritten(self.home.root(), &error);
+        // The copies of a backup that was killed, which no erasure reaches.
+        unfinished::sweep(self.home.root()).map_err(unwritten)?;
+        let folder = UnfinishedFolder::new(self.home.root()).map_err(unwritten)?;
         let vault = self.home.vault().join("vault.db");
         let vault = (self.config.vault_url.is_none() && vault.exists()).then_some(vault);
         let (chain, runtime, copy) = (self.link.connected(), runtime.clone(), folder.path().join("chain.db"));
@@ -104,6 +104,7 @@ impl Backup {
             Ok((vault, copy_chain(chain, &runtime, &closed, copy)?))
         };
         let (ledger, (vault, chain)) = self.plant.ledger.snapshot_with(also)?;
+        fault::point("backup-moment");
         Ok(Moment { folder, ledger, vault, chain })
     }
 
@@ -119,11 +120,8 @@ impl Backup {
     fn pack(&self, moment: &Moment, file: &Path, passphrase: &Passphrase, run: &Run) -> Result<BackupView, Failure> {
         let directory = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let failed = |error: io::Error| unwritten(file, &error);
-        let target = tempfile::Builder::new()
-            .prefix(".new-")
-            .permissions(fs::Permissions::from_mode(0o600))
-            .tempfile_in(directory)
-            .map_err(failed)?;
+        unfinished::sweep(directory).map_err(failed)?;
+        let target = unfinished::new_file(directory).map_err(failed)?;
         let mut view = BackupView {
             file: clean(&file.display().to_string(), 200),
             files: 0,
@@ -138,6 +136,7 @@ impl Backup {
             let Some(snapshot) = snapshot else { continue };
             run.step("copying into");
             snapshot.copy_to(&copy)?;
+            fault::point("backup-copied");
             run.step("writing");
             add(&mut sealed, name, &copy, &mut view, run).map_err(failed)?;
             fs::remove_file(&copy).map_err(failed)?;
@@ -154,6 +153,7 @@ impl Backup {
         archive::end(&mut sealed).map_err(failed)?;
         let target = sealed.finish().map_err(failed)?.into_inner().map_err(|error| failed(error.into_error()))?;
         target.as_file().sync_all().map_err(failed)?;
+        fault::point("backup-sealed");
         target.persist_noclobber(file).map_err(|error| failed(error.error))?;
         File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
         if moment.vault.is_none() {
@@ -213,7 +213,7 @@ impl<W: Write> Small<'_, W> {
 
 /// The databases of one moment; the temporary folder is removed with it.
 struct Moment {
-    folder: tempfile::TempDir,
+    folder: UnfinishedFolder,
     ledger: Snapshot,
     vault: Option<Snapshot>,
     /// Whether the chain was copied into the folder.

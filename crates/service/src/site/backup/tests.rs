@@ -50,7 +50,7 @@ async fn a_back_up_is_written_once_for_its_owner_alone_and_not_into_the_home() {
     let left: Vec<_> = std::fs::read_dir(ground.parts.home.root())
         .expect("the home")
         .flatten()
-        .filter(|entry| entry.file_name().to_string_lossy().starts_with(".back-up-"))
+        .filter(|entry| entry.file_name().to_string_lossy().starts_with(unfinished::PREFIX))
         .collect();
     assert!(left.is_empty(), "{left:?}");
 }

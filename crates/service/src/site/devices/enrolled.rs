@@ -92,7 +92,8 @@ impl Enrolments {
     /// What a device is to seal under, as the owner's own recorder does.
     pub(super) fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let sealing = sealing.ok_or_else(|| refused("no epoch has started; run `authros register` first"))?;
+        let sealing = sealing
+            .ok_or_else(|| refused("no epoch has started that this keyring has the key of; run `authros register`"))?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
         let next = match owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch) {
             Some((moment, keys)) => Some((moment, self.issue_of(owner, network, to, keys.epoch)?)),

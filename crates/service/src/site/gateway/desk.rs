@@ -11,7 +11,7 @@ use super::GatewayDesk;
 use super::admission::Standing as Access;
 use super::live::Watch;
 use super::reading::announced_key;
-use crate::chain::{Call, RelayError};
+use crate::chain::RelayError;
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
@@ -208,8 +208,8 @@ impl Desk for GatewayDesk {
 
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
         let network = self.known_network()?;
-        let call = Call::Register { identity: registration.identity };
-        let transaction = network.chain.expect_call(&registration.transaction, registration.account, &call);
+        let Registration { account, identity, transaction: raw } = registration;
+        let transaction = network.chain.expect_registration(raw, *account, identity);
         let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
         // Nobody has authorised a newcomer: no line in the log for it, the chain itself shows the registration.
         let sent = network.chain.broadcast(&registration.transaction).await;

@@ -190,7 +190,7 @@ async fn stranger(network: &Network) -> EoaSecret {
     let (eoa, provider) = (EoaSecret::generate().expect("a key"), provider(ProviderName::RustCrypto));
     let [signing, envelope] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("a pair"));
     let identity = prove(provider, &network.domain, &eoa.address(), &signing, &envelope.public, Token([3; 32]));
-    by_hand(network, &eoa, &Call::Register { identity: identity.expect("proven") }).await;
+    by_hand(network, &eoa, &Call::Register { identity: identity.expect("proven"), envelope: Vec::new() }).await;
     eoa
 }
 

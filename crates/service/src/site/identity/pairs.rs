@@ -12,7 +12,7 @@ use crate::chain::Call;
 use crate::crypto::{Keyring, SmKeyPair, open_transport_key, prove, seal_transport_key, signer_id};
 use crate::gateway::Cabinet;
 use crate::model::{RecordState, SignerId};
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::{Network, Owner, PipelineError, recovery};
 use crate::service::failure::refused;
 use crate::service::reply::Failure;
 use crate::store::{RecordQuery, RecordRow};
@@ -123,12 +123,12 @@ impl Profiles {
         signing: &SmKeyPair,
         envelope: &SmKeyPair,
     ) -> Result<(), Failure> {
-        let epoch = network.directory.epoch(owner.address);
-        let token = owner.token(network.domain, epoch);
-        let token = token.ok_or_else(|| refused("the keyring lacks the current epoch"))?;
+        let token = network.directory.account(owner.address).and_then(|account| account.token);
+        let token = token.ok_or(PipelineError::Unregistered(owner.address))?;
         let (provider, domain) = (self.plant.provider, &network.domain);
         let identity = prove(provider, domain, &owner.address, signing, &envelope.public, token)?;
-        let call = Call::RotateKeys { identity };
+        let envelope = recovery::handover(&self.plant, network, owner, (signing, envelope))?;
+        let call = Call::RotateKeys { identity, envelope };
         let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "rotateKeys").await?;
         self.link.scanned(receipt.block).await;
         Ok(())
@@ -160,10 +160,7 @@ impl Profiles {
         block_in_place(|| self.reseal_kept(owner))?;
         // A joined gateway knows this site by its old keys only; another transport key is allocated.
         drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
-        let epoch = network.directory.epoch(owner.address);
-        let newest = owner.epochs(network.domain).last().copied().unwrap_or(epoch);
-        owner.seal_under(network.domain, newest)?;
-        self.sharing.foresee_expiry(owner, network, None)
+        self.sharing.take_up_epoch(owner, network)
     }
 
     /// Re-encrypts the transport keys kept by this owner's gateway under its current pair.

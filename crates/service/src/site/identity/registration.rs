@@ -3,10 +3,13 @@
 use super::Profiles;
 use std::sync::Arc;
 
+use tokio::task::block_in_place;
+
 use crate::chain::Call;
 use crate::crypto::prove;
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::{Network, Owner, recovery};
 use crate::service::event::{NoticeLevel, Part};
+use crate::service::failure::refused;
 use crate::service::reply::{Failure, IdentityView};
 
 impl Profiles {
@@ -19,7 +22,11 @@ impl Profiles {
             self.connection.fund(&network.chain, owner).await?;
             self.send_registration(owner, &network).await?;
         }
-        self.take_up_epoch(owner, &network).await?;
+        self.take_up(owner, &network).await?;
+        if owner.sealing().is_none() {
+            let missing = self.sharing.missing_text();
+            return Err(refused(missing.unwrap_or_else(|| "no epoch has started; run the command again".to_owned())));
+        }
         self.view(&owner.profile).await
     }
 
@@ -27,7 +34,9 @@ impl Profiles {
         let token = owner.prepare_epoch(network.domain, 1)?;
         let (signing, envelope) = (owner.signing(), owner.envelope());
         let identity = prove(self.plant.provider, &network.domain, &owner.address, &signing, &envelope.public, token)?;
-        let sent = self.sender.send(&network.chain, &owner.eoa(), Call::Register { identity }, "register").await;
+        let envelope = recovery::own_envelope(&self.plant, network, owner, 1)?;
+        let call = Call::Register { identity, envelope };
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "register").await;
         let outcome = if sent.is_ok() { "done" } else { "failed" };
         self.log.write(&owner.profile, "register", &owner.address.to_string(), outcome).await?;
         let (_, receipt) = sent?;
@@ -36,16 +45,17 @@ impl Profiles {
         Ok(())
     }
 
-    /// Resumes at the state of the owner's epochs on the chain: seals under the current one, or finishes one that was
-    /// begun and never reached the chain; re-wraps what readers lack.
+    /// Resumes at the state of the owner's keys on the chain: fetches those that the keyring lacks, seals under the
+    /// current epoch, or finishes one that was begun and never reached the chain; re-wraps what readers lack.
     pub(in crate::site) async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
         let network = self.link.network().await?;
-        if network.directory.identity(owner.address).is_err() {
+        // A locked keyring goes on sealing as it was told.
+        if owner.is_locked() || network.directory.identity(owner.address).is_err() {
             return Ok(());
         }
         {
             let _one_at_a_time = owner.changes.lock().await;
-            self.take_up_epoch(owner, &network).await?;
+            self.take_up(owner, &network).await?;
         }
         let profiles = Arc::clone(self);
         let owner = Arc::clone(owner);
@@ -65,27 +75,17 @@ impl Profiles {
         Ok(())
     }
 
-    async fn take_up_epoch(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
-        let on_chain = network.directory.epoch(owner.address);
-        let known = owner.epochs(network.domain);
-        if owner.token(network.domain, on_chain)
-            != network.directory.account(owner.address).and_then(|account| account.token)
-        {
-            // The supposed current epoch is not current: nobody knows who reads under it.
-            owner.author.rest();
-            return Err(crate::service::failure::refused(format!(
-                "the keyring of '{}' lacks the key of its current epoch {on_chain}; restore the newest keyring, or \
-                 start a new epoch with `authros keys rotate`",
-                owner.profile
-            )));
+    /// Brings the keyring to what the chain has of this owner's pairs and epochs. The caller holds the owner's changes.
+    async fn take_up(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let newer = block_in_place(|| recovery::recover_pairs(&self.plant, network, owner));
+        self.sharing.note_pairs(owner, newer.as_ref().err().map(ToString::to_string));
+        let newer = newer.unwrap_or(false);
+        self.sharing.take_up_epoch(owner, network)?;
+        if newer {
+            self.finish_pairs(owner, network).await?;
+            let text = format!("the chain handed newer SM2 keys over to the keyring of '{}'", owner.profile);
+            self.hub.notice(NoticeLevel::Info, &text);
         }
-        owner.confirm_epoch(network.domain, on_chain)?;
-        let newest = known.last().copied().unwrap_or(on_chain).max(on_chain);
-        if owner.sealing().is_none_or(|keys| keys.domain != network.domain || keys.epoch < newest) {
-            owner.seal_under(network.domain, newest)?;
-        }
-        self.sharing.foresee_expiry(owner, network, None)?;
-        self.hub.changed(Part::Identity);
         Ok(())
     }
 }

@@ -4,9 +4,9 @@
 use super::Reading;
 use std::sync::{Arc, PoisonError};
 
-use crate::crypto::CryptoError;
+use crate::crypto::{CryptoError, IndexKey, topic_id};
 use crate::model::bytes::hex;
-use crate::model::{Address, Digest, ProfileName};
+use crate::model::{Address, Digest, ProfileName, TopicName};
 use crate::pipeline::PipelineError;
 use crate::pipeline::columns::Keys;
 use crate::pipeline::reader::Reader;
@@ -42,6 +42,20 @@ impl Reading {
             }
         }
         Ok(())
+    }
+
+    /// Names the topic that is asked for, if it is here under its pseudonym alone: whoever has IK derives that from the
+    /// name, so no record has to be opened, nor believed.
+    pub(in crate::site) async fn name_asked(
+        self: &Arc<Self>,
+        owner: Address,
+        index: Option<IndexKey>,
+        topic: Option<TopicName>,
+    ) -> Result<(), Failure> {
+        let (Some(index), Some(topic)) = (index, topic) else { return Ok(()) };
+        let name = topic.to_string();
+        let id = topic_id(&index, &name);
+        blocking(self, move |reading| Ok(reading.plant.ledger.name_topic(owner, id, name)?)).await
     }
 
     /// Learns the names of one record; whether there was something to learn.

@@ -28,6 +28,8 @@ impl Reading {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let owner = self.owners.address_of(profile)?;
+        let index = self.owners.get(profile).map(|owner| owner.index());
+        self.name_asked(owner, index, query.topic.clone()).await?;
         self.learn_own_names(profile).await?;
         let filters = self.own_tag_filters(profile, &query.tags)?;
         let incident = query.incident.clone();

@@ -43,6 +43,11 @@ impl Reading {
         self.log.asked(owner, "list shared", &query).await?;
         let filters = self.shared_tag_filters(&network, owner, &grants, &query.tags)?;
         let readable = self.readable_topics(&scopes).await?;
+        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        for owner in scopes.keys() {
+            self.name_asked(*owner, reader.index_of(*owner), query.topic.clone()).await?;
+            self.learn_names(&reader, *owner).await?;
+        }
         let query = RecordQuery {
             owners: Some(scopes.keys().copied().collect()),
             owner: None,
@@ -50,10 +55,6 @@ impl Reading {
             filters: filters.clone(),
             ..record_query(query)
         };
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        for owner in scopes.keys() {
-            self.learn_names(&reader, *owner).await?;
-        }
         let mut page = self.readable_page(&reader, query, &filters).await?;
         let names = self.contacts.names();
         for record in &mut page.records {

@@ -1,57 +1,48 @@
 //! The file of an export: private, written beside its destination, and moved there only when it is complete.
 
-use std::fs::{File, OpenOptions};
-use std::os::unix::fs::OpenOptionsExt;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use crate::crypto::random_bytes;
-use crate::model::bytes::hex;
+use tempfile::NamedTempFile;
+
+use crate::crypto::unfinished;
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
 /// A file being written; it is removed unless it is moved to its destination.
 pub(super) struct Draft {
     target: PathBuf,
-    path: PathBuf,
-    placed: bool,
+    file: NamedTempFile,
 }
 
 impl Draft {
-    /// A new file (0600) beside `target`, which must not exist.
+    /// A new file (0600) beside `target`, which must not exist. What a killed export left there is removed.
     pub fn begin(target: &Path) -> Result<(Self, File), Failure> {
         let taken = || input(format!("{} already exists; choose a new file", target.display()));
         if target.symlink_metadata().is_ok() {
             return Err(taken());
         }
-        let name = target.file_name().ok_or_else(|| input(format!("{} is not a file", target.display())))?;
-        let part = format!(".{}.{}.part", name.to_string_lossy(), hex(&random_bytes::<4>()?));
-        let path = target.with_file_name(part);
-        let file = OpenOptions::new().write(true).read(true).create_new(true).mode(0o600).open(&path);
-        let file = file.map_err(|error| input(format!("{} cannot be written: {error}", path.display())))?;
-        Ok((Self { target: target.to_owned(), path, placed: false }, file))
+        if target.file_name().is_none() {
+            return Err(input(format!("{} is not a file", target.display())));
+        }
+        let folder = target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", target.display()));
+        unfinished::sweep(folder).map_err(failed)?;
+        let file = unfinished::new_file(folder).map_err(failed)?;
+        let open = file.as_file().try_clone().map_err(failed)?;
+        Ok((Self { target: target.to_owned(), file }, open))
     }
 
     /// Moves the file to its destination; one that has appeared there meanwhile is not replaced.
-    pub fn place(mut self) -> Result<(), Failure> {
+    pub fn place(self) -> Result<(), Failure> {
         let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
-        match std::fs::hard_link(&self.path, &self.target) {
+        match std::fs::hard_link(self.file.path(), &self.target) {
             Ok(()) => Ok(()),
             // Not every file system has links.
             Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => {
-                let moved = std::fs::rename(&self.path, &self.target).map_err(failed);
-                self.placed = moved.is_ok();
-                moved
+                std::fs::rename(self.file.path(), &self.target).map_err(failed)
             }
             Err(error) => Err(failed(error)),
-        }
-    }
-}
-
-impl Drop for Draft {
-    fn drop(&mut self) {
-        if !self.placed {
-            // If it is gone already, that is fine.
-            drop(std::fs::remove_file(&self.path));
         }
     }
 }

@@ -5,11 +5,13 @@ use super::Sharing;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use tokio::task::block_in_place;
+
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
-use crate::model::{Address, GrantTerms, Scope};
-use crate::pipeline::directory::Granted;
-use crate::pipeline::{Network, Owner, authority};
+use crate::model::{Address, GrantTerms, Scope, Token};
+use crate::pipeline::directory::{Granted, kept};
+use crate::pipeline::{Network, Owner, PipelineError, authority, recovery};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
@@ -27,29 +29,41 @@ impl Sharing {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
-        self.begin_epoch(owner, &network, &format!("rotate ({why})"), |new_token| Call::Rotate { new_token }).await
+        let call = |new_token, envelope| Call::Rotate { new_token, envelope };
+        self.begin_epoch(owner, &network, &format!("rotate ({why})"), call).await
     }
 
-    /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the remaining readers.
+    /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the remaining readers. The key goes to
+    /// the chain with the same transaction, wrapped for its owner. The keys of earlier epochs are not needed.
     pub(in crate::site) async fn begin_epoch(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         network: &Network,
         purpose: &str,
-        call: impl FnOnce(crate::model::Token) -> Call,
+        call: impl FnOnce(Token, Vec<u8>) -> Call,
     ) -> Result<TransactionView, Failure> {
         let next = network.directory.epoch(owner.address) + 1;
         let token = owner.prepare_epoch(network.domain, next)?;
+        let envelope = recovery::own_envelope(&self.plant, network, owner, next)?;
         if !crate::crypto::fault::is_off("revoke") {
             owner.seal_under(network.domain, next)?;
         }
-        let sent = self.sender.send(&network.chain, &owner.eoa(), call(token), purpose).await;
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call(token, envelope), purpose).await;
         let (action, what) = purpose.split_once(' ').unwrap_or((purpose, ""));
         let subject = format!("{what} epoch {next}");
         let sent = sent.map_err(Failure::from);
         let (transaction, receipt) = self.log.ended(&owner.profile, action, subject.trim_start(), sent).await?;
         self.link.scanned(receipt.block).await;
+        let known = block_in_place(|| kept::token(&self.plant.ledger, &network.directory, owner.address, next))?;
+        if known.is_some_and(|known| known != token) {
+            return Err(refused(format!(
+                "epoch {next} of '{}' was begun by another site with the same keys; run the command again, and let only \
+                 one site have these keys",
+                owner.profile
+            )));
+        }
         owner.confirm_epoch(network.domain, next)?;
+        self.note_missing(owner, network)?;
         if let Err(failure) = self.rewrap(owner, network).await {
             let text = format!(
                 "some readers of {} do not have all keys up to epoch {next} yet: {}",
@@ -87,7 +101,7 @@ impl Sharing {
         let ledger = self.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
-            let open = tokio::task::block_in_place(|| ledger.open_lane(account))?;
+            let open = block_in_place(|| ledger.open_lane(account))?;
             if open.iter().all(|row| row.anchors) {
                 return Ok(());
             }
@@ -107,10 +121,11 @@ impl Sharing {
         network: &Network,
     ) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
         let (epoch, known) = (network.directory.epoch(owner.address), owner.epochs(network.domain));
+        let holds = recovery::holds_current(network, owner);
         let mut lacking: BTreeMap<u64, Vec<Granted>> = BTreeMap::new();
         for grant in authority::standing_grants(&network.directory, owner.address) {
             let since = network.directory.envelope_key_since(grant.terms.grantee);
-            let current = Some(epoch).filter(|epoch| !grant.is_wrapped_since(*epoch, since));
+            let current = Some(epoch).filter(|epoch| holds && !grant.is_wrapped_since(*epoch, since));
             let earlier = grant.unwrapped_before(epoch).filter(|epoch| known.contains(epoch));
             for epoch in earlier.chain(current).collect::<Vec<u64>>() {
                 lacking.entry(epoch).or_default().push(grant.clone());
@@ -208,7 +223,7 @@ impl Sharing {
         let mut keys = Vec::with_capacity(epochs.len());
         for epoch in epochs {
             let key = owner.epoch_key(network.domain, epoch);
-            keys.push((epoch, key.ok_or_else(|| refused(format!("the keyring has no key of epoch {epoch}")))?));
+            keys.push((epoch, key.ok_or(PipelineError::UnknownEpoch(epoch))?));
         }
         let keys = match terms.scope {
             Scope::All => GrantedKeys::All { epochs: keys, index_key: owner.index() },

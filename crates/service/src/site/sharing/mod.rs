@@ -1,6 +1,7 @@
 //! Granting and revoking, and the list of who may read what.
 
 mod epochs;
+mod missing;
 pub(super) mod overdue;
 mod revoking;
 #[cfg(test)]
@@ -45,6 +46,7 @@ pub(in crate::site) struct Sharing {
     enrolments: Arc<Enrolments>,
     joined: Arc<Joined>,
     reserve: Arc<Reserve>,
+    missing: missing::Missing,
 }
 
 impl Sharing {
@@ -69,6 +71,7 @@ impl Sharing {
             enrolments: Arc::clone(enrolments),
             joined: Arc::clone(joined),
             reserve: Arc::clone(reserve),
+            missing: missing::Missing::default(),
         }
     }
 }

@@ -61,6 +61,10 @@ impl Sharing {
         owner: &Arc<Owner>,
         network: &Network,
     ) -> Result<(), Failure> {
+        if self.has_news(owner, network) {
+            let _one_at_a_time = owner.changes.lock().await;
+            self.take_up_epoch(owner, network)?;
+        }
         self.foresee_expiry(owner, network, None)?;
         // A robot that cannot be told keeps no revocation from the chain.
         let told = block_in_place(|| self.enrolments.tell_devices(owner, network));
@@ -112,10 +116,10 @@ impl Sharing {
         why: &str,
     ) -> Result<TransactionView, Failure> {
         let Some(grantee) = self.owed_revocations(owner, network)?.first().copied() else {
-            let call = |new_token| Call::Rotate { new_token };
+            let call = |new_token, envelope| Call::Rotate { new_token, envelope };
             return self.begin_epoch(owner, network, &format!("rotate ({why})"), call).await;
         };
-        let call = |new_token| Call::AuthorityRevoke { grantee, new_token };
+        let call = |new_token, envelope| Call::AuthorityRevoke { grantee, new_token, envelope };
         let view = self.begin_epoch(owner, network, &format!("revoke {grantee} (resumed)"), call).await?;
         self.settle_revocation(owner, grantee)?;
         Ok(view)

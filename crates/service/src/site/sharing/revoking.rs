@@ -54,7 +54,7 @@ impl Sharing {
         grantee: Address,
     ) -> Result<TransactionView, Failure> {
         self.owe_revocation(owner, grantee)?;
-        let call = |new_token| Call::AuthorityRevoke { grantee, new_token };
+        let call = |new_token, envelope| Call::AuthorityRevoke { grantee, new_token, envelope };
         let sent = self.begin_epoch(owner, network, &format!("revoke {grantee}"), call).await;
         let view = sent.map_err(|failure| {
             let noted = "the revocation is stored and is resent until the chain has it";

@@ -5,6 +5,7 @@ use super::*;
 use crate::crypto::Fingerprint;
 use crate::model::{ErrorKind, SignerId};
 use crate::pipeline::directory::GrantState;
+use crate::pipeline::recovery;
 use crate::site::testing::{made, profile, registered, site_with_chain};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -53,7 +54,7 @@ async fn an_epoch_whose_keys_did_not_reach_a_reader_before_the_next_began_is_giv
     let network = site.network().await.expect("a network");
     let new_token = alice.prepare_epoch(network.domain, 3).expect("prepared");
     alice.seal_under(network.domain, 3).expect("sealed under it");
-    let call = crate::chain::Call::Rotate { new_token };
+    let call = crate::chain::Call::Rotate { new_token, envelope: Vec::new() };
     let (_, receipt) = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
     sharing.link.scanned(receipt.block).await;
     alice.confirm_epoch(network.domain, 3).expect("confirmed");
@@ -102,5 +103,91 @@ async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed(
     assert_eq!(wrong.kind, ErrorKind::Refused);
     site.contacts.confirm(&profile("alice"), &name, None).await.expect("confirmed");
     site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_the_current_key_nothing_is_sealed_it_is_told_and_a_rotation_goes_on() {
+    let (site, _folder) = site_with_chain();
+    let alice = registered(&site, "alice").await;
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    // An epoch of which no envelope opens, as if another program had begun it.
+    let call = crate::chain::Call::Rotate { new_token: crate::model::Token([7; 32]), envelope: vec![7; 360] };
+    let (_, receipt) = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
+    sharing.link.scanned(receipt.block).await;
+    // Refused before: the site ended at its start, and so did each command that unlocks.
+    site.profiles.resume(&alice).await.expect("it goes on with what there is");
+    assert!(alice.sealing().is_none(), "nobody knows who reads under the first epoch now");
+    assert_eq!(alice.epochs(network.domain), [1], "what it has still opens");
+    let told = sharing.missing_text().expect("told");
+    assert!(told.contains("keys of epochs 2:") && told.contains("authros keys rotate"), "{told}");
+    let refused = site.profiles.register(&alice).await.expect_err("nothing can be captured");
+    assert!(refused.message.contains("authros keys rotate"), "{}", refused.message);
+
+    let rotated = sharing.rotate(&alice, "asked for").await.expect("needs no key of the epoch that ends");
+    assert_eq!((rotated.epoch, alice.sealing().map(|keys| keys.epoch)), (3, Some(3)));
+    let told = sharing.missing_text().expect("still told");
+    assert!(told.contains("keys of epochs 2:") && !told.contains("nothing new is sealed"), "{told}");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_key_from_the_chain_is_believed_only_if_the_token_commits_to_it() {
+    let (site, _folder) = site_with_chain();
+    let alice = registered(&site, "alice").await;
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    let token = alice.prepare_epoch(network.domain, 2).expect("prepared");
+    let envelope = recovery::own_envelope(&sharing.plant, &network, &alice, 2).expect("wrapped");
+    // The envelope is the owner's, and so is its signature, but the epoch has another key.
+    let other = crate::model::Token([9; 32]);
+    for (number, new_token) in [(2, other), (3, token)] {
+        let call = crate::chain::Call::Rotate { new_token, envelope: envelope.clone() };
+        let (_, receipt) = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("sent");
+        sharing.link.scanned(receipt.block).await;
+        assert_eq!(network.directory.epoch(alice.address), number);
+    }
+    let lacking = recovery::lacking(&sharing.plant, &network, &alice).expect("compared");
+    assert_eq!(lacking, [2, 3]);
+    let still = recovery::recover_epochs(&sharing.plant, &network, &alice, &lacking).expect("read");
+    assert_eq!(still, [2, 3], "nothing is believed");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pairs_that_nobody_handed_over_are_told_and_those_handed_over_are_taken() {
+    let (site, _folder) = site_with_chain();
+    let alice = registered(&site, "alice").await;
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    let sm2 = sharing.plant.provider;
+    let token = alice.token(network.domain, 1).expect("its token");
+    // As another machine of the same owner does, whose keyring this one is an older copy of.
+    let elsewhere = async |pair: &crate::crypto::SmKeyPair, envelope: Vec<u8>| {
+        let signing = alice.signing();
+        let proven = crate::crypto::prove(sm2, &network.domain, &alice.address, &signing, &pair.public, token);
+        let call = crate::chain::Call::RotateKeys { identity: proven.expect("proven"), envelope };
+        let sent = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotateKeys").await;
+        sharing.link.scanned(sent.expect("on the chain").1.block).await;
+    };
+    let (first, second) = (
+        crate::crypto::SmKeyPair::generate(sm2).expect("a pair"),
+        crate::crypto::SmKeyPair::generate(sm2).expect("a pair"),
+    );
+    let former = alice.envelope();
+    let handed = |pair: &crate::crypto::SmKeyPair, to: &crate::crypto::SmKeyPair| {
+        let signing = alice.signing();
+        crate::crypto::hand_over(sm2, &network.domain, &alice.eoa(), (&signing, pair), &to.public).expect("wrapped")
+    };
+    // A change whose envelope nobody can open.
+    elsewhere(&first, vec![1; 200]).await;
+    site.profiles.resume(&alice).await.expect("it goes on");
+    let told = sharing.missing_text().expect("told");
+    assert!(told.contains("newer SM2 keys"), "{told}");
+    assert_eq!(alice.envelope(), former);
+
+    elsewhere(&first, handed(&first, &former)).await;
+    elsewhere(&second, handed(&second, &first)).await;
+    site.profiles.resume(&alice).await.expect("it takes them");
+    assert_eq!((alice.envelope(), sharing.missing_text()), (second, None));
+    assert!(alice.envelopes().contains(&former) && alice.envelopes().contains(&first), "what was opens still");
     site.stop().await;
 }

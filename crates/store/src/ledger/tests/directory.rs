@@ -97,3 +97,26 @@ fn replaced_blocks_give_back_what_they_ended() {
     assert_eq!(ledger.standing_rights(), Ok(StandingRights::default()));
     assert_eq!(between(None), Ok(Vec::new()));
 }
+
+#[test]
+fn what_an_owner_keeps_for_itself_is_history_at_once_and_found_by_epoch() {
+    let (_home, ledger) = bound();
+    let own = |block: u64, epoch: u64| RightEvent {
+        grantee: None,
+        token: None,
+        place: 1,
+        envelope: Some(vec![6; 360]),
+        ..event(block, RightKind::Own, epoch)
+    };
+    for epoch in 1..=50 {
+        ledger.keep_rights(vec![event(epoch, RightKind::Epoch, epoch), own(epoch, epoch)]).expect("kept");
+    }
+    assert_eq!(ledger.standing_rights().expect("read").events.len(), 1, "a start reads the newest epoch alone");
+    let found = |from, to| ledger.own_envelopes(Address([1; 20]), from, to).expect("read");
+    let epochs: Vec<u64> = found(7, 9).iter().map(|envelope| envelope.epoch).collect();
+    assert_eq!((epochs, found(1, 50).len()), (vec![7, 8, 9], 50));
+    assert_eq!(ledger.own_envelopes(Address([2; 20]), 1, 50), Ok(Vec::new()), "another's");
+    assert_eq!(ledger.envelope_at(9, 1), Ok(Some(vec![6; 360])));
+    ledger.take_back_rights(50).expect("undone");
+    assert_eq!((found(1, 50).len(), ledger.envelope_at(50, 1)), (49, Ok(None)));
+}

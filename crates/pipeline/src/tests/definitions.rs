@@ -1,0 +1,49 @@
+//! A topic with more definition records than are opened for one message: each message still gets the one that it names.
+
+use super::keeping::{head, sealed_as};
+use super::*;
+use crate::crypto::SealedRecord;
+use crate::model::{Address, Head};
+use crate::pipeline::reader::Reader;
+
+/// More than twice as many as are opened at one attempt.
+const MANY: u64 = 450;
+
+fn text(number: u64) -> String {
+    format!("string data # {number}")
+}
+
+/// A definition record and the message after it.
+fn pair(line: &Line, number: u64) -> [SealedRecord; 2] {
+    let text = text(number);
+    let of_message = Head { definition: Digest(sm3(&[text.as_bytes()])), ..head(b"message") };
+    let definition = (&head(text.as_bytes()), text.as_bytes());
+    [
+        sealed_as(RecordKind::Definition, &line.owner, 2 * number + 1, Vec::new(), definition, None),
+        sealed_as(RecordKind::Data, &line.owner, 2 * number + 2, Vec::new(), (&of_message, b"message"), None),
+    ]
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_first_of_many_definitions_is_found() {
+    let line = Line::new().await;
+    line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+    line.owner.seal_under(line.network.domain, 1).expect("seals");
+    let mut messages = Vec::new();
+    for number in 0..MANY {
+        for sealed in pair(&line, number) {
+            let digest = sealed.digest;
+            let row = NewRecord::foreign(sealed, Address([8; 20]));
+            line.plant.keep([row], |row| line.plant.ledger.append(row.into())).expect("taken");
+            messages.push(digest);
+        }
+    }
+    let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
+    for number in [0, 1, MANY / 2, MANY - 1] {
+        let place = usize::try_from(2 * number + 1).expect("small");
+        let row = line.plant.ledger.record(messages[place]).expect("read").expect("there");
+        let opened = reader.own_contents(&row).expect("read").expect("opens");
+        assert_eq!(reader.own_definition(&row, &opened).expect("read"), Some(text(number)));
+        assert_eq!(reader.definition_text(&row, &opened).await.expect("read"), Some(text(number)));
+    }
+}
