@@ -331,7 +331,7 @@ fn what_speaks_with_the_network_in_a_program_of_its_own_is_not_in_the_one_with_k
     let (site, rosrust, ros2) = (reached("authros"), reached("authros-rosrust"), reached("authros-ros2"));
     let old = |package: &String| package.starts_with("hyper 0.10.");
     assert!(rosrust.iter().any(old) && ros2.iter().any(|package| is(package, "rustdds")), "it is where it is used");
-    assert!(site.iter().any(|package| is(package, "ethers")), "the walk finds what is deep in the tree");
+    assert!(site.iter().any(|package| is(package, "ethers-core")), "the walk finds what is deep in the tree");
     let foreign = ["rosrust", "xml-rpc", "rouille", "rustdds", "authros-rosrust", "authros-ros2", "authros-keyless"];
     let held = |package: &&String| old(package) || foreign.iter().any(|name| is(package, name));
     assert_none("in the program that has keys", &site.iter().filter(held).cloned().collect::<Vec<_>>());

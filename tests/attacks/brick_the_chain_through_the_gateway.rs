@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use authros::chain::Call;
 use authros::gateway::{Client, Code, GatewayError, Relayed};
 use authros::model::{Address, Scope, Token};
-use ethers::signers::{LocalWallet, Signer as _};
 use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest};
+use ethers_signers::{LocalWallet, Signer as _};
 use serde_json::{Value, json};
 
 use super::parts::Parts;
@@ -80,7 +80,7 @@ async fn send(
 /// All payloads as creations by unknown accounts: none must pass.
 async fn send_all(parts: &mut Parts, client: &mut Client, who: &str, bounds: &[Code], chain: u64, gas: u64) {
     for (name, code) in payloads(gas) {
-        let key = LocalWallet::new(&mut ethers::core::rand::thread_rng());
+        let key = LocalWallet::new(&mut ethers::rand::thread_rng());
         let raw = signed(&key, chain, 0, gas, None, &code);
         if let Some(hash) = send(parts, client, (who, NOT_TO_THE_CONTRACT), bounds, raw).await {
             mined(client, &hash).await;

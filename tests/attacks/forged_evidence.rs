@@ -37,7 +37,7 @@ impl Scene {
         let address = alice.enrol();
         home.profile("free").enrol();
         let contract = text(&boss.json(&["chain", "status"]), "contract").parse().expect("an address");
-        let endpoint = Endpoint::Node { url: served.url() };
+        let endpoint = Endpoint::Node { url: served.url(), roots: None };
         let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
         let chain = Chain::connect(options).await.expect("a node");
         let pin = chain.use_contract(contract).await.expect("the contract");

@@ -11,6 +11,7 @@ mod support;
 
 mod anchor_as_somebody_else;
 mod answer_in_the_sites_place;
+mod answer_without_an_end;
 mod ask_for_every_log;
 mod brick_the_chain_through_the_gateway;
 mod enrolled_robot;

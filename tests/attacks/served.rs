@@ -4,9 +4,9 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-use ethers::signers::LocalWallet;
 use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest};
+use ethers_signers::LocalWallet;
 use serde_json::{Value, json};
 
 use crate::support::{Home, Running, text};
@@ -19,7 +19,7 @@ const CALL_GAS: u64 = 1_000_000;
 
 /// The account of a numbered stranger.
 pub fn account_of(stranger: u8) -> H160 {
-    use ethers::signers::Signer as _;
+    use ethers_signers::Signer as _;
     LocalWallet::from_bytes(&[stranger; 32]).expect("a key").address()
 }
 

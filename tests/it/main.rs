@@ -43,6 +43,7 @@ mod messages;
 mod metrics;
 mod new_home;
 mod newer_home;
+mod node_behind_tls;
 mod node_forging;
 mod operators;
 mod packages;

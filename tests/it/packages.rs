@@ -140,7 +140,7 @@ fn every_library_of_a_program_is_in_its_list_with_the_checksum_of_the_lock_file(
     let folder = packed(&home.root().join("packages"));
     let lock =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).expect("the lock file");
-    let site = ["revm", "ethers", "rusqlite", "ratatui", "libsm"];
+    let site = ["revm", "ethers-core", "rusqlite", "ratatui", "libsm"];
     // Neither test-only dependencies nor our own crates, nor those of the other program.
     let held: [(&str, &[&str], &[&str]); 3] = [
         ("authros", &site, &["plotters", "proptest", "authros-model", "rustdds", "rosrust", "xml-rpc"]),

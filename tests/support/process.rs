@@ -106,6 +106,13 @@ pub fn own_memory(process: u32) -> u64 {
     line.trim().trim_end_matches(" kB").parse().expect("a number")
 }
 
+/// The most memory that a process ever held, KiB; `None` once it has ended.
+pub fn peak_memory(process: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim().trim_end_matches(" kB").parse().ok()
+}
+
 /// A running process of a test; killed with its process group when dropped.
 #[derive(Debug)]
 pub struct Running {

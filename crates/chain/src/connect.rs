@@ -4,7 +4,6 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 
-use ethers::providers::{Provider, RpcError};
 use ethers::types::{U64, U256};
 use ethers::utils::keccak256;
 use serde::de::DeserializeOwned;
@@ -22,7 +21,7 @@ pub(super) const POLL: Duration = Duration::from_millis(200);
 /// State shared by all clones of a [`Chain`].
 #[derive(Debug)]
 pub(super) struct Inner {
-    pub provider: Arc<Provider<Transport>>,
+    pub transport: Transport,
     pub chain_id: u64,
     pub genesis: Hash,
     pub client: String,
@@ -70,18 +69,17 @@ impl Chain {
             return Err(ChainError::Gone { path: embedded::file_in(directory) });
         }
         let transport = Transport::open(&options.endpoint).await?;
-        let provider = Provider::new(transport).interval(POLL);
-        let chain_id: U64 = rpc(&provider, "eth_chainId", json!([])).await?;
-        let genesis: RawBlock = rpc(&provider, "eth_getBlockByNumber", json!(["0x0", false])).await?;
-        let latest: RawBlock = rpc(&provider, "eth_getBlockByNumber", json!(["latest", false])).await?;
-        let client: Option<String> = rpc(&provider, "web3_clientVersion", json!([])).await.ok();
+        let chain_id: U64 = rpc(&transport, "eth_chainId", json!([])).await?;
+        let genesis: RawBlock = rpc(&transport, "eth_getBlockByNumber", json!(["0x0", false])).await?;
+        let latest: RawBlock = rpc(&transport, "eth_getBlockByNumber", json!(["latest", false])).await?;
+        let client: Option<String> = rpc(&transport, "web3_clientVersion", json!([])).await.ok();
         let client = clean(&client.unwrap_or_else(|| "unknown".into()), 80);
         let consensus = match options.endpoint {
-            Endpoint::Embedded { .. } => provider.as_ref().embedded().map_or("poa", |chain| chain.consensus().word()),
+            Endpoint::Embedded { .. } => transport.embedded().map_or("poa", |chain| chain.consensus().word()),
             Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
         let inner = Inner {
-            provider: Arc::new(provider),
+            transport,
             chain_id: chain_id.as_u64(),
             genesis: Hash(genesis.hash.0),
             client,
@@ -99,9 +97,8 @@ impl Chain {
 
     /// What a pin says of a chain that cannot be asked, and why; every request fails.
     pub fn absent(pin: Pin, why: String) -> Self {
-        let provider = Provider::new(Transport::absent(ChainError::Absent { why }));
         let inner = Inner {
-            provider: Arc::new(provider),
+            transport: Transport::absent(ChainError::Absent { why }),
             chain_id: pin.chain_id,
             genesis: pin.genesis,
             client: "unknown".to_owned(),
@@ -238,14 +235,11 @@ impl Chain {
     }
 
     pub(super) fn transport(&self) -> &Transport {
-        (*self.inner.provider).as_ref()
+        &self.inner.transport
     }
 
-    pub(super) async fn rpc<R>(&self, method: &str, parameters: Value) -> Result<R, ChainError>
-    where
-        R: DeserializeOwned + Serialize + std::fmt::Debug + Send,
-    {
-        rpc(&self.inner.provider, method, parameters).await
+    pub(super) async fn rpc<R: DeserializeOwned>(&self, method: &str, parameters: Value) -> Result<R, ChainError> {
+        rpc(self.transport(), method, parameters).await
     }
 
     pub(super) fn misunderstood(&self, method: &str, reason: &str) -> ChainError {
@@ -283,25 +277,8 @@ impl RawBlock {
     }
 }
 
-async fn rpc<R>(provider: &Provider<Transport>, method: &str, parameters: Value) -> Result<R, ChainError>
-where
-    R: DeserializeOwned + Serialize + std::fmt::Debug + Send,
-{
-    let url = || provider.as_ref().url().to_owned();
-    provider.request(method, parameters).await.map_err(|error| {
-        if let Some(answer) = error.as_error_response() {
-            return ChainError::from_node(method, answer);
-        }
-        match error.as_serde_error() {
-            Some(reason) => {
-                ChainError::Answer { url: url(), method: method.to_owned(), reason: clean(&reason.to_string(), 200) }
-            }
-            None => match provider.as_ref().trouble_behind(&error.to_string()) {
-                Some(trouble) => trouble,
-                None => ChainError::Unreachable { url: url(), reason: clean(&error.to_string(), 200) },
-            },
-        }
-    })
+async fn rpc<R: DeserializeOwned>(transport: &Transport, method: &str, parameters: Value) -> Result<R, ChainError> {
+    transport.request(method, parameters).await.map_err(|error| error.explained(transport.url(), method))
 }
 
 /// The network's consensus, as far as a block shows it.

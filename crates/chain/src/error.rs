@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
-use ethers::providers::JsonRpcError;
+use serde_json::Value;
 
 use super::Shortfall;
+use super::transport::JsonRpcError;
 use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
 
 /// What to do where the pinned chain does not come back.
@@ -13,13 +14,15 @@ pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --hom
 /// Why something on the chain did not happen.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ChainError {
-    /// The node does not answer.
-    #[error("the node at {url} does not answer ({reason}); start it or correct `chain.url`")]
+    /// The node does not answer, or what stands before it does not let requests through.
+    #[error("the node at {url} {reason}; {advice}")]
     Unreachable {
-        /// Its URL.
+        /// Its URL, without credentials and path.
         url: String,
-        /// What happened.
+        /// What happened, as a predicate of the node.
         reason: String,
+        /// What to do.
+        advice: String,
     },
     /// The peer does not speak Ethereum's JSON-RPC as expected.
     #[error("{url} gave an unexpected answer to {method} ({reason}); check that `chain.url` is an Ethereum node")]
@@ -32,8 +35,11 @@ pub enum ChainError {
         reason: String,
     },
     /// The URL is not that of a node.
-    #[error("'{0}' is not the address of a node; use http://HOST:PORT, ws://HOST:PORT or ipc:/PATH")]
+    #[error("'{0}' is not the address of a node; use http://HOST:PORT, https://, ws://, wss:// or ipc:/PATH")]
     Url(String),
+    /// The authorities that TLS is to trust cannot be read.
+    #[error("{0}; check `chain.roots`")]
+    Roots(String),
     /// The chain is not the one that was pinned.
     #[error(
         "the chain at {url} is not the pinned one: its {what} is {found}, not {pinned}; {SEAL_ANEW}, or start the pinned \
@@ -189,9 +195,12 @@ impl ChainError {
             Self::Unreachable { .. } | Self::Absent { .. } | Self::Answer { .. } | Self::NotMined { .. } => {
                 ErrorKind::Unreachable
             }
-            Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Newer { .. } | Self::Input(_) => {
-                ErrorKind::Input
-            }
+            Self::Url(_)
+            | Self::Roots(_)
+            | Self::NoContract
+            | Self::OtherConsensus { .. }
+            | Self::Newer { .. }
+            | Self::Input(_) => ErrorKind::Input,
             Self::Tampered { .. } => ErrorKind::Tampered,
             Self::File { .. } => ErrorKind::Home,
             Self::Internal(_) => ErrorKind::Internal,
@@ -260,12 +269,25 @@ pub fn passed_by(blocks: u64, price: Wei) -> String {
 }
 
 fn revert_code(error: &JsonRpcError) -> Option<String> {
-    let data = error.as_revert_data()?;
+    // Ganache says "revert", others "reverted".
+    if !error.message.contains("revert") {
+        return None;
+    }
+    let data = error.data.as_ref().and_then(first_hex).unwrap_or_default();
     if let Some(code) = decode_revert(&data) {
         return Some(code);
     }
     let tail = error.message.rsplit_once("revert").map_or("", |(_, tail)| tail.trim_start_matches("ed"));
     Some(clean(tail.trim_start_matches([':', ' ']), 80))
+}
+
+/// The first bytes in hex: every node wraps revert data in objects of its own.
+fn first_hex(value: &Value) -> Option<Vec<u8>> {
+    match value {
+        Value::String(text) => unhex(text),
+        Value::Object(members) => members.values().find_map(first_hex),
+        _ => None,
+    }
 }
 
 /// The text of `Error(string)` revert data; `None` if the bytes are something else.

@@ -1,4 +1,4 @@
-//! The Ethereum chain: one [`Chain`] for the embedded EVM and for real nodes over http, ws and ipc.
+//! The Ethereum chain: one [`Chain`] for the embedded EVM and for real nodes over http, ws (both also with TLS) and ipc.
 //!
 //! All use of ethers and revm is in this crate; the interface uses the types of `model`. Here are the contract's calls
 //! and events, signing and sending, reads and news. Which record is in which transaction, when to resend and what to do
@@ -34,8 +34,10 @@ mod state_proof;
 mod tests;
 mod transport;
 mod watcher;
+pub mod web;
 mod work;
 
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -61,7 +63,7 @@ pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Domain, Hash, Identity, Timestamp, Token};
 
 /// The location of the chain.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub enum Endpoint {
     /// In this process, kept in a folder. Only one process at a time.
     Embedded {
@@ -73,11 +75,24 @@ pub enum Endpoint {
     },
     /// A node.
     Node {
-        /// `http://…`, `ws://…`, `ipc:/path` or `/path.ipc`.
+        /// `http://…`, `https://…`, `ws://…`, `wss://…`, `ipc:/path` or `/path.ipc`.
         url: String,
+        /// The PEM file of the authorities to trust behind TLS; `None` = those that this machine trusts.
+        roots: Option<PathBuf>,
     },
     /// A relay that passes requests on, and whose word must be taken for the answers.
     Relay(RelayLine),
+}
+
+/// Without what is secret in a node's URL.
+impl fmt::Debug for Endpoint {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Embedded { directory, .. } => write!(formatter, "Embedded({})", directory.display()),
+            Self::Node { url, .. } => write!(formatter, "Node({})", model::address_without_secrets(url)),
+            Self::Relay(relay) => relay.fmt(formatter),
+        }
+    }
 }
 
 /// How to connect.

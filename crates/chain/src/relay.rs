@@ -5,7 +5,6 @@ use std::fmt;
 use std::sync::Arc;
 
 use async_trait::async_trait;
-use ethers::providers::{JsonRpcClient, JsonRpcError};
 use serde_json::Value;
 
 pub mod rules;
@@ -13,7 +12,7 @@ pub mod rules;
 pub use rules::{Asker, Ground, Passed, examine};
 
 use super::Chain;
-use super::transport::TransportError;
+use super::transport::{JsonRpcError, TransportError};
 use crate::model::clean;
 
 /// Only what this program's own client needs is passed on: reads and raw transactions. Nothing here signs, keeps state
@@ -150,7 +149,7 @@ impl Chain {
     /// [`RelayError`].
     pub async fn relay(&self, method: &str, parameters: &Value) -> Result<Value, RelayError> {
         check(method, parameters)?;
-        Ok(self.transport().request(method, parameters).await?)
+        Ok(self.transport().request_for_another(method, parameters.clone()).await?)
     }
 }
 

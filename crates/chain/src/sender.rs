@@ -2,10 +2,10 @@
 
 use std::sync::PoisonError;
 
-use ethers::signers::LocalWallet;
 use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest, U64, U256};
 use ethers::utils::keccak256;
+use ethers_signers::LocalWallet;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 

@@ -15,7 +15,7 @@ fn embedded(directory: &Path) -> ChainOptions {
 }
 
 fn node(url: &str) -> ChainOptions {
-    ChainOptions { endpoint: Endpoint::Node { url: url.into() }, ..embedded(Path::new("")) }
+    ChainOptions { endpoint: Endpoint::Node { url: url.into(), roots: None }, ..embedded(Path::new("")) }
 }
 
 fn register(number: u8) -> Call {
@@ -300,6 +300,8 @@ async fn a_node_that_does_not_answer_is_unreachable() {
     for url in [
         format!("http://{closed}"),
         format!("ws://{closed}"),
+        format!("https://{closed}"),
+        format!("wss://{closed}"),
         "ipc:/nowhere/geth.ipc".into(),
         format!("http://{silent}"),
         format!("ws://{silent}"),
@@ -309,7 +311,7 @@ async fn a_node_that_does_not_answer_is_unreachable() {
         assert!(error.to_string().contains(&url), "{error}");
     }
     drop(listener);
-    let error = Chain::connect(node("https://127.0.0.1")).await.expect_err("no TLS");
+    let error = Chain::connect(node("ftp://127.0.0.1")).await.expect_err("no such node");
     assert_eq!(error.kind(), ErrorKind::Input);
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::error::ConfigError;
-use super::read::{Source, Values, bytes, number, source_of, span, value, wrong};
+use super::read::{Source, Values, bytes, certificates, number, source_of, span, value, wrong};
 use crate::crypto::hands::{self, Fault};
 use crate::crypto::private_file;
 use crate::model::clean;
@@ -92,7 +92,7 @@ fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
         Some("alertmanager") => AlertForm::Alertmanager,
         _ => return Err(wrong(values, "alerts.form", "choose authros or alertmanager")),
     };
-    let (secret, roots) = (secret(values)?, roots(values)?);
+    let (secret, roots) = (secret(values)?, certificates(values, "alerts.roots")?);
     match (webhook(values)?, command(values)?) {
         (Some(_), Some(_)) => {
             let what = "alerts.webhook is set as well; set only one of them (a program can call the webhook itself)";
@@ -128,15 +128,6 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     let bytes = private_file::read_private(&path, LONGEST_SECRET).map_err(|error| wrong(&error.to_string()))?;
     if bytes.trim_ascii().len() < SHORTEST_SECRET {
         return Err(wrong("the file holds fewer than 16 bytes; create a secret with `openssl rand -hex 32`"));
-    }
-    Ok(Some(path))
-}
-
-/// Whether it holds certificates is checked when it is used.
-fn roots(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
-    let Some(path) = value(values, "alerts.roots").map(PathBuf::from) else { return Ok(None) };
-    if !path.is_absolute() || !path.is_file() {
-        return Err(wrong(values, "alerts.roots", "give the absolute path of a file with PEM certificates"));
     }
     Ok(Some(path))
 }

@@ -93,7 +93,13 @@ pub const DEFINITIONS: &[Definition] = &[
         name: "chain.url",
         variable: "AUTHROS_CHAIN",
         default: "",
-        text: "node to use: http://, ws:// or ipc path; empty = embedded chain",
+        text: "node to use: http://, https://, ws://, wss:// or ipc path; empty = embedded chain",
+    },
+    Definition {
+        name: "chain.roots",
+        variable: "AUTHROS_CHAIN_ROOTS",
+        default: "",
+        text: "PEM file with the certificate authorities to accept for https:// and wss://; empty = those of this machine",
     },
     Definition {
         name: "chain.contract",

@@ -29,14 +29,14 @@ pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::operators::{OperatorRule, OperatorSettings, Whom};
-pub use self::read::{SettingView, Source, without_password};
-use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
+pub use self::read::{SettingView, Source};
+use self::read::{Values, bytes, certificates, find, number, parsed, read_file, span, switch, url, value, wrong};
 pub use self::robot_policy::{RingWish, RobotPolicy};
 pub use self::time::TimeAuthority;
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
     Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, RingLimits, SignerId,
-    TopicPatterns, TopicRules, clean,
+    TopicPatterns, TopicRules, clean, without_secrets,
 };
 
 /// Prefixes of a vault's URL.
@@ -90,6 +90,8 @@ pub struct Config {
     pub robots: u16,
     /// Node of a real chain.
     pub chain_url: Option<String>,
+    /// The file with the certificate authorities to accept for a node behind TLS, instead of those the machine trusts.
+    pub chain_roots: Option<PathBuf>,
     /// The contract's address.
     pub contract: Option<Address>,
     /// The most wei per gas that a transaction may offer.
@@ -238,7 +240,8 @@ impl Config {
             rosrust_program: text("ros.rosrust_program").map(PathBuf::from),
             robots: if without_robots { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
-            chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,
+            chain_url: url(&values, "chain.url", &["http://", "https://", "ws://", "wss://", "ipc://", "/"])?,
+            chain_roots: certificates(&values, "chain.roots")?,
             contract: parsed(&values, "chain.contract")?,
             max_fee,
             min_price,
@@ -281,13 +284,13 @@ impl Config {
         Keeping::new(self.topic_rules.clone(), self.retention.clone())
     }
 
-    /// All settings for display, with passwords in URLs hidden.
+    /// All settings for display, with passwords and paths in URLs hidden.
     pub fn show(&self) -> Vec<SettingView> {
         let view = |definition: &Definition| {
             let (value, source) = self.values.get(definition.name).cloned().unwrap_or((String::new(), Source::Default));
             SettingView {
                 name: definition.name,
-                value: clean(&without_password(&value), 200),
+                value: clean(&without_secrets(&value), 200),
                 source: source.to_string(),
                 text: definition.text,
             }

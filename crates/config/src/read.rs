@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::lines::Lines;
 use super::{ConfigError, DEFINITIONS, Definition, topic_rules};
-use crate::model::{ByteSize, TopicRules, clean, time_span};
+use crate::model::{ByteSize, TopicRules, address_without_secrets, clean, time_span, without_secrets};
 
 /// The source of a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,14 +47,6 @@ pub struct SettingView {
     pub source: String,
     /// Its meaning.
     pub text: &'static str,
-}
-
-/// A URL with any `user:password@` hidden.
-pub fn without_password(url: &str) -> String {
-    match (url.split_once("://"), url.rsplit_once('@')) {
-        (Some((scheme, _)), Some((_, rest))) => format!("{scheme}://…@{rest}"),
-        _ => url.to_owned(),
-    }
 }
 
 pub(super) type FileValues = BTreeMap<String, (String, usize)>;
@@ -134,9 +126,11 @@ pub(super) type Values = BTreeMap<&'static str, (String, Source)>;
 
 pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigError {
     let (value, source) = values.get(name).cloned().unwrap_or((String::new(), Source::Default));
+    // What was meant as a server's URL may be all path, which may be a key.
+    let shown = if matches!(name, "chain.url" | "alerts.webhook") { address_without_secrets } else { without_secrets };
     ConfigError::Value {
         name,
-        value: clean(&without_password(&value), 100),
+        value: clean(&shown(&value), 100),
         source_name: source.to_string(),
         what: what.to_owned(),
     }
@@ -214,4 +208,13 @@ fn without_path(url: &str) -> String {
         Some((host, further)) if !further.is_empty() => format!("{scheme}://{host}/…"),
         _ => url.to_owned(),
     }
+}
+
+/// A file of PEM certificates; whether it holds any is checked when it is used.
+pub(super) fn certificates(values: &Values, name: &'static str) -> Result<Option<PathBuf>, ConfigError> {
+    let Some(path) = value(values, name).map(PathBuf::from) else { return Ok(None) };
+    if !path.is_absolute() || !path.is_file() {
+        return Err(wrong(values, name, "give the absolute path of a file with PEM certificates"));
+    }
+    Ok(Some(path))
 }

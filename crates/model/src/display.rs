@@ -48,6 +48,34 @@ fn judged(text: &str) -> impl Iterator<Item = (char, bool)> {
     })
 }
 
+/// A URL without what may be secret in it: user name and password, and also the path, which often holds a key, except for
+/// those whose path is a file's or a database's. Other text comes back as it is.
+pub fn without_secrets(url: &str) -> String {
+    let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
+    let is_word = scheme.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'+');
+    if !is_word || scheme == "ipc" || scheme.starts_with("redis") {
+        return match url.rsplit_once('@') {
+            Some((_, rest)) => format!("{scheme}://…@{rest}"),
+            None => url.to_owned(),
+        };
+    }
+    let length = rest.find(['/', '?', '#', '\\']).unwrap_or(rest.len());
+    let (authority, path) = rest.split_at(length);
+    // With an @ behind it, this may be only the beginning of a password.
+    if path.contains('@') {
+        return format!("{scheme}://…");
+    }
+    let host = authority.rsplit_once('@').map_or_else(|| authority.to_owned(), |(_, host)| format!("…@{host}"));
+    let path = if matches!(path, "" | "/") { path } else { "/…" };
+    format!("{scheme}://{host}{path}")
+}
+
+/// The same for text that should be the URL or the socket of a server and may be neither: then it is not shown at all.
+pub fn address_without_secrets(text: &str) -> String {
+    let is_address = text.contains("://") || text.starts_with('/') || text.starts_with("ipc:") || text.is_empty();
+    if is_address { without_secrets(text) } else { "…".to_owned() }
+}
+
 /// [`clean`] for each line of a longer text, keeping the line breaks.
 pub fn clean_lines(text: &str, width: usize) -> String {
     text.lines().map(|line| clean(line, width)).collect::<Vec<_>>().join("\n")
@@ -72,6 +100,30 @@ pub fn is_shown(character: char) -> bool {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn a_url_is_shown_without_what_may_be_secret() {
+        for (url, shown) in [
+            ("http://127.0.0.1:8545", "http://127.0.0.1:8545"),
+            ("http://127.0.0.1:8545/", "http://127.0.0.1:8545/"),
+            ("https://node.example/v3/SECRET", "https://node.example/…"),
+            ("https://node.example?key=SECRET", "https://node.example/…"),
+            ("wss://me:SECRET@node.example:1/x", "wss://…@node.example:1/…"),
+            ("ws://me:SE@CRET@node.example", "ws://…@node.example"),
+            ("http://me:1/SECRET@node.example", "http://…"),
+            ("redis://me:SECRET@host:1/0", "redis://…@host:1/0"),
+            ("redis+unix:///run/redis.sock", "redis+unix:///run/redis.sock"),
+            ("/run/geth.ipc", "/run/geth.ipc"),
+        ] {
+            assert_eq!(
+                (without_secrets(url), address_without_secrets(url)),
+                (shown.to_owned(), shown.to_owned()),
+                "{url}"
+            );
+        }
+        assert_eq!(without_secrets("htps://node.example/SECRET"), "htps://node.example/…");
+        assert_eq!(address_without_secrets("node.example/SECRET"), "…");
+    }
 
     #[test]
     fn hostile_text_is_defused() {

@@ -46,7 +46,7 @@ pub use bytes::{
 };
 pub use consensus::Consensus;
 pub use disk_ring::{RingLimits, RingSpan, TopicPatterns};
-pub use display::{clean, clean_lines, is_shown, spelt_out};
+pub use display::{address_without_secrets, clean, clean_lines, is_shown, spelt_out, without_secrets};
 pub use error_kind::ErrorKind;
 pub use gap::{GapReport, LossReason};
 pub use grant::{GrantTerms, Scope};

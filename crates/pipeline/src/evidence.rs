@@ -297,7 +297,7 @@ fn slots(all: &[Asked]) -> Vec<Slot> {
 async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>, PipelineError> {
     match reader.network.chain.storage_nodes(block, slots).await {
         Ok(nodes) => Ok(Some(nodes.into_iter().collect())),
-        Err(ChainError::Unreachable { url, reason }) => Err(ChainError::Unreachable { url, reason }.into()),
+        Err(error @ ChainError::Unreachable { .. }) => Err(error.into()),
         Err(error) if error.kind() == ErrorKind::Tampered => Err(error.into()),
         Err(_) => Ok(None),
     }

@@ -83,12 +83,15 @@ pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Resu
 
 /// A TCP connection to `host:port`, opened before `deadline`, with TCP_NODELAY.
 pub(super) fn connect(host: &str, port: u16, deadline: Instant) -> std::io::Result<TcpStream> {
+    connect_to_any(&resolve(host, port, deadline)?, deadline)
+}
+
+/// Each address gets its share of the time that is left: one that is silent must not use up that of the others.
+fn connect_to_any(addresses: &[SocketAddr], deadline: Instant) -> std::io::Result<TcpStream> {
     let mut failure = std::io::Error::new(std::io::ErrorKind::NotFound, "its name has no address");
-    let addresses = resolve(host, port, deadline)?;
-    for (tried, address) in addresses.iter().enumerate() {
-        // Each has a share of the time, so that a dead first one does not use up that of the others.
-        let others = u32::try_from(addresses.len() - tried).unwrap_or(1).max(1);
-        match TcpStream::connect_timeout(address, (time_left(deadline)? / others).max(SHORTEST)) {
+    for (address, further) in addresses.iter().zip((1..=addresses.len()).rev()) {
+        let share = time_left(deadline)? / u32::try_from(further).unwrap_or(u32::MAX);
+        match TcpStream::connect_timeout(address, share) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
                 return Ok(stream);
@@ -160,6 +163,36 @@ mod tests {
             if let Some(endpoint) = Endpoint::parse(&text) {
                 prop_assert_eq!(Endpoint::parse(&endpoint.to_string()), Some(endpoint));
             }
+        }
+    }
+
+    #[test]
+    fn an_address_that_is_silent_leaves_time_for_the_next() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("binds");
+        // One whose queue of connections is full does not answer further ones.
+        let full = SilentListener::new();
+        let addresses = [full.address, listener.local_addr().expect("an address")];
+        let connected = connect_to_any(&addresses, Instant::now() + Duration::from_secs(4));
+        assert_eq!(connected.expect("the second answers").peer_addr().ok(), Some(addresses[1]));
+    }
+
+    /// A listener that lets nobody in any more.
+    struct SilentListener {
+        address: SocketAddr,
+        _listener: std::net::TcpListener,
+        _queue: Vec<TcpStream>,
+    }
+
+    impl SilentListener {
+        fn new() -> Self {
+            let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("binds");
+            let address = listener.local_addr().expect("an address");
+            let mut queue = Vec::new();
+            while let Ok(stream) = TcpStream::connect_timeout(&address, Duration::from_millis(300)) {
+                queue.push(stream);
+                assert!(queue.len() < 10_000, "the queue is never full");
+            }
+            Self { address, _listener: listener, _queue: queue }
         }
     }
 }

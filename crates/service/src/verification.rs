@@ -126,7 +126,7 @@ async fn ask(
     steps: &mut Vec<VerifyStep>,
     sealed_by: &mut Option<SealedBy>,
 ) -> Result<Option<AnchoredAt>, ChainError> {
-    let endpoint = Endpoint::Node { url: url.to_owned() };
+    let endpoint = Endpoint::Node { url: url.to_owned(), roots: None };
     let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
     let chain = Chain::connect(options).await?;
     let proof = &folder.proof;

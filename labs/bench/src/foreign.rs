@@ -1,10 +1,10 @@
 //! What only a lab asks of a chain: the contents of blocks, and calls of other contracts by their bytes.
 
 use ethers::abi::{Abi, Token as AbiToken};
-use ethers::signers::{LocalWallet, Signer as _};
 use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest};
 use ethers::utils::{get_contract_address, keccak256};
+use ethers_signers::{LocalWallet, Signer as _};
 use serde::Deserialize;
 use serde_json::{Value, json};
 

@@ -186,13 +186,13 @@ async fn connect(place: &Place, directory: &Path) -> Result<Chain, Failure> {
         Place::Embedded(consensus) => {
             Endpoint::Embedded { directory: directory.join("chain"), consensus: Some(*consensus) }
         }
-        Place::Node(url) => Endpoint::Node { url: url.clone() },
+        Place::Node(url) => Endpoint::Node { url: url.clone(), roots: None },
     };
     let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
     // This error's advice names a setting; here it is an argument.
     Chain::connect(options).await.map_err(|error| match error {
-        ChainError::Unreachable { url, reason } => {
-            let text = format!("the node at {url} does not answer ({reason}); start it or correct --node");
+        ChainError::Unreachable { url, reason, .. } => {
+            let text = format!("the node at {url} {reason}; start it or correct --node");
             Failure::new(ErrorKind::Unreachable, text)
         }
         other => other.into(),

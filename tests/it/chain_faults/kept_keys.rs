@@ -78,7 +78,7 @@ fn keyring(paths: &authros::paths::Home, name: &str) -> Keyring {
 async fn events(paths: &authros::paths::Home, node: Option<&Anvil>) -> (Pin, Vec<EventAt>) {
     let pin: Pin = serde_json::from_slice(&std::fs::read(paths.pin()).expect("a pin")).expect("JSON");
     let endpoint = match node {
-        Some(node) => Endpoint::Node { url: node.http() },
+        Some(node) => Endpoint::Node { url: node.http(), roots: None },
         None => Endpoint::Embedded { directory: paths.chain(), consensus: None },
     };
     let options = ChainOptions { endpoint, contract: None, pinned: Some(pin.clone()), confirmations: 1 };

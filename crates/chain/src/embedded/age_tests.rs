@@ -4,8 +4,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ethers::signers::{LocalWallet, Signer};
 use ethers::types::{H160, TransactionRequest, transaction::eip2718::TypedTransaction};
+use ethers_signers::{LocalWallet, Signer};
 
 use super::block::created_address;
 use super::node::Node;

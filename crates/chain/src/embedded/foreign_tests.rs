@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use ethers::signers::Signer;
 use ethers::types::U256;
 use ethers::utils::rlp::{self, RlpStream};
+use ethers_signers::Signer;
 use serde_json::{Value, json};
 
 use super::state_tests::{Site, open};

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use ethers::signers::{LocalWallet, Signer};
 use ethers::types::{H160, TransactionRequest, transaction::eip2718::TypedTransaction};
+use ethers_signers::{LocalWallet, Signer};
 use k256::ecdsa::SigningKey;
 use serde_json::{Value, json};
 

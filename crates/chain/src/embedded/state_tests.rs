@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use ethers::signers::{LocalWallet, Signer};
 use ethers::types::{H160, TransactionRequest, U256, transaction::eip2718::TypedTransaction};
 use ethers::utils::keccak256;
+use ethers_signers::{LocalWallet, Signer};
 use rusqlite::{Connection, params};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;

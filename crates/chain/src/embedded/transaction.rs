@@ -141,8 +141,8 @@ pub fn recover(hash: &[u8; 32], signature: &Signature, parity: RecoveryId) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ethers::signers::{LocalWallet, Signer};
     use ethers::types::{TransactionRequest, transaction::eip2718::TypedTransaction};
+    use ethers_signers::{LocalWallet, Signer};
     use proptest::prelude::*;
 
     fn signed(chain_id: u64) -> (Vec<u8>, Address) {

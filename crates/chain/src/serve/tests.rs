@@ -63,7 +63,7 @@ async fn serve(directory: &Path, limits: Limits, consensus: Option<Consensus>) -
 impl Served {
     async fn client(&self) -> Chain {
         let url = format!("http://{}", self.address);
-        Chain::connect(options(Endpoint::Node { url })).await.expect("connects")
+        Chain::connect(options(Endpoint::Node { url, roots: None })).await.expect("connects")
     }
 
     /// Sends bytes and returns everything received until the end.

@@ -30,15 +30,21 @@ const MOST_WAITING: usize = 64;
 /// Who connects: from which of this machine's addresses (`None` = whichever fits), N, and K_T if there is one.
 pub(super) type Who<'a> = (Option<IpAddr>, &'a ProfileName, Option<&'a TransportKey>);
 
-async fn dial(source: Option<IpAddr>, address: &str) -> io::Result<TcpStream> {
-    let Some(source) = source else { return TcpStream::connect(address).await };
+/// Each address of a name gets its share of the time: one that is silent must not use up that of the others.
+async fn dial(source: Option<IpAddr>, address: &str, patience: Duration) -> io::Result<TcpStream> {
+    let fits = |place: &SocketAddr| source.is_none_or(|source| source.is_ipv4() == place.is_ipv4());
+    let places: Vec<SocketAddr> = lookup_host(address).await?.filter(fits).collect();
+    let share = patience / u32::try_from(places.len().max(1)).unwrap_or(u32::MAX);
     let mut failed = io::Error::from(io::ErrorKind::AddrNotAvailable);
-    for place in lookup_host(address).await?.filter(|place| place.is_ipv4() == source.is_ipv4()) {
-        let socket = if source.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
-        socket.bind(SocketAddr::new(source, 0))?;
-        match socket.connect(place).await {
-            Ok(stream) => return Ok(stream),
-            Err(error) => failed = error,
+    for place in places {
+        let socket = if place.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+        if let Some(source) = source {
+            socket.bind(SocketAddr::new(source, 0))?;
+        }
+        match timeout(share, socket.connect(place)).await {
+            Ok(Ok(stream)) => return Ok(stream),
+            Ok(Err(error)) => failed = error,
+            Err(_) => failed = io::Error::from(io::ErrorKind::TimedOut),
         }
     }
     Err(failed)
@@ -51,7 +57,7 @@ pub(super) async fn hello(
     trust: &mut Trust,
     (source, name, key): Who<'_>,
 ) -> Result<(Line, Agreed, Session), GatewayError> {
-    let stream = dial(source, address).await.map_err(|source| unreachable(address, source))?;
+    let stream = dial(source, address, endpoint.patience).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
     let hello = ClientHello::begin(endpoint.context)?;
     let send = |error| line_error(address, error);
@@ -67,7 +73,7 @@ pub(super) async fn hello(
 
 /// The network at an address.
 pub(super) async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
-    let stream = TcpStream::connect(address).await.map_err(|source| unreachable(address, source))?;
+    let stream = dial(None, address, patience).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
     let send = |error| line_error(address, error);
     line.send(FrameKind::Inquiry, &NetworkName::INQUIRY, patience).await.map_err(send)?;

@@ -67,7 +67,7 @@ impl Anvil {
 
     async fn process_at(&self, url: &str, cap: Option<u128>, records: u64) -> Process {
         let options = ChainOptions {
-            endpoint: Endpoint::Node { url: url.to_owned() },
+            endpoint: Endpoint::Node { url: url.to_owned(), roots: None },
             contract: None,
             pinned: None,
             confirmations: 1,

@@ -17,7 +17,6 @@ pub use self::queue::Queue;
 pub use self::rules::{Judge, RULES, rule_of};
 pub use self::state::{Change, Standing};
 use self::webhook::Webhook;
-pub(crate) use self::webhook::{innermost, trusted};
 use crate::config::AlertPlace;
 use crate::model::{Timestamp, clean};
 use crate::service::failure::internal;

@@ -1,15 +1,15 @@
 //! Deliveries over HTTP: JSON with a signature over time and body, or in Alertmanager's format.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
-use reqwest_tls as reqwest;
 use serde_json::json;
 use sha2::Sha256;
 use zeroize::Zeroizing;
 
 use super::{Delivery, News, Undelivered};
+use crate::chain::web;
 use crate::config::AlertForm;
 use crate::crypto::private_file;
 use crate::model::{ErrorKind, Timestamp, clean};
@@ -22,9 +22,6 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const MOST_READ: usize = 512;
 /// Answers about the delivery itself, not about the address or the moment: it is malformed, too large, not to be processed.
 const JUDGED: [u16; 3] = [400, 413, 422];
-/// Where distributions keep their trusted authorities.
-const TRUSTED: [&str; 3] =
-    ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
 /// The longest secret file, bytes.
 const LONGEST_SECRET: usize = 4096;
 
@@ -49,9 +46,12 @@ impl Webhook {
         }
         // Redirects are not followed: only the named server gets the alert.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
-        let client = client.tls_built_in_root_certs(false);
-        let trusted = if url.scheme() == "https" { authorities(roots, "check alerts.roots")? } else { Vec::new() };
-        let client = trusted.into_iter().fold(client, reqwest::ClientBuilder::add_root_certificate);
+        let client = if url.scheme() == "https" {
+            let tls = web::tls(roots).map_err(|why| input(format!("{why}; check alerts.roots")))?;
+            client.use_preconfigured_tls(tls)
+        } else {
+            client.tls_built_in_root_certs(false)
+        };
         let client = client.timeout(PATIENCE).build().map_err(|_| unusable())?;
         let read = |path| private_file::read_private(path, LONGEST_SECRET);
         let secret = secret.map(read).transpose()?.map(|bytes| Zeroizing::new(bytes.trim_ascii().to_vec()));
@@ -75,13 +75,31 @@ impl Webhook {
         let sent = request.header("X-AuthROS-Time", time).body(body).send().await;
         let answer = sent.map_err(|error| self.unreachable(&error))?;
         let status = answer.status();
-        let advice = advice(status, answer.headers().get(reqwest::header::LOCATION));
+        let place = redirect(&self.url, &answer);
         let text = beginning(answer).await;
         let told = format!("{}{}{text}", status.as_u16(), if text.is_empty() { "" } else { ": " });
         if status.is_success() {
             return Ok(told);
         }
-        let failure = refused(format!("the webhook at {} answered {told}; {advice}", self.host()));
+        let host = self.host();
+        let failure = refused(match (place, status.as_u16()) {
+            (Some(place), code) => format!(
+                "the webhook at {host} answered {code} and points at {place}, which is not followed; set alerts.webhook \
+                 to that address"
+            ),
+            (None, 401) => {
+                format!("the webhook at {host} wants a user name and password ({told}); check alerts.webhook")
+            }
+            (None, 404) => format!("the webhook at {host} has nothing at this path ({told}); check alerts.webhook"),
+            (None, 413) => format!("the webhook at {host} finds the delivery too large ({told}); raise its limit"),
+            (None, 429) => {
+                format!("the webhook at {host} limits how often it may be told ({told}); it is told again later")
+            }
+            (None, 502..=504) => {
+                format!("the server at {host} does not reach its webhook ({told}); check that it is running")
+            }
+            (None, _) => format!("the webhook at {host} answered {told}; check its log and alerts.secret"),
+        });
         Err(Undelivered { failure, is_judged: JUDGED.contains(&status.as_u16()) })
     }
 
@@ -91,55 +109,23 @@ impl Webhook {
     }
 
     fn unreachable(&self, error: &reqwest::Error) -> Failure {
-        let why = if error.is_timeout() { "no answer within 10 s".to_owned() } else { innermost(error) };
-        let (host, help) = (self.host(), "check that it is running, and alerts.webhook");
-        Failure::new(ErrorKind::Unreachable, format!("the webhook at {host} cannot be reached: {why}; {help}"))
+        let host = self.host();
+        let why = if error.is_timeout() { "no answer within 10 s".to_owned() } else { web::innermost(error) };
+        let text = match web::tls_fault(error, "alerts.roots") {
+            Some(fault) => format!("the webhook at {host} {}; {}", fault.reason, fault.advice),
+            None => {
+                format!("the webhook at {host} cannot be reached: {why}; check that it is running, and alerts.webhook")
+            }
+        };
+        Failure::new(ErrorKind::Unreachable, text)
     }
 }
 
-/// What to do about an answer that is no success; `place` is where it sends the alert instead.
-fn advice(status: reqwest::StatusCode, place: Option<&reqwest::header::HeaderValue>) -> String {
-    // Of the place only the host: what follows may be a secret.
-    let host = place.and_then(|place| reqwest::Url::parse(place.to_str().ok()?).ok());
-    let host = host.and_then(|url| url.host_str().map(|host| clean(host, 100)));
-    match (status.as_u16(), host) {
-        (300..=399, Some(host)) => {
-            format!("it names another place at {host}, which is not followed; set alerts.webhook to it if it is right")
-        }
-        (300..=399, None) => "it names another place, which is not followed; correct alerts.webhook".to_owned(),
-        (401 | 403, _) => "check alerts.secret".to_owned(),
-        (404 | 405 | 410, _) => "check the path of alerts.webhook".to_owned(),
-        (429, _) => "it accepts no more for now; the alert is sent again".to_owned(),
-        _ => "check its log and alerts.secret".to_owned(),
-    }
-}
-
-/// The authorities that this machine trusts.
-pub(crate) fn trusted() -> Result<Vec<reqwest::Certificate>, Failure> {
-    authorities(None, "check this machine's ca-certificates")
-}
-
-/// The trusted authorities: those in a file, or else those that this machine trusts.
-fn authorities(file: Option<&Path>, help: &str) -> Result<Vec<reqwest::Certificate>, Failure> {
-    let named = std::env::var_os("SSL_CERT_FILE").map(PathBuf::from);
-    let of_machine = || named.or_else(|| TRUSTED.iter().map(PathBuf::from).find(|path| path.is_file()));
-    let path = file.map(Path::to_owned).or_else(of_machine).ok_or_else(|| {
-        input(format!("this machine has no certificate authorities for https; install ca-certificates; {help}"))
-    })?;
-    let shown = clean(&path.display().to_string(), 200);
-    let unusable = |why: String| input(format!("{shown} cannot be used for https: {why}; {help}"));
-    let bytes = std::fs::read(&path).map_err(|error| unusable(error.to_string()))?;
-    let found = reqwest::Certificate::from_pem_bundle(&bytes).map_err(|error| unusable(innermost(&error)))?;
-    if found.is_empty() { Err(unusable("it contains no PEM certificate".to_owned())) } else { Ok(found) }
-}
-
-/// The root cause; it does not contain the URL.
-pub(crate) fn innermost(error: &dyn std::error::Error) -> String {
-    let mut cause = error;
-    while let Some(deeper) = cause.source() {
-        cause = deeper;
-    }
-    clean(&cause.to_string(), 160)
+/// The place that a redirect names.
+fn redirect(asked: &reqwest::Url, answer: &reqwest::Response) -> Option<String> {
+    let location = answer.headers().get(reqwest::header::LOCATION).and_then(|place| place.to_str().ok());
+    let is_redirect = matches!(answer.status().as_u16(), 301..=303 | 307 | 308);
+    is_redirect.then(|| web::redirected(asked, location))
 }
 
 /// The beginning of an answer, for people; a server cannot hold us up with a long one.
@@ -240,5 +226,36 @@ mod tests {
             assert_eq!(address(url, AlertForm::Alertmanager), "http://h:9093/api/v2/alerts");
         }
         assert_eq!(address("http://h:1/a?b=c", AlertForm::Authros), "http://h:1/a?b=c");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_refusal_is_named_and_a_redirect_says_where_to() {
+        use std::io::{Read as _, Write as _};
+        for (lines, said) in [
+            (
+                "307 Temporary Redirect\r\nLocation: https://new.example/T0K3N",
+                ["https://new.example/…", "answered 307"],
+            ),
+            ("308 Permanent Redirect\r\nLocation: /hook/", ["a slash at its end", "alerts.webhook"]),
+            ("401 Unauthorized", ["user name and password", "401"]),
+            ("404 Not Found", ["nothing at this path", "404"]),
+            ("429 Too Many Requests", ["how often", "429"]),
+            ("502 Bad Gateway", ["does not reach its webhook", "502"]),
+            ("500 Internal Server Error", ["answered 500", "alerts.secret"]),
+        ] {
+            let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("binds");
+            let port = listener.local_addr().expect("an address").port();
+            let server = std::thread::spawn(move || {
+                let (mut stream, _) = listener.accept().expect("a delivery");
+                drop(stream.read(&mut [0; 4096]));
+                drop(stream.write_all(format!("HTTP/1.1 {lines}\r\nContent-Length: 0\r\n\r\n").as_bytes()));
+                drop(stream.read(&mut [0; 4096]));
+            });
+            let webhook = Webhook::new(&format!("http://127.0.0.1:{port}/hook"), AlertForm::Authros, None, None);
+            let refused = webhook.expect("usable").carry(&delivery(1), 0).await.expect_err("refused");
+            let text = refused.failure.message;
+            assert!(said.iter().all(|part| text.contains(part)) && !text.contains("T0K3N"), "{lines}: {text}");
+            server.join().expect("ends");
+        }
     }
 }

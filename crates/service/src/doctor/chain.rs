@@ -2,8 +2,8 @@
 
 use super::Sheet;
 use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
-use crate::config::{Config, without_password};
-use crate::model::Timestamp;
+use crate::config::Config;
+use crate::model::{Timestamp, without_secrets};
 use crate::paths::Home;
 
 /// Seconds that a block may be ahead of this clock.
@@ -21,7 +21,7 @@ pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &
         return remote(&site.addresses, sheet).await;
     }
     let (endpoint, name) = match &config.chain_url {
-        Some(url) => (Endpoint::Node { url: url.clone() }, without_password(url)),
+        Some(url) => (Endpoint::Node { url: url.clone(), roots: config.chain_roots.clone() }, without_secrets(url)),
         None if site_runs && (pinned.is_none() || home.chain().join("chain.db").exists()) => {
             sheet.ok("chain", "embedded; in use by the running site");
             return if pinned.is_some() {

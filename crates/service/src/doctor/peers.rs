@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::{Sheet, files};
-use crate::config::{Config, without_password};
+use crate::config::Config;
+use crate::model::without_secrets;
 use crate::paths::Home;
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
@@ -22,7 +23,7 @@ pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
     match policy::examine(Some(url)) {
         Ok(findings) => {
             if findings.is_empty() {
-                let text = format!("{} answers, does not evict and has an append-only file", without_password(url));
+                let text = format!("{} answers, does not evict and has an append-only file", without_secrets(url));
                 sheet.ok("vault", &text);
             }
             for finding in findings {
@@ -93,7 +94,7 @@ pub(super) fn ros(config: &Config, sheet: &mut Sheet) {
     let Some(master) = &config.ros_master else {
         return sheet.ok("ros", "embedded master, started with the site");
     };
-    let shown = without_password(master);
+    let shown = without_secrets(master);
     let graph = match Graph::new(master, "/authros_doctor") {
         Ok(graph) => graph,
         Err(error) => return sheet.fail("ros", &error.to_string(), "correct ros.master"),

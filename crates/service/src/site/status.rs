@@ -7,8 +7,7 @@ use tokio::task::block_in_place;
 
 use super::{NetworkState, RosState, Site};
 use crate::chain::{Call, Chain, Priced, Shortfall, offered};
-use crate::config::without_password;
-use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean};
+use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, without_secrets};
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
@@ -77,9 +76,7 @@ impl Site {
     fn chain_health(&self) -> PartHealth {
         let name = match self.joined.chain_text() {
             Some(text) => text,
-            None => {
-                self.parts.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_password)
-            }
+            None => self.parts.config.chain_url.as_deref().map_or_else(|| "embedded chain".to_owned(), without_secrets),
         };
         let silent = self.parts.link.is_silent();
         let (level, text) = match &*self.parts.link.state() {
@@ -105,7 +102,7 @@ impl Site {
     }
 
     fn vault_health(&self) -> PartHealth {
-        let name = self.parts.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_password);
+        let name = self.parts.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_secrets);
         if let Some((level, text)) = self.storage.room_health() {
             return part("vault", level, &text);
         }

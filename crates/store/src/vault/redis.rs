@@ -3,6 +3,7 @@
 
 mod address;
 mod cluster;
+mod connection;
 mod node;
 mod slots;
 mod together;
@@ -10,10 +11,11 @@ mod together;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use redis::{Connection, RedisResult, Value, cmd, pipe};
+use redis::{RedisResult, Value, cmd, pipe};
 
 use self::address::{Address, Place};
 use self::cluster::{Cluster, Member};
+use self::connection::Connection;
 use self::node::{Failure, Node};
 use super::policy::Finding;
 use super::{Stored, Usage, Vault};

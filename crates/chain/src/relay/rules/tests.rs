@@ -23,9 +23,9 @@ fn code(outcome: Result<Passed, RelayError>) -> i64 {
 
 /// Fields of a legacy transaction, signed as Ethereum does it.
 fn signed(to: Option<Address>, gas: u64, value: u64, chain: u64, data: &[u8]) -> Value {
-    use ethers::signers::{LocalWallet, Signer as _};
     use ethers::types::transaction::eip2718::TypedTransaction;
     use ethers::types::{H160, TransactionRequest};
+    use ethers_signers::{LocalWallet, Signer as _};
     let wallet = LocalWallet::from_bytes(&[0x11; 32]).expect("a key").with_chain_id(chain);
     let mut request = TransactionRequest::new().nonce(0).gas(gas).gas_price(0).value(value).chain_id(chain);
     request = request.data(data.to_vec());

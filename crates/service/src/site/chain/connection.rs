@@ -120,7 +120,7 @@ impl Connection {
             return remote.chain((&self.home, &self.owners), pinned, contract, confirmations).await;
         }
         let endpoint = match &self.config.chain_url {
-            Some(url) => Endpoint::Node { url: url.clone() },
+            Some(url) => Endpoint::Node { url: url.clone(), roots: self.config.chain_roots.clone() },
             None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
         };
         Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)

@@ -12,14 +12,13 @@ use authros_evidence::PinnedAuthority;
 use authros_evidence::time::{
     Certificate, LONGEST_ANSWER, MOST_ROOTS, REQUEST_TYPE, Request, StampTree, check_token, token_of,
 };
-use reqwest_tls as reqwest;
 use sha2::{Digest as _, Sha256};
 
+use crate::chain::web;
 use crate::config::TimeAuthority;
 use crate::crypto::random_bytes;
 use crate::model::{ErrorKind, Hash, Timestamp, clean};
 use crate::pipeline::Plant;
-use crate::service::alerts::{innermost, trusted};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
 use crate::service::hub::Hub;
@@ -255,19 +254,25 @@ fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
 }
 
 fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
-    let roots = if authority.url.starts_with("https://") { trusted()? } else { Vec::new() };
     // Only authorities in the settings are asked.
     let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
-    let client =
-        roots.into_iter().fold(client.tls_built_in_root_certs(false), reqwest::ClientBuilder::add_root_certificate);
-    client.timeout(PATIENCE).build().map_err(|error| internal(innermost(&error)))
+    let client = if authority.url.starts_with("https://") {
+        let tls = web::tls(None).map_err(|why| input(format!("{why}; check this machine's ca-certificates")))?;
+        client.use_preconfigured_tls(tls)
+    } else {
+        client.tls_built_in_root_certs(false)
+    };
+    client.timeout(PATIENCE).build().map_err(|error| internal(web::innermost(&error)))
 }
 
 async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec<u8>) -> Result<Vec<u8>, Failure> {
     let name = clean(&authority.name, 80);
     let unreachable = |error: reqwest::Error| {
-        let why = if error.is_timeout() { "no answer in time".to_owned() } else { innermost(&error) };
-        let text = format!("the time stamp authority '{name}' cannot be reached: {why}; check time.authorities");
+        let why = if error.is_timeout() { "no answer in time".to_owned() } else { web::innermost(&error) };
+        let text = match web::tls_fault(&error, "SSL_CERT_FILE") {
+            Some(fault) => format!("the time stamp authority '{name}' {}; {}", fault.reason, fault.advice),
+            None => format!("the time stamp authority '{name}' cannot be reached: {why}; check time.authorities"),
+        };
         Failure::new(ErrorKind::Unreachable, text)
     };
     let sent = client.post(&authority.url).header("Content-Type", REQUEST_TYPE).body(request).send().await;

@@ -5,9 +5,10 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-use redis::{Connection, RedisResult, Value, cmd, from_redis_value};
+use redis::{RedisResult, Value, cmd, from_redis_value};
 
 use super::address::{Address, Place};
+use super::connection::Connection;
 use super::node::{Failure, MARK, Node};
 use super::slots::{SLOTS, slot};
 use crate::model::clean;

@@ -5,16 +5,14 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use redis::{
-    Client, Connection, ConnectionInfo, ErrorKind, IntoConnectionInfo, RedisError, RedisResult, ServerErrorKind, cmd,
-};
+use redis::{ConnectionInfo, ErrorKind, IntoConnectionInfo, RedisError, RedisResult, ServerErrorKind, cmd};
 
 use super::address::{Address, Place};
+use super::connection::Connection;
 use crate::model::{Timestamp, clean};
 use crate::store::StoreError;
 use crate::store::vault::policy::{Finding, Gravity, Setup};
 
-const TIMEOUT: Duration = Duration::from_secs(3);
 /// How long an unresponsive server is left alone: callers meanwhile get the previous error at once, so nobody waits a
 /// second time for the same silence.
 const REST: Duration = Duration::from_secs(1);
@@ -42,9 +40,9 @@ impl From<StoreError> for Failure {
 
 /// How a node is found.
 enum Source {
-    Fixed(Client),
+    Fixed(Box<ConnectionInfo>),
     /// The sentinels, their name for the master, its database.
-    Sentinels(Vec<Client>, String, String),
+    Sentinels(Vec<ConnectionInfo>, String, String),
 }
 
 /// One server.
@@ -93,9 +91,9 @@ impl Node {
     /// [`StoreError::VaultUrl`].
     pub(super) fn new(address: &Address) -> Result<Self, StoreError> {
         let source = match &address.place {
-            Place::Server(url) => Source::Fixed(client(url, &address.shown)?),
+            Place::Server(url) => Source::Fixed(Box::new(server(url, &address.shown)?)),
             Place::Sentinels(hosts, master, database) => {
-                let sentinels = hosts.iter().map(|host| client(&format!("redis://{host}/"), &address.shown));
+                let sentinels = hosts.iter().map(|host| server(&format!("redis://{host}/"), &address.shown));
                 Source::Sentinels(sentinels.collect::<Result<_, _>>()?, master.clone(), database.clone())
             }
             Place::Cluster(_) => {
@@ -112,7 +110,7 @@ impl Node {
     /// [`StoreError::VaultUrl`].
     pub(super) fn member(address: &Address, host: &str) -> Result<Self, StoreError> {
         let shown = clean(&format!("redis://{host}"), 120);
-        let source = Source::Fixed(client(&address.server(host, "0"), &shown)?);
+        let source = Source::Fixed(Box::new(server(&address.server(host, "0"), &shown)?));
         Ok(Self::at(address, source, shown))
     }
 
@@ -175,11 +173,11 @@ impl Node {
 
     fn dial(&self) -> Result<Connection, StoreError> {
         match &self.source {
-            Source::Fixed(client) => open(client).map_err(|e| self.error(&e)),
+            Source::Fixed(server) => Connection::open(server).map_err(|e| self.error(&e)),
             Source::Sentinels(sentinels, master, database) => {
                 let host = self.master(sentinels, master)?;
-                let client = client(&self.address.server(&host, database), &self.shown)?;
-                let mut connection = open(&client).map_err(|e| self.error(&e))?;
+                let server = server(&self.address.server(&host, database), &self.shown)?;
+                let mut connection = Connection::open(&server).map_err(|e| self.error(&e))?;
                 let role: Vec<redis::Value> = cmd("ROLE").query(&mut connection).map_err(|e| self.error(&e))?;
                 let role = role.into_iter().next().map(redis::from_redis_value::<String>);
                 if !matches!(role, Some(Ok(role)) if role == "master") {
@@ -191,10 +189,10 @@ impl Node {
     }
 
     /// HOST:PORT of the master, from the first sentinel that answers.
-    fn master(&self, sentinels: &[Client], name: &str) -> Result<String, StoreError> {
+    fn master(&self, sentinels: &[ConnectionInfo], name: &str) -> Result<String, StoreError> {
         let mut failure = self.gone("there are no sentinels");
         for sentinel in sentinels {
-            let asked = open(sentinel).and_then(|mut connection| {
+            let asked = Connection::open(sentinel).and_then(|mut connection| {
                 let mut question = cmd("SENTINEL");
                 question.arg("GET-MASTER-ADDR-BY-NAME").arg(name);
                 question.query::<Option<(String, u16)>>(&mut connection)
@@ -326,23 +324,12 @@ impl Node {
     }
 }
 
-/// Without the library's two announcements of itself, each of which a silent server may let wait.
-fn client(url: &str, shown: &str) -> Result<Client, StoreError> {
-    let quiet = |info: ConnectionInfo| {
-        let settings = info.redis_settings().clone().set_skip_set_lib_name();
-        info.set_redis_settings(settings)
-    };
-    url.into_connection_info().map(quiet).and_then(Client::open).map_err(|error| {
+/// The server at a URL.
+fn server(url: &str, shown: &str) -> Result<ConnectionInfo, StoreError> {
+    url.into_connection_info().map_err(|error| {
         let detail = clean(error.detail().unwrap_or(error.category()), 120);
         StoreError::VaultUrl { url: shown.to_owned(), detail }
     })
-}
-
-fn open(client: &Client) -> RedisResult<Connection> {
-    let connection = client.get_connection_with_timeout(TIMEOUT)?;
-    connection.set_read_timeout(Some(TIMEOUT))?;
-    connection.set_write_timeout(Some(TIMEOUT))?;
-    Ok(connection)
 }
 
 /// The server's error code with its words; for a pipeline, that of its first failed command.

@@ -3,7 +3,9 @@
 //! The library's own pipeline goes on reading after a silence and waits for its time-out once for every answer that does
 //! not come: 64 commands to a server that is stopped held the connection for three minutes.
 
-use redis::{Connection, FromRedisValue, Pipeline, RedisResult, from_redis_value};
+use redis::{FromRedisValue, Pipeline, RedisResult, from_redis_value};
+
+use super::connection::Connection;
 
 /// The answers to all commands, in their order. Ends at the first silence; a command that the server refuses is
 /// reported after all answers are read, so that the connection stays usable.
@@ -11,7 +13,7 @@ pub(super) fn ask<T: FromRedisValue>(connection: &mut Connection, commands: &Pip
     if commands.is_empty() {
         return Ok(Vec::new());
     }
-    connection.send_packed_command(&commands.get_packed_pipeline())?;
-    let values = (0..commands.len()).map(|_| connection.recv_response()).collect::<RedisResult<Vec<_>>>()?;
+    connection.send(&commands.get_packed_pipeline())?;
+    let values = connection.replies(commands.len())?;
     values.into_iter().map(|value| Ok(from_redis_value(value.extract_error()?)?)).collect()
 }
