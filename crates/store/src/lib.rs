@@ -28,7 +28,7 @@ pub use ledger::{
     CoverageQuery, Erasure, ErasurePage, FilterChoice, Foreign, GapRow, Glance, HashedNode, HeldMinute, HeldQuery,
     HeldRow, Hold, IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptEnvelope, KeptErasure, KeptProof,
     KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Loss, NewBatch, NewRecord,
-    NewTransaction, NewestRecord, OldRecord, OpenTransaction, PinRow, ProofCounts, RecordPage, RecordQuery, RecordRow,
+    NewTransaction, NewestRecord, OldRecord, OpenTransaction, PinRow, PlacedRecord, ProofCounts, RecordPage, RecordQuery, RecordRow,
     RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage,
     StampCounts, StandingRights, StateCounts, StatedErasure, TakenErased, ToldErased, TopicCounts, TransactionOutcome,
     TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch, WaitingSigner,

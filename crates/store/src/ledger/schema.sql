@@ -78,11 +78,12 @@ CREATE INDEX transactions_mined ON transactions (block) WHERE state = 1;
 CREATE INDEX transactions_by_nonce ON transactions (account, nonce);
 
 -- A closed batch; `account`, `tx` and `block` as the chain has them, or as the sender last tried. `proof`: NULL = not
--- fetched yet, 1 = kept, 2 = could not be had.
+-- fetched yet, 1 = kept, 2 = could not be had. `closed_here`: 1 where this ledger closed it, so that all of its records
+-- are here; 0 where another one did, and only some may be.
 CREATE TABLE batches (
     key INTEGER PRIMARY KEY, root BLOB NOT NULL UNIQUE, owner BLOB NOT NULL, count INTEGER NOT NULL,
     closed_at INTEGER NOT NULL, account BLOB, tx BLOB, block INTEGER, block_hash BLOB,
-    proof INTEGER
+    proof INTEGER, closed_here INTEGER NOT NULL
 );
 CREATE INDEX batches_waiting ON batches (owner, key) WHERE tx IS NULL;
 CREATE INDEX batches_anchored ON batches (block) WHERE block IS NOT NULL;
