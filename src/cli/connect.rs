@@ -147,13 +147,20 @@ impl Context {
         if let Some(operator) = &self.operator {
             return self.connect_to(&operator.socket).await;
         }
-        for _ in 0..50 {
-            if let Some((client, greeting)) = socket::join(&self.home, self.profile.clone()).await? {
-                self.agree(&greeting)?;
-                return Ok(Connection { client, site: None });
-            }
-            if let Some(opened) = self.start(needs)? {
-                return Ok(opened);
+        let (begun, mut patience) = (Instant::now(), SILENCE);
+        while begun.elapsed() < patience {
+            match socket::join(&self.home, self.profile.clone()).await? {
+                // A short command's site has only the parts that this command needs, and ends with it.
+                Some((_, greeting)) if !greeting.stays && !greeting.has.meet(needs) => patience = LONGEST_COMMAND,
+                Some((client, greeting)) => {
+                    self.agree(&greeting)?;
+                    return Ok(Connection { client, site: None });
+                }
+                None => {
+                    if let Some(opened) = self.start(needs)? {
+                        return Ok(opened);
+                    }
+                }
             }
             tokio::time::sleep(AGAIN).await;
         }
@@ -180,12 +187,28 @@ impl Context {
                         your own";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
+        match self.stay(needs, output, "serve").await? {
+            Connection { site: None, .. } => {
+                let root = self.home.root().display();
+                let text = format!("a site of {root} is already running; commands join it automatically");
+                Err(Failure::new(ErrorKind::Home, text))
+            }
+            opened => Ok(opened),
+        }
+    }
+
+    /// Joins a site that stays, or opens one that is to. A command that is the site of this home until it ends is waited
+    /// for: whoever joined it would end with it. `verb` is what to run again.
+    ///
+    /// # Errors
+    /// If the home cannot be used, or the command does not end.
+    pub async fn stay(&self, needs: Needs, output: &Output, verb: &str) -> Result<Connection, Failure> {
         let (root, begun, mut patience) = (self.home.root().display(), Instant::now(), SILENCE);
         while begun.elapsed() < patience {
             match socket::join(&self.home, self.profile.clone()).await? {
-                Some((_, greeting)) if greeting.stays => {
-                    let text = format!("a site of {root} is already running; commands join it automatically");
-                    return Err(Failure::new(ErrorKind::Home, text));
+                Some((client, greeting)) if greeting.stays => {
+                    self.agree(&greeting)?;
+                    return Ok(Connection { client, site: None });
                 }
                 Some(_) if patience == SILENCE => {
                     patience = LONGEST_COMMAND;
@@ -207,7 +230,7 @@ impl Context {
             return Err(self.unanswered());
         }
         let text = format!(
-            "another command is still using {root} after {} s; wait for it or stop it, then run `authros serve` again",
+            "another command is still using {root} after {} s; wait for it or stop it, then run `authros {verb}` again",
             patience.as_secs()
         );
         Err(Failure::new(ErrorKind::Home, text))

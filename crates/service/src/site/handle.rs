@@ -11,9 +11,11 @@ use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::command::{
     self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
+    UploadQuery,
 };
-use crate::service::reply::{Failure, Reply};
+use crate::service::reply::{Failure, RecordPage, Reply};
 use crate::site::devices::pulling::span;
+use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -104,8 +106,8 @@ impl Site {
             }
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
             Command::ListShared(query) => {
-                let owner = self.caught_up_owner(&profile).await?;
-                self.reading.list_shared(&owner, query).await.map(ask::ListShared::told)
+                let owner = owner()?;
+                self.list_shared(&owner, query).await.map(ask::ListShared::told)
             }
             Command::CheckShared { id } => {
                 let owner = self.caught_up_owner(&profile).await?;
@@ -272,6 +274,19 @@ impl Site {
                 self.backup.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
             }
         }
+    }
+
+    /// What is here of the records shared with a profile. A first list of a large gateway takes long; what came so far is
+    /// shown, and that more is arriving is said.
+    async fn list_shared(self: &Arc<Self>, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let Some(arriving) = self.joined.arriving(&owner.profile, LISTING).await? else {
+            return self.reading.list_shared(owner, query).await;
+        };
+        let page = self.reading.list_shared(owner, query.clone()).await?;
+        if !page.records.is_empty() || self.joined.arriving(&owner.profile, FIRST_ROUND).await?.is_some() {
+            return Ok(RecordPage { arriving: Some(arriving), ..page });
+        }
+        self.reading.list_shared(owner, query).await
     }
 
     /// The profile's owner, once the records shared with it are known up to now.

@@ -105,12 +105,19 @@ const CLOSING: Duration = Duration::from_secs(2);
 const FLUSHING: Duration = Duration::from_secs(4);
 
 /// Which parts this run needs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Needs {
     /// ROS master, robots, capture.
     pub ros: bool,
     /// Chain, anchoring, verification.
     pub chain: bool,
+}
+
+impl Needs {
+    /// Whether a site with these parts can do what needs others.
+    pub fn meet(self, others: Self) -> bool {
+        (self.ros || !others.ros) && (self.chain || !others.chain)
+    }
 }
 
 /// A running site: its parts and its features.
@@ -151,6 +158,7 @@ pub struct Site {
     alerts: Arc<Alerts>,
     consoles: Mutex<consoles::Consoles>,
     guests: AtomicUsize,
+    needs: Needs,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
 }
@@ -276,6 +284,7 @@ impl Site {
             gateway,
             consoles: Mutex::default(),
             guests: AtomicUsize::new(0),
+            needs,
             ros_task: Mutex::default(),
             _lock: lock,
         })
@@ -357,6 +366,11 @@ impl Site {
     /// Why the master cannot be reached.
     pub async fn ros_uri(&self) -> Result<String, Failure> {
         self.ros.uri().await
+    }
+
+    /// The parts that it runs.
+    pub(crate) fn needs(&self) -> Needs {
+        self.needs
     }
 
     pub(crate) fn home(&self) -> &Home {

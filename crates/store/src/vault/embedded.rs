@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, ErrorCode, OptionalExtension as _, params};
 
 use super::{Usage, Vault};
 use crate::model::Digest;
@@ -45,6 +45,17 @@ impl EmbeddedVault {
     ) -> Result<T, StoreError> {
         let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
         work(&mut connection).map_err(|error| error.in_file(&self.path))
+    }
+}
+
+/// A blob cannot be opened that the index of this same moment names: pages of the file were altered.
+fn torn(row: i64, error: rusqlite::Error) -> StoreError {
+    match error.sqlite_error_code() {
+        Some(ErrorCode::Unknown) => {
+            let detail = format!("its index names row {row}, which is not there");
+            StoreError::Corrupt { file: PathBuf::new(), detail }
+        }
+        _ => error.into(),
     }
 }
 
@@ -99,7 +110,7 @@ impl Vault for EmbeddedVault {
                 let found = statement.query_row([digest.0], |row| row.get(0)).optional()?;
                 let Some(n) = found else { return Ok(None) };
                 // Opened as a blob, so that not all pages of a long one are read.
-                let blob = page.blob_open("main", "blobs", "bytes", n, true)?;
+                let blob = page.blob_open("main", "blobs", "bytes", n, true).map_err(|error| torn(n, error))?;
                 let mut bytes = vec![0; length.min(blob.len())];
                 blob.read_at_exact(&mut bytes, 0)?;
                 Ok(Some(bytes))

@@ -206,6 +206,7 @@ pub fn page(query: &UploadQuery, owner: Option<Address>) -> RecordPage {
     RecordPage {
         records: records.collect(),
         next: from.checked_sub(limit).filter(|left| *left > 0).map(|left| left.to_string()),
+        arriving: None,
     }
 }
 
