@@ -13,7 +13,7 @@ use crate::paths::{Home, PlaceError};
 use crate::service::accounts::Account;
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::socket::{self, Greeting};
-use crate::service::{Client, Failure, Needs, Site};
+use crate::service::{Client, Failure, Needs, Site, looking};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
@@ -238,10 +238,24 @@ impl Context {
 
     /// Becomes the site, unless another process has the home.
     fn start(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
+        if looking::is_read_only(&self.home) {
+            return self.look(needs);
+        }
         let Some(lock) = self.lock()? else { return Ok(None) };
         let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
         socket::listen(&site)?;
         Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
+    }
+
+    /// A site over a working copy of a home that cannot be written; it sends nothing, and goes with its copy.
+    fn look(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
+        let Some(copy) = looking::working_copy(&self.home)? else { return Ok(None) };
+        let started = || {
+            let Some(lock) = SiteLock::acquire(&copy.site_lock())? else { return Ok(None) };
+            let site = Site::start(copy.clone(), self.config.clone(), lock, Needs { ros: false, ..needs })?;
+            Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
+        };
+        started().inspect_err(|_: &Failure| looking::forget(&copy))
     }
 
     fn unanswered(&self) -> Failure {
@@ -315,6 +329,17 @@ impl Context {
 }
 
 impl Connection {
+    /// Says that a home cannot be written, if that is so.
+    pub fn tell_read_only(&self, output: &Output) {
+        let home = self.site.as_ref().map(|site| site.place());
+        if let Some(original) = home.as_ref().and_then(Home::original) {
+            output.note(&format!(
+                "authros: {} cannot be written: it is only looked at, in a copy that is deleted at the end",
+                original.display()
+            ));
+        }
+    }
+
     /// Starts supervision of a site that is to stay, if this process is it.
     pub fn oversee(&self) {
         if let Some(site) = &self.site {
@@ -329,7 +354,7 @@ impl Connection {
                 () = unasked(&site) => {}
                 _ = super::serve::asked_to_end() => {}
             }
-            site.stop().await;
+            stop(site).await;
         }
     }
 
@@ -338,9 +363,15 @@ impl Connection {
         if let Some(site) = self.site {
             // Whether all were answered makes no difference.
             drop(tokio::time::timeout(FAREWELL, unasked(&site)).await);
-            site.stop().await;
+            stop(site).await;
         }
     }
+}
+
+async fn stop(site: Arc<Site>) {
+    let home = site.place();
+    site.stop().await;
+    looking::forget(&home);
 }
 
 async fn unasked(site: &Site) {

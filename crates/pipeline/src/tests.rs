@@ -256,7 +256,8 @@ async fn an_extra_account_registers_itself_and_anchors_for_its_owner() {
         }
     }
     for row in line.rows(300) {
-        let place = line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
+        let place =
+            line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
         assert!(extra.iter().any(|key| place.account == Some(key.address())));
         assert!(line.is_anchored(&row).await, "{}", row.seq);
     }

@@ -111,7 +111,8 @@ async fn a_batch_that_was_passed_over_is_anchored_again_under_another_root() {
     line.watch().await;
     line.until_confirmed(7, true, &lanes).await;
     for (old, row) in before.iter().zip(line.rows(7)) {
-        let place = line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
+        let place =
+            line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
         assert!(row.block > old.block && place.block == row.block, "{row:?}");
         let other = RecordRow { seq: row.seq + 1, ..row.clone() };
         assert!(line.is_anchored(&row).await && !line.is_anchored(&other).await);

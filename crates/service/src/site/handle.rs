@@ -2,12 +2,13 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
+use std::path::Path;
 use std::sync::Arc;
 
 use super::Site;
 use super::audit::acting::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
-use crate::model::ProfileName;
+use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
 use crate::service::command::{
     self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
@@ -26,6 +27,9 @@ impl Site {
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
         let owner = || self.parts.owners.unlocked(&profile);
+        if let Some(original) = self.home().original().filter(|_| !command.only_reads()) {
+            return Err(read_only(original));
+        }
         match command {
             // An operator's console takes nothing from the owner's.
             Command::OpenConsole if is_operator() => Ok(ask::OpenConsole::told(())),
@@ -295,4 +299,16 @@ impl Site {
         self.joined.caught_up(profile).await?;
         Ok(owner)
     }
+}
+
+/// Why nothing is changed in a home that cannot be written.
+fn read_only(original: &Path) -> Failure {
+    let root = original.display();
+    Failure::new(
+        ErrorKind::Home,
+        format!(
+            "{root} cannot be written, so it can only be looked at (status, audit, uploads, shared, evidence export); \
+             make it writable for everything else"
+        ),
+    )
 }

@@ -30,6 +30,7 @@ mod quarantine;
 mod reading;
 mod recordings;
 mod sharing;
+mod standstill;
 mod status;
 mod storage;
 mod supervision;
@@ -43,6 +44,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
 use tokio::sync::{broadcast, mpsc};
 
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
@@ -83,6 +85,7 @@ use quarantine::Quarantine;
 use reading::Reading;
 use recordings::Recordings;
 use sharing::Sharing;
+use standstill::Standstill;
 use storage::Storage;
 
 use super::client::{Call, Client};
@@ -156,6 +159,7 @@ pub struct Site {
     storage: Arc<Storage>,
     clock: Arc<Clock>,
     alerts: Arc<Alerts>,
+    standstill: Arc<Standstill>,
     consoles: Mutex<consoles::Consoles>,
     guests: AtomicUsize,
     needs: Needs,
@@ -262,6 +266,7 @@ impl Site {
             storage: Arc::new(Storage::new(of, &reading)),
             clock: Arc::new(Clock::new(of)),
             alerts: Arc::new(Alerts::new(of)),
+            standstill: Arc::new(Standstill::new(of, &lanes)),
             plant,
             parts,
             rings,
@@ -366,6 +371,11 @@ impl Site {
     /// Why the master cannot be reached.
     pub async fn ros_uri(&self) -> Result<String, Failure> {
         self.ros.uri().await
+    }
+
+    /// The home that it works on.
+    pub fn place(&self) -> Home {
+        self.parts.home.clone()
     }
 
     /// The parts that it runs.

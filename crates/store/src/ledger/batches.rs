@@ -269,7 +269,9 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
         None => {
             let leaves = i64::try_from(batch.leaves.len()).unwrap_or(i64::MAX);
             connection
-                .prepare_cached("INSERT INTO batches (root, owner, count, closed_at, closed_here) VALUES (?1, ?2, ?3, ?4, 1)")?
+                .prepare_cached(
+                    "INSERT INTO batches (root, owner, count, closed_at, closed_here) VALUES (?1, ?2, ?3, ?4, 1)",
+                )?
                 .execute(params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
             connection.last_insert_rowid()
         }

@@ -118,6 +118,19 @@ impl Ledger {
         })
     }
 
+    /// Records of all owners and kinds in each state.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn in_each_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
+            let mut statement = connection.prepare_cached(sql)?;
+            let found = statement.query_map([], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))?;
+            Ok(found.collect::<Result<_, _>>()?)
+        })
+    }
+
     /// Sealed records waiting here for the vault.
     ///
     /// # Errors

@@ -17,6 +17,12 @@ pub struct EmbeddedVault {
     path: PathBuf,
     writer: Mutex<Connection>,
     reader: Mutex<Connection>,
+    /// Its file cannot be written.
+    is_read_only: bool,
+}
+
+fn reader_of(path: &Path, is_read_only: bool) -> Result<Connection, StoreError> {
+    if is_read_only { database::open_immutable(path) } else { database::open_reader(path) }
 }
 
 impl EmbeddedVault {
@@ -25,9 +31,14 @@ impl EmbeddedVault {
     /// # Errors
     /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
-        let writer = Mutex::new(database::open_writer(path, &SCHEMA)?);
-        let reader = Mutex::new(database::open_reader(path)?);
-        Ok(Self { path: path.to_owned(), writer, reader })
+        let is_read_only = database::is_read_only(path);
+        let writer = match is_read_only {
+            // Whatever is to be written fails.
+            true => database::open_immutable(path)?,
+            false => database::open_writer(path, &SCHEMA)?,
+        };
+        let (writer, reader) = (Mutex::new(writer), Mutex::new(reader_of(path, is_read_only)?));
+        Ok(Self { path: path.to_owned(), writer, reader, is_read_only })
     }
 
     /// Refuses the file of a later version, without touching it.
@@ -185,7 +196,7 @@ impl Vault for EmbeddedVault {
     }
 
     fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError> {
-        let connection = database::open_reader(&self.path)?;
+        let connection = reader_of(&self.path, self.is_read_only)?;
         let mut show = || -> Result<(), StoreError> {
             let mut statement = connection.prepare("SELECT digest, bytes FROM blobs ORDER BY n")?;
             let mut rows = statement.query([])?;

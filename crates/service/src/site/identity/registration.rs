@@ -39,6 +39,9 @@ impl Profiles {
     /// Resumes at the state of the owner's epochs on the chain: seals under the current one, or finishes one that was
     /// begun and never reached the chain; re-wraps what readers lack.
     pub(in crate::site) async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if self.home.original().is_some() {
+            return Ok(());
+        }
         let network = self.link.network().await?;
         if network.directory.identity(owner.address).is_err() {
             return Ok(());

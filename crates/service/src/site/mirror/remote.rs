@@ -262,7 +262,7 @@ impl Joined {
         profile: &ProfileName,
         most: Duration,
     ) -> Result<Option<String>, Failure> {
-        let Some(remote) = &self.remote else { return Ok(None) };
+        let Some(remote) = self.remote.as_ref().filter(|_| self.home.original().is_none()) else { return Ok(None) };
         self.link.network().await?;
         match remote.settled(profile, most).await {
             Some(settled) => settled.map(|()| None),
@@ -336,7 +336,11 @@ mod tests {
         remote.note(&profile, Mirrored::Behind);
         remote.note(&profile, Mirrored::Behind);
         let begun = Instant::now();
-        assert_eq!(remote.settled(&profile, Duration::from_millis(20)).await, None, "a list waits for as long as it says");
+        assert_eq!(
+            remote.settled(&profile, Duration::from_millis(20)).await,
+            None,
+            "a list waits for as long as it says"
+        );
         let short = tokio::time::timeout(Duration::from_millis(50), remote.settled(&profile, FIRST_ROUND)).await;
         assert!(short.is_err(), "it may come to its end yet");
         let long_ago = begun.checked_sub(FIRST_ROUND).expect("a machine up for longer");
