@@ -66,6 +66,16 @@ CREATE TRIGGER record_taken_in AFTER INSERT ON records BEGIN
     INSERT INTO intake VALUES (NEW.stream, 1) ON CONFLICT DO UPDATE SET records = records + 1;
 END;
 
+-- Records of a stream sealed in each epoch, and when the first of them was captured: what a grant of that epoch opens.
+CREATE TABLE epoch_records (
+    stream INTEGER NOT NULL, epoch INTEGER NOT NULL, records INTEGER NOT NULL, first_at INTEGER NOT NULL,
+    PRIMARY KEY (stream, epoch)
+) WITHOUT ROWID;
+CREATE TRIGGER record_sealed AFTER INSERT ON records BEGIN
+    INSERT INTO epoch_records VALUES (NEW.stream, NEW.epoch, 1, NEW.captured_at)
+        ON CONFLICT DO UPDATE SET records = records + 1, first_at = min(first_at, NEW.captured_at);
+END;
+
 -- What the sender signed; `digests` are the records it anchors, 32 bytes each, `batch` the root it anchors.
 CREATE TABLE transactions (
     key INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, account BLOB NOT NULL, nonce INTEGER NOT NULL,

@@ -7,11 +7,11 @@ use crate::model::{
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::command::{IncidentCommand, RecordingCommand};
 use crate::service::reply::{
-    AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView,
-    GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView, IncidentView,
-    KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, Provenance, QueueView, RecordPage, RecordView,
-    RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView, SystemKeyView, TopicRow,
-    TransactionView,
+    AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochRecords, EpochView,
+    GasView, GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView,
+    IncidentView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, Provenance, QueueView, RecordPage,
+    RecordView, RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView,
+    SystemKeyView, TopicRow, TransactionView,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -66,6 +66,8 @@ pub fn identity(exists: bool, unlocked: bool, registered: bool) -> IdentityView 
         registered,
         address: exists.then_some(OWN),
         epoch: registered.then_some(2),
+        epoch_records: registered
+            .then(|| EpochRecords { records: 8_505, since: Some(Timestamp::from_seconds(NOW.seconds() - 407)) }),
         signing_key: None,
         fingerprint: None,
         envelope_key: None,
