@@ -6,6 +6,7 @@ mod erased;
 mod flipped;
 mod keeping;
 mod misnamed;
+mod placed;
 mod rights;
 
 use std::path::Path;
