@@ -164,7 +164,7 @@ impl Context {
             }
             tokio::time::sleep(AGAIN).await;
         }
-        Err(self.unanswered())
+        Err(if patience == SILENCE { self.unanswered() } else { self.still_used(patience, "this command") })
     }
 
     /// Joins the site of somebody else. Its settings are its owner's.
@@ -229,11 +229,7 @@ impl Context {
         if patience == SILENCE {
             return Err(self.unanswered());
         }
-        let text = format!(
-            "another command is still using {root} after {} s; wait for it or stop it, then run `authros {verb}` again",
-            patience.as_secs()
-        );
-        Err(Failure::new(ErrorKind::Home, text))
+        Err(self.still_used(patience, &format!("`authros {verb}`")))
     }
 
     /// Becomes the site, unless another process has the home.
@@ -256,6 +252,14 @@ impl Context {
             Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
         };
         started().inspect_err(|_: &Failure| looking::forget(&copy))
+    }
+
+    fn still_used(&self, patience: Duration, what: &str) -> Failure {
+        let (root, seconds) = (self.home.root().display(), patience.as_secs());
+        let text = format!(
+            "another command is still using {root} after {seconds} s; wait for it or stop it, then run {what} again"
+        );
+        Failure::new(ErrorKind::Home, text)
     }
 
     fn unanswered(&self) -> Failure {

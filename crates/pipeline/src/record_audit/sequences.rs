@@ -11,7 +11,7 @@ const MOST_HOLES: usize = 5;
 /// Searches for missing numbers. What others numbered comes here as it is allowed and as it arrives: a gateway shows a
 /// reader only what it may see, and of a robot's records some may be on their way or at another gateway.
 pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
-    let mut elsewhere = 0;
+    let mut elsewhere = Vec::new();
     for sequence in plant.ledger.sequences()? {
         let lost = sequence.last.saturating_sub(sequence.count);
         // What is missing of a ring fell out of it, or was not asked for.
@@ -20,7 +20,7 @@ pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result
         }
         if let Some(keeper) = sequence.keeper {
             if scope.accounts.contains(&keeper) {
-                elsewhere += lost;
+                elsewhere.push(format!("{lost} of {} by the key {}", sequence.name, sequence.signer));
             }
             continue;
         }
@@ -36,10 +36,14 @@ pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result
         );
         tally.find(FindingKind::Gap, &sequence.name, &text);
     }
-    if elsewhere > 0 {
+    if !elsewhere.is_empty() {
+        let more = elsewhere.len().saturating_sub(MOST_HOLES);
+        let more = if more > 0 { format!(" and of {more} more topics") } else { String::new() };
+        elsewhere.truncate(MOST_HOLES);
         tally.note(&format!(
-            "{elsewhere} numbers that robots gave are not here: on their way, at another gateway, or held back at the \
-             robot; whether any is lost is in the statements of its recorder (`authros evidence export`)"
+            "numbers that robots gave are not here: {}{more}; they are on their way, at another gateway, or held back at \
+             the robot, whose recorder states what it gave",
+            elsewhere.join(", ")
         ));
     }
     for (topic, count) in plant.ledger.backwards()? {
