@@ -151,7 +151,11 @@ impl Context {
         while begun.elapsed() < patience {
             match socket::join(&self.home, self.profile.clone()).await? {
                 // A short command's site has only the parts that this command needs, and ends with it.
-                Some((_, greeting)) if !greeting.stays && !greeting.has.meet(needs) => patience = LONGEST_COMMAND,
+                Some((_, greeting)) if !greeting.stays && needs.chain && !greeting.has.chain => {
+                    patience = LONGEST_COMMAND;
+                }
+                Some((_, greeting))
+                    if !greeting.stays && needs.ros && !greeting.has.ros && begun.elapsed() < FAREWELL * 4 => {}
                 Some((client, greeting)) => {
                     self.agree(&greeting)?;
                     return Ok(Connection { client, site: None });

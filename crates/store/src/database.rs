@@ -175,12 +175,18 @@ pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
     Ok(connection)
 }
 
-/// Whether the file is there and cannot be written.
+/// Whether the file is there, neither it nor its folder can be written, and all of it is in the file itself.
 pub(super) fn is_read_only(path: &Path) -> bool {
     let denied = |error: &std::io::Error| {
         matches!(error.kind(), std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied)
     };
-    path.exists() && std::fs::OpenOptions::new().write(true).open(path).is_err_and(|error| denied(&error))
+    let Ok(path) = path.canonicalize() else { return false };
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    let is_at_rest = std::fs::metadata(log).map_or(true, |log| log.len() == 0);
+    let is_denied = std::fs::OpenOptions::new().write(true).open(&path).is_err_and(|error| denied(&error));
+    let folder = path.parent().unwrap_or(Path::new("."));
+    is_at_rest && is_denied && tempfile::tempfile_in(folder).is_err_and(|error| denied(&error))
 }
 
 /// Opens a file that nobody can write, without a byte beside it: SQLite takes no lock and makes no index of a log.

@@ -20,7 +20,7 @@ fn bring(owner: &Member, gateway: &Gateway, topics: &[&str], each: u64) {
     runtime.block_on(async {
         let (mut client, _) = session(&keys, &place, "bringer").await;
         let numbers: Vec<u64> = (1..=each).collect();
-        for some in numbers.chunks(32) {
+        for some in numbers.chunks(16) {
             let records = some.iter().flat_map(|seq| {
                 topics.iter().map(|topic| keys.record(&keys.keyring.signing, topic, *seq, b"where it is"))
             });

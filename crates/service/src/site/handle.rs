@@ -114,11 +114,11 @@ impl Site {
                 self.list_shared(&owner, query).await.map(ask::ListShared::told)
             }
             Command::CheckShared { id } => {
-                let owner = self.caught_up_owner(&profile).await?;
+                let owner = self.owner_with(&profile, &id).await?;
                 self.reading.check_record(&owner, &id).await.map(ask::CheckShared::told)
             }
             Command::OpenShared { id } => {
-                let owner = self.caught_up_owner(&profile).await?;
+                let owner = self.owner_with(&profile, &id).await?;
                 self.reading.open_record(&owner, &id).await.map(Box::new).map(ask::OpenShared::told)
             }
             Command::View(viewing) => {
@@ -291,6 +291,16 @@ impl Site {
             return Ok(RecordPage { arriving: Some(arriving), ..page });
         }
         self.reading.list_shared(owner, query).await
+    }
+
+    /// The profile's owner, once a record is here: it need not wait for those that are still coming.
+    async fn owner_with(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
+        let owner = self.parts.owners.unlocked(profile)?;
+        let more = self.joined.arriving(profile, LISTING).await?.is_some();
+        if more && self.reading.find_record(id).await.is_err() {
+            self.joined.caught_up(profile).await?;
+        }
+        Ok(owner)
     }
 
     /// The profile's owner, once the records shared with it are known up to now.

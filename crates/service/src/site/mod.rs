@@ -116,13 +116,6 @@ pub struct Needs {
     pub chain: bool,
 }
 
-impl Needs {
-    /// Whether a site with these parts can do what needs others.
-    pub fn meet(self, others: Self) -> bool {
-        (self.ros || !others.ros) && (self.chain || !others.chain)
-    }
-}
-
 /// A running site: its parts and its features.
 pub struct Site {
     /// Ledger, vault and provider, shared by all its workers.
