@@ -9,7 +9,8 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-use support::{Authros, Home, count, files_below, is_verified, list, poll, skipped, system_program, text};
+use support::authros::files_below;
+use support::{Authros, Home, count, is_verified, list, poll, skipped, system_program, text};
 
 const HOME: i32 = 7;
 const TOPIC: &str = "/robot1/odom";

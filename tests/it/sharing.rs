@@ -289,3 +289,20 @@ fn each_grant_in_the_history_keeps_its_own_topics_and_terms() {
     }
     assert!(left[1].2.contains(odom), "{left:?}");
 }
+
+#[test]
+fn a_grant_says_from_which_moment_it_opens_records_and_that_is_so() {
+    let home = Home::new();
+    let _site = home.authros().with(&["--robots", "1"]).serve(&home);
+    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
+    let (_, reader) = (alice.enrol(), bob.enrol());
+    alice.capture(&["/robot1/odom"], 3);
+    let told = alice.json(&["grant", &reader, "--topic", "/robot1/odom"]);
+    let said = support::text(&told, "text");
+    assert!(said.contains("since 20") && said.contains(" UTC (this epoch; 3 records)"), "{said}");
+    assert_eq!(bob.records(&["shared", "list"]).len(), 3, "from before the grant");
+    alice.json(&["revoke", &reader]);
+    let told = alice.json(&["grant", &reader, "--topic", "/robot1/odom"]);
+    assert!(support::text(&told, "text").contains("from now on (this epoch has no record yet)"), "{told}");
+    assert!(bob.records(&["shared", "list"]).is_empty(), "and nothing from before");
+}
