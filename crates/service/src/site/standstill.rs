@@ -20,7 +20,7 @@ use crate::service::hub::Hub;
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
 /// Interval between looks.
-const LOOK: Duration = Duration::from_secs(5);
+const LOOK: Duration = Duration::from_secs(10);
 /// The part of the health that reports it.
 pub(super) const PART: &str = "stages";
 
