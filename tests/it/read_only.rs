@@ -40,7 +40,7 @@ fn bytes(home: &Home) -> BTreeMap<PathBuf, Vec<u8>> {
 #[test]
 fn a_home_that_cannot_be_written_is_listed_and_audited_and_stays_as_it_is() {
     let home = Home::new();
-    let Some(image) = looking(&home_with_records(&home)) else {
+    let Some(image) = looking(home_with_records(&home)) else {
         skipped!("nothing can be mounted here (unshare -r -m)")
     };
     let before = bytes(&home);
