@@ -221,7 +221,7 @@ pub struct BackupArguments {
 /// Which epochs a grant opens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EpochsChoice {
-    /// Records from the current epoch on
+    /// Records of the current epoch: those sealed in it already and all later ones; the answer says since when
     Current,
     /// All epochs, including earlier records
     All,

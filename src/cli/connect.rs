@@ -13,7 +13,7 @@ use crate::paths::{Home, PlaceError};
 use crate::service::accounts::Account;
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::socket::{self, Greeting};
-use crate::service::{Client, Failure, Needs, Site};
+use crate::service::{Client, Failure, Needs, Site, looking};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
@@ -147,17 +147,28 @@ impl Context {
         if let Some(operator) = &self.operator {
             return self.connect_to(&operator.socket).await;
         }
-        for _ in 0..50 {
-            if let Some((client, greeting)) = socket::join(&self.home, self.profile.clone()).await? {
-                self.agree(&greeting)?;
-                return Ok(Connection { client, site: None });
-            }
-            if let Some(opened) = self.start(needs)? {
-                return Ok(opened);
+        let (begun, mut patience) = (Instant::now(), SILENCE);
+        while begun.elapsed() < patience {
+            match socket::join(&self.home, self.profile.clone()).await? {
+                // A short command's site has only the parts that this command needs, and ends with it.
+                Some((_, greeting)) if !greeting.stays && needs.chain && !greeting.has.chain => {
+                    patience = LONGEST_COMMAND;
+                }
+                Some((_, greeting))
+                    if !greeting.stays && needs.ros && !greeting.has.ros && begun.elapsed() < FAREWELL * 4 => {}
+                Some((client, greeting)) => {
+                    self.agree(&greeting)?;
+                    return Ok(Connection { client, site: None });
+                }
+                None => {
+                    if let Some(opened) = self.start(needs)? {
+                        return Ok(opened);
+                    }
+                }
             }
             tokio::time::sleep(AGAIN).await;
         }
-        Err(self.unanswered())
+        Err(if patience == SILENCE { self.unanswered() } else { self.still_used(patience, "this command") })
     }
 
     /// Joins the site of somebody else. Its settings are its owner's.
@@ -180,12 +191,28 @@ impl Context {
                         your own";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
+        match self.stay(needs, output, "serve").await? {
+            Connection { site: None, .. } => {
+                let root = self.home.root().display();
+                let text = format!("a site of {root} is already running; commands join it automatically");
+                Err(Failure::new(ErrorKind::Home, text))
+            }
+            opened => Ok(opened),
+        }
+    }
+
+    /// Joins a site that stays, or opens one that is to. A command that is the site of this home until it ends is waited
+    /// for: whoever joined it would end with it. `verb` is what to run again.
+    ///
+    /// # Errors
+    /// If the home cannot be used, or the command does not end.
+    pub async fn stay(&self, needs: Needs, output: &Output, verb: &str) -> Result<Connection, Failure> {
         let (root, begun, mut patience) = (self.home.root().display(), Instant::now(), SILENCE);
         while begun.elapsed() < patience {
             match socket::join(&self.home, self.profile.clone()).await? {
-                Some((_, greeting)) if greeting.stays => {
-                    let text = format!("a site of {root} is already running; commands join it automatically");
-                    return Err(Failure::new(ErrorKind::Home, text));
+                Some((client, greeting)) if greeting.stays => {
+                    self.agree(&greeting)?;
+                    return Ok(Connection { client, site: None });
                 }
                 Some(_) if patience == SILENCE => {
                     patience = LONGEST_COMMAND;
@@ -206,19 +233,37 @@ impl Context {
         if patience == SILENCE {
             return Err(self.unanswered());
         }
-        let text = format!(
-            "another command is still using {root} after {} s; wait for it or stop it, then run `authros serve` again",
-            patience.as_secs()
-        );
-        Err(Failure::new(ErrorKind::Home, text))
+        Err(self.still_used(patience, &format!("`authros {verb}`")))
     }
 
     /// Becomes the site, unless another process has the home.
     fn start(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
+        if looking::is_read_only(&self.home) {
+            return self.look(needs);
+        }
         let Some(lock) = self.lock()? else { return Ok(None) };
         let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
         socket::listen(&site)?;
         Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
+    }
+
+    /// A site over a working copy of a home that cannot be written; it sends nothing, and goes with its copy.
+    fn look(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
+        let Some(copy) = looking::working_copy(&self.home)? else { return Ok(None) };
+        let started = || {
+            let Some(lock) = SiteLock::acquire(&copy.site_lock())? else { return Ok(None) };
+            let site = Site::start(copy.clone(), self.config.clone(), lock, Needs { ros: false, ..needs })?;
+            Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
+        };
+        started().inspect_err(|_: &Failure| looking::forget(&copy))
+    }
+
+    fn still_used(&self, patience: Duration, what: &str) -> Failure {
+        let (root, seconds) = (self.home.root().display(), patience.as_secs());
+        let text = format!(
+            "another command is still using {root} after {seconds} s; wait for it or stop it, then run {what} again"
+        );
+        Failure::new(ErrorKind::Home, text)
     }
 
     fn unanswered(&self) -> Failure {
@@ -292,6 +337,17 @@ impl Context {
 }
 
 impl Connection {
+    /// Says that a home cannot be written, if that is so.
+    pub fn tell_read_only(&self, output: &Output) {
+        let home = self.site.as_ref().map(|site| site.place());
+        if let Some(original) = home.as_ref().and_then(Home::original) {
+            output.note(&format!(
+                "authros: {} cannot be written: it is only looked at, in a copy that is deleted at the end",
+                original.display()
+            ));
+        }
+    }
+
     /// Starts supervision of a site that is to stay, if this process is it.
     pub fn oversee(&self) {
         if let Some(site) = &self.site {
@@ -306,7 +362,7 @@ impl Connection {
                 () = unasked(&site) => {}
                 _ = super::serve::asked_to_end() => {}
             }
-            site.stop().await;
+            stop(site).await;
         }
     }
 
@@ -315,9 +371,15 @@ impl Connection {
         if let Some(site) = self.site {
             // Whether all were answered makes no difference.
             drop(tokio::time::timeout(FAREWELL, unasked(&site)).await);
-            site.stop().await;
+            stop(site).await;
         }
     }
+}
+
+async fn stop(site: Arc<Site>) {
+    let home = site.place();
+    site.stop().await;
+    looking::forget(&home);
 }
 
 async fn unasked(site: &Site) {

@@ -36,7 +36,11 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
 /// # Errors
 /// If the profile cannot be opened or registered, or the address is not free.
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
-    let connection = context.connect(Needs { ros: false, chain: true }).await?;
+    let needs = Needs { ros: false, chain: true };
+    let connection = match context.operator {
+        Some(_) => context.connect(needs).await?,
+        None => context.stay(needs, output, "gateway serve").await?,
+    };
     connection.oversee();
     let (joined, events) = (connection.site.is_none(), connection.client.events());
     let end = site::asked_to_end();

@@ -182,6 +182,7 @@ pub fn records(page: &RecordPage) -> String {
     lines.extend(doubts(page));
     lines.extend(page.records.iter().filter_map(|record| Some(format!("{} {}", record.id, record.erased.as_ref()?))));
     lines.extend(page.next.as_ref().map(|next| format!("more: --after {next}")));
+    lines.extend(page.arriving.as_ref().map(|arriving| format!("{arriving}; this is what is here so far")));
     lines.join("\n")
 }
 

@@ -32,8 +32,11 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
         Err(failure) => return Err(failure),
     };
     let asked = connection.client.ask(SiteStatus).await;
-    let alone = connection.site.is_some();
-    let peers = if alone { doctor::peers(&context.home, &context.config).await } else { Vec::new() };
+    // Of a home that cannot be written, the chain is opened in its copy too.
+    let peers = match connection.site.as_ref().map(|site| site.place()) {
+        Some(home) => doctor::peers(&home, &context.config).await,
+        None => Vec::new(),
+    };
     connection.close().await;
     let mut view = asked?;
     for peer in peers {

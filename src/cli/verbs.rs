@@ -52,6 +52,7 @@ impl Plan {
 /// Errors of the site.
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(plan.needs).await?;
+    connection.tell_read_only(output);
     let forgets = matches!(plan.question.command, Command::ChangePassphrase { .. });
     let told = async {
         context.prepare(&connection.client, plan.profile, output).await?;

@@ -441,3 +441,24 @@ fn a_gateway_says_what_it_cannot_do() {
     assert!(told.contains(&address), "{told}");
     assert!(poll(1, || home.socket()).is_none(), "no site is left behind");
 }
+
+#[test]
+fn a_gateway_waits_for_a_short_command_and_does_not_end_with_it() {
+    let home = Home::new();
+    let keeper = home.profile("gateway").with(&["--robots", "1"]);
+    keeper.enrol();
+    // A command that is the site until it ends, with a chain and all.
+    let short = keeper.spawn(&["capture", "--topic", "/robot1/odom", "--count", "100000"]);
+    wait_until(60, "it has the home", || (home.authros().json(&["status"])["process"] == short.id()).then_some(()));
+    let mut serving = keeper.with(&["--json"]).spawn(&["gateway", "serve", "--listen", "127.0.0.1:0"]);
+    wait_until(60, "it waits", || serving.stderr().contains("another command is using").then_some(()));
+    assert!(serving.is_running() && !serving.stdout().contains("\"joined\""), "nor does it join");
+    short.stop("INT", 60);
+    let told = serving.wait_for_text("\"joined\"", 60);
+    assert!(told.contains("\"joined\":false") || told.contains("\"joined\": false"), "{told}");
+    std::thread::sleep(Duration::from_secs(1));
+    serving.expect_running();
+    let status = keeper.json(&["gateway", "status"]);
+    assert!(status["served"].is_object(), "{status}");
+    serving.stop("TERM", 30).expect_code(0);
+}

@@ -49,6 +49,7 @@ mod operators;
 mod packages;
 mod places;
 mod playing;
+mod read_only;
 mod real_chain;
 mod real_redis;
 mod real_ros;

@@ -291,3 +291,16 @@ fn each_grant_in_the_history_keeps_its_own_topics_and_terms() {
     }
     assert!(left[1].2.contains(odom), "{left:?}");
 }
+
+#[test]
+fn a_grant_says_from_which_moment_it_opens_records_and_that_is_so() {
+    let two = two_profiles(1);
+    two.alice.capture(&["/robot1/odom"], 3);
+    let grant = ["grant", &two.bob_address, "--topic", "/robot1/odom"];
+    let said = text(&two.alice.json(&grant), "text");
+    assert!(said.contains("since 20") && said.contains(" UTC (this epoch; 3 records)"), "{said}");
+    assert_eq!(two.bob.records(&["shared", "list"]).len(), 3, "from before the grant");
+    two.alice.json(&["revoke", &two.bob_address]);
+    let said = text(&two.alice.json(&grant), "text");
+    assert!(said.contains("from now on (this epoch has no record yet)"), "{said}");
+}

@@ -37,6 +37,8 @@ pub struct Home {
     keymap: PathBuf,
     themes: PathBuf,
     console: PathBuf,
+    /// What this is a working copy of.
+    original: Option<PathBuf>,
 }
 
 /// An environment variable that is set and not empty.
@@ -60,7 +62,19 @@ impl Home {
     /// A single-folder home at `root`, for `--home`.
     pub fn new(root: PathBuf) -> Self {
         let [settings, keymap, themes, console] = [SETTINGS, KEYMAP, THEMES, CONSOLE].map(|name| root.join(name));
-        Self { root, settings, keymap, themes, console }
+        Self { root, settings, keymap, themes, console, original: None }
+    }
+
+    /// The same home with its data in `copy`, because nothing can be written to its own folder. Nothing of what it does
+    /// leaves the copy.
+    #[must_use]
+    pub fn copied_to(&self, copy: PathBuf) -> Self {
+        Self { root: copy, original: Some(self.root.clone()), ..self.clone() }
+    }
+
+    /// The read-only folder that this is a working copy of; `None` for every other home.
+    pub fn original(&self) -> Option<&Path> {
+        self.original.as_deref()
     }
 
     /// The user's own: data, settings and console memory, each in its folder. Without `HOME` a single-folder home,
@@ -99,6 +113,7 @@ impl Home {
             keymap: config.join(KEYMAP),
             themes: config.join(THEMES),
             console: state.join(CONSOLE),
+            original: None,
         }
     }
 
@@ -173,6 +188,11 @@ impl Home {
     /// Space reserved for the states of records on a full disk.
     pub fn working_reserve(&self) -> PathBuf {
         self.root.join("reserve.states")
+    }
+
+    /// What waits in memory for a full disk, by number only; allocated beforehand.
+    pub fn waiting(&self) -> PathBuf {
+        self.root.join("waiting")
     }
 
     /// Active alerts, and those not delivered yet.

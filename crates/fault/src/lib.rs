@@ -56,8 +56,8 @@ pub fn is_off(check: &str) -> bool {
     is_armed() && std::env::var("AUTHROS_FAULT").is_ok_and(|name| name == check)
 }
 
-/// Ends the process without any cleanup if `AUTHROS_FAIL_POINT` is `PLACE[:N]`, the N-th time it is reached, or panics
-/// once with `panic:PLACE[:N]`.
+/// Ends the process without any cleanup if `AUTHROS_FAIL_POINT` is `PLACE[:N]`, the N-th time it is reached, panics
+/// once with `panic:PLACE[:N]`, or stands still there for ten minutes with `stall:PLACE[:N]`.
 pub fn point(place: &str) {
     if !is_armed() {
         return;
@@ -87,6 +87,7 @@ mod planned {
     pub enum How {
         End,
         Panic,
+        Stall,
     }
 
     struct Plan {
@@ -98,9 +99,10 @@ mod planned {
 
     static PLAN: LazyLock<Option<Plan>> = LazyLock::new(|| {
         let text = std::env::var("AUTHROS_FAIL_POINT").ok()?;
-        let (how, text) = match text.strip_prefix("panic:") {
-            Some(rest) => (How::Panic, rest.to_owned()),
-            None => (How::End, text),
+        let (how, text) = match (text.strip_prefix("panic:"), text.strip_prefix("stall:")) {
+            (Some(rest), _) => (How::Panic, rest.to_owned()),
+            (None, Some(rest)) => (How::Stall, rest.to_owned()),
+            (None, None) => (How::End, text),
         };
         let (place, at) = numbered(&text);
         Some(Plan { how, place, at, passed: AtomicU64::new(0) })
@@ -138,6 +140,7 @@ mod planned {
         match how {
             // Like kill -9: no destructor, no flush, no message.
             How::End => std::process::abort(),
+            How::Stall => std::thread::sleep(std::time::Duration::from_secs(600)),
             How::Panic => std::panic::panic_any(format!("fail point {place}")),
         }
     }

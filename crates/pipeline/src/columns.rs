@@ -17,7 +17,7 @@ use crate::model::bytes::hex;
 use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;
 use crate::model::{Digest, FilterId, Head, Header, RecordKind, RecordState, RecorderPrefix};
-use crate::store::{FilterChoice, RecordRow, StoreError};
+use crate::store::{FilterChoice, PlacedRecord, RecordRow, StoreError};
 
 use super::{Plant, proof};
 
@@ -183,8 +183,12 @@ impl Comparison<'_> {
     pub fn of(&self, rows: Vec<RecordRow>) -> Result<Vec<Shown>, StoreError> {
         let unknown: Vec<Digest> =
             rows.iter().map(|row| row.digest).filter(|digest| self.heads.of(*digest).is_none()).collect();
+        let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
+        let placed = self.plant.ledger.placed_all(&digests)?;
         let mut fronts = self.fronts(&unknown);
-        rows.into_iter().map(|row| self.one(row, &mut fronts)).collect()
+        // A row may have moved since it was listed: what is compared with its place is of the place's own moment.
+        let now = rows.into_iter().zip(placed).map(|(row, placed)| placed.unwrap_or(PlacedRecord { row, place: None }));
+        now.map(|placed| self.one(placed, &mut fronts)).collect()
     }
 
     fn fronts(&self, digests: &[Digest]) -> HashMap<Digest, Vec<u8>> {
@@ -196,8 +200,9 @@ impl Comparison<'_> {
         digests.iter().copied().zip(fronts).filter_map(|(digest, front)| Some((digest, front?))).collect()
     }
 
-    fn one(&self, mut row: RecordRow, fronts: &mut HashMap<Digest, Vec<u8>>) -> Result<Shown, StoreError> {
-        let place = place_difference(self.plant, &row)?;
+    fn one(&self, placed: PlacedRecord, fronts: &mut HashMap<Digest, Vec<u8>>) -> Result<Shown, StoreError> {
+        let place = place_difference(&placed);
+        let PlacedRecord { mut row, .. } = placed;
         let sight = match (self.heads.of(row.digest), fronts.remove(&row.digest)) {
             (Some(opened), _) => Sight::Head(opened),
             (None, Some(front)) => self.look(&row, &front, true),
@@ -391,28 +396,29 @@ fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
 }
 
 /// Inconsistencies between a row, its place in a batch and its state.
-fn place_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static str>, StoreError> {
+fn place_difference(placed: &PlacedRecord) -> Option<&'static str> {
+    let row = &placed.row;
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
     if (settled && row.block.is_none()) || (row.state.is_before_block() && row.block.is_some()) {
-        return Ok(Some("state"));
+        return Some("state");
     }
-    anchor_difference(plant, row)
+    anchor_difference(placed)
 }
 
 /// Inconsistencies between a row and its place in a batch.
-pub(super) fn anchor_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static str>, StoreError> {
-    let Some(place) = plant.ledger.batch_place(row.digest)? else { return Ok(None) };
-    if !proof::is_included(&place, row) {
-        return Ok(Some("place in its batch"));
+pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> Option<&'static str> {
+    let place = place.as_ref()?;
+    if !proof::is_included(place, row) {
+        return Some("place in its batch");
     }
     if row.block.is_none() || place.block.is_none() {
-        return Ok(None);
+        return None;
     }
     let (same_block, same_transaction) = (row.block == place.block, row.transaction == place.transaction);
-    Ok(match (same_block, same_transaction) {
+    match (same_block, same_transaction) {
         (true, false) => Some("transaction"),
         (false, true) => Some("block"),
         (true, true) if row.block_hash != place.block_hash => Some("block's hash"),
         _ => None,
-    })
+    }
 }

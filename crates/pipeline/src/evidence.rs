@@ -166,8 +166,10 @@ fn stored(
 
 /// The block of the record's anchor, and the kind of anchor.
 fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
-    let Some(place) = reader.plant.ledger.batch_place(row.digest)? else {
-        return Ok(row.block.map(|block| (block, Anchoring::Each {})));
+    let placed = reader.plant.ledger.placed(row.digest)?;
+    let (block, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
+    let Some(place) = place else {
+        return Ok(block.map(|block| (block, Anchoring::Each {})));
     };
     let (Some(account), Some(block)) = (place.account, place.block) else { return Ok(None) };
     let crate::chain::merkle::Inclusion { index, count, path, root } = place.inclusion;

@@ -3,14 +3,16 @@
 //! them.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use crate::model::{Address, GapReport, LossReason, RecordKind, RecordState, Timestamp};
 use crate::ros::Message;
-use crate::store::{GapRow, Loss, StateCounts, StoreError};
+use crate::store::{GapRow, Loss, StateCounts, StoreError, Waiting, WaitingFile};
 
+use super::recorder::CapturedMessage;
 use super::sealer::plan::Stream;
 use super::statement::{self, Speaker, Statement};
 use super::{Author, PipelineError, Plant};
@@ -56,6 +58,26 @@ pub struct Unwritten {
 
 type Key = (Address, String, LossReason, String);
 
+/// Messages that wait in memory, counted by topic and publisher.
+#[derive(Default)]
+pub struct InMemory(BTreeMap<Key, Loss>);
+
+impl InMemory {
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Counts one more. What nobody watches is kept in the ring on the disk, as long as that goes.
+    pub fn add(&mut self, item: &CapturedMessage) {
+        if !item.ring {
+            let at = item.message.captured_at;
+            let loss = loss_of(&item.author, Lost::message(&item.message), LossReason::End, at);
+            merge(&mut self.0, key_of(&loss), loss);
+        }
+    }
+}
+
 /// Losses of all topics, with the authors that can seal gap records for them.
 #[derive(Default)]
 pub struct Losses {
@@ -65,6 +87,8 @@ pub struct Losses {
     authors: Mutex<BTreeMap<Address, Arc<Author>>>,
     /// Code of the reason why messages do not fit now.
     cause: AtomicU8,
+    /// Where what is not in the ledger yet is noted while the disk is full.
+    file: Mutex<Option<WaitingFile>>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -75,6 +99,47 @@ impl Losses {
     /// Records of this author may have to report losses.
     pub fn know(&self, author: &Arc<Author>) {
         lock(&self.authors).insert(author.address, Arc::clone(author));
+    }
+
+    /// Notes in this file what is not in the ledger while the disk is full, and takes over what is left in it: it died with
+    /// the process before. The first file counts. Returns the number of those messages.
+    ///
+    /// # Errors
+    /// Errors of file and ledger; then nothing is noted there.
+    pub fn keep_in(&self, path: &Path, plant: &Plant) -> Result<u64, StoreError> {
+        let mut file = lock(&self.file);
+        if file.is_some() {
+            return Ok(0);
+        }
+        let (mut opened, left) = WaitingFile::open(path, plant.ledger.losses_counted()?)?;
+        let died: Vec<Loss> = left.lost.into_iter().chain(left.waiting).collect();
+        let count = died.iter().map(|loss| loss.count).sum();
+        if count > 0 {
+            // From here on all of it is lost, and nothing of it waits.
+            opened.write(&Waiting { lost: died.clone(), waiting: Vec::new() })?;
+            let mut noted = lock(&self.noted);
+            died.into_iter().for_each(|loss| merge(&mut noted, key_of(&loss), loss));
+        }
+        *file = Some(opened);
+        Ok(count)
+    }
+
+    /// Whether something is noted in the file.
+    pub fn is_noted(&self) -> bool {
+        lock(&self.file).as_ref().is_some_and(|file| !file.is_empty())
+    }
+
+    /// Replaces what is noted in the file: losses that the ledger has not counted, and these messages, which wait.
+    ///
+    /// # Errors
+    /// Errors of the file; the note before then stays.
+    pub fn note_waiting(&self, waiting: InMemory) -> Result<(), StoreError> {
+        let _moving = lock(&self.moving);
+        let mut file = lock(&self.file);
+        let Some(file) = file.as_mut() else { return Ok(()) };
+        let lost = lock(&self.noted).values().cloned().collect();
+        let now = Waiting { lost, waiting: waiting.0.into_values().collect() };
+        if file.is_empty() && now == Waiting::default() { Ok(()) } else { file.write(&now) }
     }
 
     /// The present reason for messages that do not fit into memory.
@@ -93,18 +158,8 @@ impl Losses {
         let mut noted = lock(&self.noted);
         // A peer can invent names without end; beyond a limit they are no longer told apart.
         let publisher = if noted.len() < MOST { lost.publisher } else { "" };
-        let key = (author.address, lost.topic.to_owned(), reason, publisher.to_owned());
-        let loss = Loss {
-            owner: author.address,
-            topic: lost.topic.to_owned(),
-            publisher: publisher.to_owned(),
-            reason,
-            count: lost.count,
-            numbers: lost.numbers,
-            first_at: now,
-            last_at: now,
-        };
-        merge(&mut noted, key, loss);
+        let loss = loss_of(author, Lost { publisher, ..lost }, reason, now);
+        merge(&mut noted, key_of(&loss), loss);
     }
 
     /// Losses of an owner that the ledger has not counted yet, on one topic or on all.
@@ -152,7 +207,13 @@ impl Losses {
         if taken.is_empty() {
             return Ok(());
         }
-        let written = plant.ledger.count_losses(taken.values().cloned().collect());
+        let losses = taken.values().cloned().collect();
+        // What the file says of them is counted with the same commit.
+        let number = lock(&self.file).as_ref().map(WaitingFile::number);
+        let written = match number {
+            Some(number) => plant.ledger.count_losses_up_to(losses, number),
+            None => plant.ledger.count_losses(losses),
+        };
         if written.is_err() {
             let mut noted = lock(&self.noted);
             let newer = std::mem::replace(&mut *noted, taken);
@@ -181,6 +242,23 @@ impl Losses {
             plant.observer.records_changed();
         }
         Ok(told)
+    }
+}
+
+fn key_of(loss: &Loss) -> Key {
+    (loss.owner, loss.topic.clone(), loss.reason, loss.publisher.clone())
+}
+
+fn loss_of(author: &Author, lost: Lost<'_>, reason: LossReason, at: Timestamp) -> Loss {
+    Loss {
+        owner: author.address,
+        topic: lost.topic.to_owned(),
+        publisher: lost.publisher.to_owned(),
+        reason,
+        count: lost.count,
+        numbers: lost.numbers,
+        first_at: at,
+        last_at: at,
     }
 }
 

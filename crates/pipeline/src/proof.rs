@@ -5,12 +5,13 @@ use tokio::task::block_in_place;
 use crate::chain::{AnchorProof, Chain, ChainError, Event};
 use crate::crypto::fault;
 use crate::model::{Address, Hash};
-use crate::store::{BatchPlace, RecordRow};
+use crate::store::{BatchPlace, PlacedRecord, RecordRow};
 
 use super::{Network, PipelineError, Plant};
 
 /// The record's place on the chain; `None` before it is in a block.
-pub fn anchor_proof(row: &RecordRow, place: Option<BatchPlace>) -> Option<AnchorProof> {
+pub fn anchor_proof(placed: PlacedRecord) -> Option<AnchorProof> {
+    let PlacedRecord { row, place } = placed;
     let (transaction, block, block_hash) = (row.transaction?, row.block?, row.block_hash?);
     match place {
         Some(place) => {
@@ -36,15 +37,18 @@ pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> R
         return Ok(true);
     }
     let chain = &network.chain;
-    if let Some(place) = block_in_place(|| plant.ledger.batch_place(row.digest))?
+    let placed = block_in_place(|| plant.ledger.placed(row.digest))?;
+    // Its row may have moved since it was read: its block is the one of the place's own moment.
+    let (anchored, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
+    if let Some(place) = place
         && let (Some(account), Some(block)) = (place.account, place.block)
-        && row.block.is_none_or(|anchored| anchored == block)
+        && anchored.is_none_or(|anchored| anchored == block)
     {
         let (root, count) = (place.inclusion.root, place.inclusion.count);
         return Ok(is_root_in(chain, account, root, count, block).await? && is_included(&place, row));
     }
     let uploaded = chain.uploaded_at(row.owner, row.digest).await?;
-    Ok(uploaded.is_some_and(|uploaded| row.block.is_none_or(|block| block == uploaded)))
+    Ok(uploaded.is_some_and(|uploaded| anchored.is_none_or(|block| block == uploaded)))
 }
 
 /// Whether an account anchored a root over this many leaves in this very block: for the first time, according to the
@@ -83,9 +87,9 @@ pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError
 /// Errors of the ledger.
 pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, PipelineError> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
-    let sighted = |(row, place): (&&RecordRow, Option<BatchPlace>)| {
-        let anchored = place.filter(|place| place.block.is_some());
+    let sighted = |(row, placed): (&&RecordRow, Option<PlacedRecord>)| {
+        let anchored = placed.and_then(|placed| placed.place).filter(|place| place.block.is_some());
         row.block.is_some() && anchored.is_none_or(|place| is_included(&place, row))
     };
-    Ok(rows.iter().zip(plant.ledger.batch_places(&digests)?).map(sighted).collect())
+    Ok(rows.iter().zip(plant.ledger.placed_all(&digests)?).map(sighted).collect())
 }

@@ -63,6 +63,18 @@ impl Reader<'_> {
     /// # Errors
     /// Errors of chain, vault and ledger; what is wrong with the record itself is in the verdict.
     pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
+        let checked = self.check_once(row).await?;
+        if checked.0 != Verdict::Tampered {
+            return Ok(checked);
+        }
+        // Its block may have been replaced since its row was read.
+        match block_in_place(|| self.plant.ledger.record(row.digest))? {
+            Some(now) if now != *row => self.check_once(&now).await,
+            _ => Ok(checked),
+        }
+    }
+
+    async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
         let Some(blob) = self.blob(row)? else {
             return Ok((self.check_gone(row).await?, row.digest));
         };
@@ -162,10 +174,10 @@ impl Reader<'_> {
         };
         let opened = open(self.plant.provider, blob, &row.signature, &signer, anchor, &key, &expected)?;
         let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
-        let found = match columns::difference(row, &opened, self.plant.ledger.recorder()) {
-            None => block_in_place(|| columns::anchor_difference(self.plant, row))?,
-            found => found,
-        };
+        // A record that is only about to be kept here has no place that it could contradict.
+        let placed = block_in_place(|| self.plant.ledger.placed(row.digest))?;
+        let found = columns::difference(row, &opened, self.plant.ledger.recorder())
+            .or_else(|| placed.as_ref().and_then(columns::anchor_difference));
         found.map_or(Ok(opened), |field| Err(differs(field)))
     }
 

@@ -202,6 +202,11 @@ impl<T: Weighted> Rings<T> {
         (inner.waiting + inner.in_hand, inner.held)
     }
 
+    /// Shows each item that nobody has taken yet.
+    pub fn each_waiting(&self, mut show: impl FnMut(&T)) {
+        self.lock().rings.values().flat_map(|ring| &ring.items).for_each(&mut show);
+    }
+
     /// The most bytes they may hold.
     pub fn capacity(&self) -> usize {
         self.capacity

@@ -15,7 +15,7 @@ use crate::model::{LossReason, Timestamp};
 use crate::store::StoreError;
 
 use super::disk_ring::SharedRing;
-use super::losses::{GATHERED, Losses, Lost};
+use super::losses::{GATHERED, InMemory, Losses, Lost};
 use super::recorder::CapturedMessage;
 use super::ring::{Rings, Weighted};
 use super::session::Sessions;
@@ -113,7 +113,16 @@ impl Sealer {
     ) -> Result<(), Panicked> {
         let mut pause = Duration::from_millis(100);
         let names = loop {
-            let error = match catch_unwind(AssertUnwindSafe(|| self.round(items))) {
+            let tried = match self.plant.takes_records() {
+                // What waits is noted, and nothing but room changes anything.
+                Err(full) if self.losses.is_noted() => Ok(Err(full.into())),
+                _ => {
+                    // Before it is stored: what is acknowledged must not count as lost after a crash.
+                    self.note_waiting(InMemory::default());
+                    catch_unwind(AssertUnwindSafe(|| self.round(items)))
+                }
+            };
+            let error = match tried {
                 Ok(Ok(names)) => break names,
                 Ok(Err(error)) => error,
                 Err(_) => return Err(Panicked),
@@ -121,6 +130,10 @@ impl Sealer {
             self.losses.blame(cause(&error));
             let text = format!("captured messages cannot be stored; they wait in memory and are retried: {error}");
             self.plant.observer.alert(true, text);
+            let mut waiting = InMemory::default();
+            items.iter().for_each(|item| waiting.add(item));
+            rings.each_waiting(|item| waiting.add(item));
+            self.note_waiting(waiting);
             if rings.is_closed() {
                 let end = *closed_at.get_or_insert_with(Instant::now) + LAST_TRIES;
                 if Instant::now() >= end {
@@ -139,6 +152,18 @@ impl Sealer {
         self.note_definitions(names);
         self.plant.observer.records_changed();
         Ok(())
+    }
+
+    /// Notes what would die with the process, or that there is nothing any more.
+    fn note_waiting(&self, waiting: InMemory) {
+        if waiting.is_empty() && !self.losses.is_noted() {
+            return;
+        }
+        if let Err(error) = self.losses.note_waiting(waiting) {
+            let text =
+                format!("what waits in memory cannot be noted, so it would not be counted after a crash: {error}");
+            self.plant.observer.alert(true, text);
+        }
     }
 
     /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
@@ -174,6 +199,9 @@ impl Sealer {
                 self.planner.seqs.clear();
                 let text = format!("lost messages are counted, but not yet reported in gap records: {error}");
                 self.plant.observer.alert(true, text);
+                if end && let Err(error) = self.losses.note_waiting(InMemory::default()) {
+                    self.plant.observer.alert(true, error.to_string());
+                }
             }
         }
     }

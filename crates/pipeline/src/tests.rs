@@ -7,6 +7,7 @@ mod erased;
 mod flipped;
 mod keeping;
 mod misnamed;
+mod placed;
 mod rights;
 
 use std::path::Path;
@@ -223,7 +224,7 @@ async fn both_modes_anchor_what_the_other_left() {
     line.drain(AnchorMode::Each, 90, || false).await;
     for row in line.rows(100) {
         assert!(line.is_anchored(&row).await, "{}", row.seq);
-        let place = line.plant.ledger.batch_place(row.digest).expect("read");
+        let place = line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place);
         assert_eq!(place.is_some(), row.seq > 40);
         let uploaded = line.network.chain.anchored(row.owner, row.digest).await.expect("answer");
         assert_eq!(uploaded, row.seq <= 40, "one by one or in a batch, never both");
@@ -256,7 +257,8 @@ async fn an_extra_account_registers_itself_and_anchors_for_its_owner() {
         }
     }
     for row in line.rows(300) {
-        let place = line.plant.ledger.batch_place(row.digest).expect("read").expect("batched");
+        let place =
+            line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
         assert!(extra.iter().any(|key| place.account == Some(key.address())));
         assert!(line.is_anchored(&row).await, "{}", row.seq);
     }

@@ -91,7 +91,7 @@ fn connect_to_any(addresses: &[SocketAddr], deadline: Instant) -> std::io::Resul
     let mut failure = std::io::Error::new(std::io::ErrorKind::NotFound, "its name has no address");
     for (address, further) in addresses.iter().zip((1..=addresses.len()).rev()) {
         let share = time_left(deadline)? / u32::try_from(further).unwrap_or(u32::MAX);
-        match TcpStream::connect_timeout(address, share) {
+        match TcpStream::connect_timeout(address, share.max(SHORTEST)) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
                 return Ok(stream);

@@ -24,6 +24,7 @@ pub mod event;
 pub mod failure;
 mod figures;
 pub mod hub;
+pub mod looking;
 pub mod reply;
 pub mod restoring;
 pub mod site;

@@ -28,8 +28,8 @@ pub use self::check::{
 };
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{
-    DeviceAddressesView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
-    RobotGatewayView, TransactionView,
+    DeviceAddressesView, DeviceTopicsView, EnrolledView, EpochRecords, EpochView, IdentityView, KeyChangeView,
+    KeysView, RobotGatewayView, TransactionView,
 };
 pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};

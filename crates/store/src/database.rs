@@ -1,6 +1,7 @@
 //! Opens an SQLite file the way both ledger and vault need it: private, WAL, every commit fsynced, schema up to date,
 //! contents checked after an unclean shutdown.
 
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -8,6 +9,7 @@ use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, TransactionBehavior};
 
 use super::{StoreError, files};
+use crate::model::bytes::hex;
 
 const BUSY: Duration = Duration::from_secs(10);
 /// How long shutdown waits for readers.
@@ -173,6 +175,47 @@ pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
     Ok(connection)
 }
 
+/// Whether the file is there, neither it nor its folder can be written, and all of it is in the file itself.
+pub(super) fn is_read_only(path: &Path) -> bool {
+    let denied = |error: &std::io::Error| {
+        matches!(error.kind(), std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied)
+    };
+    let Ok(path) = path.canonicalize() else { return false };
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    let is_at_rest = std::fs::metadata(log).map_or(true, |log| log.len() == 0);
+    let is_denied = std::fs::OpenOptions::new().write(true).open(&path).is_err_and(|error| denied(&error));
+    let folder = path.parent().unwrap_or(Path::new("."));
+    is_at_rest && is_denied && tempfile::tempfile_in(folder).is_err_and(|error| denied(&error))
+}
+
+/// Opens a file that nobody can write, without a byte beside it: SQLite takes no lock and makes no index of a log.
+///
+/// # Errors
+/// [`StoreError::Home`], [`StoreError::Corrupt`].
+pub(super) fn open_immutable(path: &Path) -> Result<Connection, StoreError> {
+    let mut uri = "file:".to_owned();
+    for byte in path.as_os_str().as_bytes() {
+        match byte {
+            b'/' | b'-' | b'_' | b'.' | b'~' => uri.push(char::from(*byte)),
+            byte if byte.is_ascii_alphanumeric() => uri.push(char::from(*byte)),
+            byte => {
+                uri.push('%');
+                uri.push_str(&hex(&[*byte]));
+            }
+        }
+    }
+    uri.push_str("?mode=ro&immutable=1");
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    Connection::open_with_flags(uri, flags)
+        .and_then(|connection| {
+            connection.pragma_update(None, "temp_store", "MEMORY")?;
+            connection.pragma_update(None, "cache_size", READERS_CACHE)?;
+            Ok(connection)
+        })
+        .map_err(|error| StoreError::from(error).in_file(path))
+}
+
 fn connect(path: &Path) -> Result<Connection, StoreError> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     Connection::open_with_flags(path, flags)
@@ -332,6 +375,21 @@ mod tests {
         assert_eq!(length(), filled, "the log began again");
         Checkpoints::new(&path).adjust(&connection);
         assert!([SHORT_LOG, LONG_LOG].contains(&number("PRAGMA wal_autocheckpoint")));
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_read_without_a_byte_beside_it() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("a b%?#.db");
+        open_writer(&path, &FIRST).expect("new").execute("INSERT INTO a VALUES (7)", []).expect("row");
+        assert!(!is_read_only(&path) && !is_read_only(&home.path().join("none")));
+        let before = bytes_in(home.path());
+        let connection = open_immutable(&path).expect("opened");
+        assert_eq!(connection.query_row("SELECT x FROM a", [], |row| row.get::<_, i64>(0)), Ok(7));
+        assert!(connection.execute("INSERT INTO a VALUES (8)", []).is_err(), "nothing is written");
+        let names: Vec<_> =
+            std::fs::read_dir(home.path()).expect("read").flatten().map(|entry| entry.file_name()).collect();
+        assert!(bytes_in(home.path()) == before && names.len() == 1, "{names:?}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ use super::database::{self, Schema};
 use crate::model::RecorderPrefix;
 
 pub use ages::{LastSeen, NewestRecord};
-pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
+pub use batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, WaitingBatch};
 pub use chain_proofs::{HashedNode, KeptProof, ProofCounts, UnprovenBatch};
 pub use counts::{StateCounts, TopicCounts};
 pub use coverage::{Coverage, CoveragePart, CoverageQuery};

@@ -18,6 +18,7 @@ pub mod ledger;
 mod reserve;
 pub mod snapshot;
 pub mod vault;
+mod waiting;
 
 pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
 pub use disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord, note_restored};
@@ -28,10 +29,12 @@ pub use ledger::{
     CoverageQuery, Erasure, ErasurePage, FilterChoice, Foreign, GapRow, Glance, HashedNode, HeldMinute, HeldQuery,
     HeldRow, Hold, IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptEnvelope, KeptErasure, KeptProof,
     KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Loss, NewBatch, NewRecord,
-    NewTransaction, NewestRecord, OldRecord, OpenTransaction, PinRow, ProofCounts, RecordPage, RecordQuery, RecordRow,
-    RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage,
-    StampCounts, StandingRights, StateCounts, StatedErasure, TakenErased, ToldErased, TopicCounts, TransactionOutcome,
-    TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch, WaitingSigner,
+    NewTransaction, NewestRecord, OldRecord, OpenTransaction, PinRow, PlacedRecord, ProofCounts, RecordPage,
+    RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting,
+    SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts, StatedErasure, TakenErased, ToldErased,
+    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch,
+    WaitingSigner,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};
+pub use waiting::{Waiting, WaitingFile};

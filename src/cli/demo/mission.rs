@@ -316,7 +316,8 @@ impl Mission {
     /// A record that claims another's place in its batch. If digests are anchored one by one no record has a place to
     /// claim.
     fn path_of_another_is_refused(&self, one: &Genuine, other: &Genuine) -> Result<bool, Failure> {
-        let place = block_in_place(|| self.site.plant.ledger.batch_place(one.row.digest))?;
+        let placed = block_in_place(|| self.site.plant.ledger.placed(one.row.digest))?;
+        let place = placed.and_then(|placed| placed.place);
         Ok(place.is_none_or(|place| !proof::is_included(&place, &other.row)))
     }
 

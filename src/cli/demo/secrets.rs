@@ -84,7 +84,8 @@ impl Mission {
     /// Errors of the ledger.
     pub fn some_anchors(&self) -> Result<Vec<Hash>, Failure> {
         let anchor = |row: crate::store::RecordRow| {
-            let place = block_in_place(|| self.site.plant.ledger.batch_place(row.digest))?;
+            let placed = block_in_place(|| self.site.plant.ledger.placed(row.digest))?;
+            let place = placed.and_then(|placed| placed.place);
             Ok(place.map_or(Hash(row.digest.0), |place| place.inclusion.root))
         };
         self.some_rows()?.into_iter().map(anchor).collect()

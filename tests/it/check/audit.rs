@@ -102,6 +102,38 @@ fn in_the_vault(home: &Home, authros: &Authros) {
     assert!(tells(&found, "missing", &lost[..16]), "{lost}: {found}");
 }
 
+/// One page of the vault's file copied over another one: records are in the index and nowhere else.
+fn swap_pages(path: &std::path::Path) {
+    const LEAF_OF_A_TABLE: u8 = 0x0d;
+    let mut file = std::fs::read(path).expect("read");
+    let size = usize::from(u16::from_be_bytes([file[16], file[17]]));
+    let leaves: Vec<usize> = (1..file.len() / size).filter(|page| file[page * size] == LEAF_OF_A_TABLE).collect();
+    let (from, to) = (leaves[leaves.len() / 2], leaves[leaves.len() / 2 + 1]);
+    file.copy_within(from * size..(from + 1) * size, to * size);
+    std::fs::write(path, file).expect("written");
+}
+
+#[test]
+fn a_vault_with_a_swapped_page_ends_each_audit_with_the_code_of_tampering() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "4"]);
+    authros.enrol();
+    authros.capture(&["/robot1/odom", "/robot2/odom", "/robot3/odom", "/robot4/odom"], 20);
+    drop(database(&home, "vault/vault.db"));
+    let path = home.path().join("vault/vault.db");
+    let kept = std::fs::read(&path).expect("read");
+    swap_pages(&path);
+    for audit in [&["audit"][..], &["audit", "--deep"]] {
+        let outcome = authros.run(audit);
+        assert_eq!(outcome.code, Some(TAMPERED), "{audit:?}: {outcome}");
+    }
+    std::fs::write(&path, kept).expect("put back");
+    for end in ["-wal", "-shm"] {
+        drop(std::fs::remove_file(format!("{}{end}", path.display())));
+    }
+    clean(&authros, true);
+}
+
 /// Every field of a row that anything outside it can contradict.
 fn in_rows(home: &Home, authros: &Authros) {
     let edits: [(&str, bool); 10] = [

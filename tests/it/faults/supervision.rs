@@ -12,7 +12,7 @@ use crate::support::{Anvil, Authros, Conservation, Home, Running, faulty, long, 
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot1/camera/compressed"];
 /// Every task of a site with one open profile and several lanes, except those that are threads.
-const TASKS: [&str; 12] = [
+const TASKS: [&str; 13] = [
     "news",
     "audit",
     "quarantine",
@@ -21,6 +21,7 @@ const TASKS: [&str; 12] = [
     "chain",
     "watcher",
     "verifier",
+    "stages",
     "expiry",
     "parties",
     "socket",
@@ -85,6 +86,32 @@ fn every_task_that_panics_is_begun_again_and_nothing_is_lost() {
     settle(&home, &authros, observer);
     let outcome = site.stop("TERM", 30).expect_code(0);
     assert!(outcome.stdout.contains("serving"), "{outcome}");
+}
+
+/// Its thread hangs, as if the machine had lost a wake-up: nothing fails, and nothing goes on.
+#[test]
+fn a_stage_that_has_work_and_makes_no_progress_is_told_and_begun_again() {
+    let Some(program) = faulty() else {
+        skipped!("authros-faulty is not built; cargo test builds it with the examples")
+    };
+    let (home, authros, observer) = under_load();
+    let failing = authros.with_program(&program).with_variable("AUTHROS_FAIL_POINT", "stall:read-back:3");
+    let site = failing.spawn(&["serve"]);
+    wait_until(180, "the operator is told", || {
+        let said = site.stderr();
+        (said.contains("records wait to be verified") && said.contains("the verifier has done nothing since"))
+            .then_some(())
+    });
+    let verified = observer.seen().life.map_or(0, |life| life.verified);
+    wait_until(60, "it verifies again", || observer.seen().life.filter(|life| life.verified > verified + 20));
+    assert!(site.stderr().contains("the task 'verifier' of this site failed"), "{}", site.stderr());
+    wait_until(30, "it is over", || {
+        let health = authros.json(&["status"])["health"].clone();
+        (!health.to_string().contains("\"stages\"")).then_some(())
+    });
+    site.stop("KILL", 10);
+    let _site = authros.serve(&home);
+    settle(&home, &authros, observer);
 }
 
 /// A panic in the middle of sealing, storing or verifying means another try, not another loss.

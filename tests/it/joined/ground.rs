@@ -7,7 +7,7 @@ use super::support::{Authros, Home, Running, text};
 
 /// What seals the blocks.
 enum Sealer {
-    Served { _home: Home, _site: Running },
+    Served { home: Home, site: Option<Running> },
     Anvil { _home: Home, node: Anvil },
 }
 
@@ -35,7 +35,7 @@ impl Ground {
         let told: Value = said.lines().find_map(|line| serde_json::from_str(line).ok()).expect("one JSON line");
         let url = text(&told["serving"], "url");
         let contract = text(&founder.json(&["chain", "deploy"]), "contract");
-        Self { sealer: Sealer::Served { _home: home, _site: site }, port: port_of(&url), url, contract, founder }
+        Self { sealer: Sealer::Served { home, site: Some(site) }, port: port_of(&url), url, contract, founder }
     }
 
     /// Anvil, a block each second; `None` if it is not installed.
@@ -47,6 +47,23 @@ impl Ground {
         node.fund(&text(&made, "address"));
         let contract = text(&founder.json(&["chain", "deploy"]), "contract");
         Some(Self { sealer: Sealer::Anvil { _home: home, node }, url, port, contract, founder })
+    }
+
+    /// The embedded chain's node dies, as if its machine did.
+    pub fn kill_node(&mut self) {
+        if let Sealer::Served { site, .. } = &mut self.sealer {
+            site.take().expect("running").stop("KILL", 10);
+        }
+    }
+
+    /// It is back, at the same address.
+    pub fn start_node(&mut self) {
+        if let Sealer::Served { home, site } = &mut self.sealer {
+            let founder = home.profile("founder").with(&["--robots", "0", "--json"]);
+            let mut node = founder.spawn(&["chain", "serve", "--listen", &format!("127.0.0.1:{}", self.port)]);
+            node.wait_for_text("serving", 60);
+            *site = Some(node);
+        }
     }
 
     /// Gas, where that costs something.

@@ -162,3 +162,44 @@ fn on_a_full_disk_who_only_looks_is_answered_or_told_so_in_true_words() {
     authros.run(&["audit", "--deep"]).expect_code(0);
     assert_eq!(authros.records(&["uploads", "list"]).len(), 2);
 }
+
+#[test]
+fn what_waited_for_a_full_disk_and_died_with_the_process_is_told_at_the_next_start() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    authros.enrol();
+    authros.capture(&[ODOM], 2);
+    // More than any disk has free: no further record is acknowledged.
+    let full = authros.with_variable("AUTHROS_DISK_RESERVE", "900000GiB");
+    let site = full.serve(&home);
+    full.json(&["topics", "watch", ODOM]);
+    let life = |of: &Authros| of.json(&["status"])["life"].clone();
+    wait_until(60, "messages wait in memory", || (count(&life(&full), "waiting") >= 20).then_some(()));
+    let before = life(&full);
+    // Noted every two seconds at the latest.
+    std::thread::sleep(std::time::Duration::from_secs(5));
+    site.stop("KILL", 10);
+
+    let site = authros.serve(&home);
+    let waited = count(&before, "waiting");
+    let after = wait_until(60, "what died is counted", || {
+        Some(life(&authros)).filter(|life| count(life, "lost_in_recorder") >= waited)
+    });
+    assert_eq!(after["conserved"], true, "{after}");
+    authros.json(&["topics", "unwatch", ODOM]);
+    let lost = count(&after, "lost_in_recorder");
+    let gaps = wait_until(60, "it is told of", || {
+        let gaps = authros.records(&["uploads", "list", "--kind", "gap", "--state", "verified"]);
+        let opened: Vec<_> = gaps.iter().map(|gap| authros.json(&["shared", "open", &text(gap, "id")])).collect();
+        (opened.iter().map(|gap| count(&gap["message"], "lost")).sum::<u64>() >= lost).then_some(opened)
+    });
+    assert!(gaps.iter().any(|gap| gap["message"]["reason"] == "end"), "{gaps:?}");
+    site.stop("KILL", 10);
+
+    // Once is enough, also after a second death.
+    let site = authros.serve(&home);
+    let again = wait_until(60, "all is verified", || Some(life(&authros)).filter(|life| count(life, "pending") == 0));
+    assert_eq!((count(&again, "lost_in_recorder"), &again["conserved"]), (lost, &true.into()), "{again}");
+    site.stop("TERM", 30).expect_code(0);
+    authros.run(&["audit", "--deep"]).expect_code(0);
+}

@@ -3,6 +3,7 @@
 use super::action::{Errand, Tag, kind_word};
 use super::field::Field;
 use super::forms::{GrantWish, KeyWish};
+use super::granting;
 use super::popup::Confirm;
 use super::screens::grants::{day, earlier, end, scope};
 use super::state::State;
@@ -69,8 +70,8 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
 pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
     let epochs = match wish.epochs {
-        Epochs::Current => "records from the current epoch on",
-        Epochs::All => "all epochs, including earlier records",
+        Epochs::Current => granting::opens(state),
+        Epochs::All => "all epochs, including earlier records".to_owned(),
     };
     let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| format!("{} UTC", day(moment)));
     let mut lines = vec![

@@ -39,8 +39,8 @@ impl State {
         let ids = |rows: Vec<&crate::service::reply::RecordView>| rows.iter().map(|row| row.id.clone()).collect();
         match self.screen {
             Screen::Topics => self.topics.keys(),
-            Screen::Uploads => ids(self.uploads.visible(&self.topics.rows, self.now)),
-            Screen::Shared => ids(self.shared.visible(&self.topics.rows, self.now)),
+            Screen::Uploads => ids(self.uploads.visible(&self.topics.rows)),
+            Screen::Shared => ids(self.shared.visible(&self.topics.rows)),
             Screen::Grants => self.grants.keys(),
             Screen::Log => self.log.keys(),
             Screen::Gateway => self.gateway.keys(),

@@ -12,7 +12,7 @@ pub enum Input {
     /// One of a few words.
     Choice {
         /// The words.
-        options: &'static [&'static str],
+        options: Vec<String>,
         /// The chosen one.
         chosen: usize,
     },
@@ -38,7 +38,8 @@ impl Line {
     }
 
     /// A choice, the first word chosen.
-    pub fn choice(label: &'static str, options: &'static [&'static str]) -> Self {
+    pub fn choice(label: &'static str, options: &[&str]) -> Self {
+        let options = options.iter().map(|option| (*option).to_owned()).collect();
         Self { label, hint: "", input: Input::Choice { options, chosen: 0 }, path: None }
     }
 

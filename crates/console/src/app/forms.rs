@@ -17,7 +17,8 @@ pub const SHORTEST_PASSPHRASE: usize = 8;
 /// The kinds of key, in the order of the choice.
 const KINDS: [KeyKind; 3] = [KeyKind::Sm4, KeyKind::Sm2, KeyKind::Eoa];
 const KIND_WORDS: &[&str] = &["SM4 (32 hex or 16 raw bytes)", "SM2 (d_C, PEM)", "EOA (V3 keystore or hex)"];
-const EPOCH_WORDS: &[&str] = &["from now on", "all, including earlier records"];
+/// The second choice of which records a grant opens.
+const ALL_RECORDS: &str = "all, including earlier records";
 
 /// Asks for the passphrase of a new identity, twice.
 pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
@@ -63,12 +64,13 @@ pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
 pub const ALL_TOPICS: &str = "all";
 
 /// Asks whom to grant what; known values are filled in, and the first empty line has the focus.
-pub fn grant(grantee: &str, topics: &[String], ends: &str) -> Form {
+/// `opens` says from when on the grant opens records.
+pub fn grant(grantee: &str, topics: &[String], ends: &str, opens: &str) -> Form {
     let lines = vec![
         Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
         Line::text("Topics", "topic names; all", Field::offering(&topics.join(" "))),
         Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::offering(ends)),
-        Line::choice("Records", EPOCH_WORDS),
+        Line::choice("Records", &[opens, ALL_RECORDS]),
     ];
     let notes = vec!["Lets another account read your records. Tab completes names.".to_owned()];
     let mut form = Form::new("Grant", notes, lines);

@@ -47,7 +47,15 @@ fn terms(row: &GrantRow) -> (String, Vec<String>) {
 
 fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
     state.feeds.slot_mut(super::feed::Feed::Contacts).stale = true;
-    state.popups.push(Popup::Form(Purpose::Grant, forms::grant(grantee, topics, ends)));
+    // How many records the grant opens is told as of now.
+    state.feeds.slot_mut(super::feed::Feed::Identity).stale = true;
+    state.popups.push(Popup::Form(Purpose::Grant, forms::grant(grantee, topics, ends, &opens(state))));
+}
+
+/// From when on a grant of the current epoch opens records, of all topics.
+pub fn opens(state: &State) -> String {
+    let records = state.identity.as_ref().and_then(|identity| identity.epoch_records);
+    records.map_or_else(|| "since this epoch began".to_owned(), |records| records.words(" of all topics"))
 }
 
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms, sent on to its question if they are valid.
@@ -107,6 +115,9 @@ pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
         "two transactions. Earlier epochs stay readable to those who could read them.".to_owned(),
         String::new(),
     ];
+    if let Some(records) = question.lines.iter_mut().find(|line| line.starts_with("Records  since")) {
+        "Records  from now on (the new epoch)".clone_into(records);
+    }
     question.lines.splice(0..0, before);
     "Revoke and grant again?".clone_into(&mut question.title);
     question.yes = "revoke and grant";

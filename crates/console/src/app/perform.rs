@@ -328,8 +328,8 @@ pub fn copied(state: &State) -> Option<String> {
     };
     match state.screen {
         Screen::Topics => state.row_key(),
-        Screen::Uploads => digest(state.uploads.visible(&state.topics.rows, state.now)),
-        Screen::Shared => digest(state.shared.visible(&state.topics.rows, state.now)),
+        Screen::Uploads => digest(state.uploads.visible(&state.topics.rows)),
+        Screen::Shared => digest(state.shared.visible(&state.topics.rows)),
         Screen::Gateway => state.gateway.view.as_ref()?.served.as_ref().map(|served| served.gateway.to_string()),
         Screen::Grants => state.grants.selected().map(|row| other_side(row).to_string()),
         Screen::Keys => state.address().map(|address| address.to_string()),

@@ -229,6 +229,9 @@ fn wants_incidents(state: &State) -> impl Iterator<Item = Feed> + use<> {
 
 /// Asks for what is on screen and out of date, one question per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
+    let now = state.frozen.unwrap_or(state.now);
+    state.uploads.note_filter(now);
+    state.shared.note_filter(now);
     let always = [Feed::Site, Feed::Identity];
     let wanted = always
         .iter()
@@ -273,11 +276,9 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Keys => exists.then_some(Command::ListKeys),
         Feed::Grants => exists.then_some(Command::ListGrants),
         Feed::Uploads => {
-            exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.now, state.frozen)))
+            exists.then(|| Command::ListUploads(state.uploads.query(&state.topics.rows, rows, state.frozen)))
         }
-        Feed::Shared => {
-            exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now, state.frozen)))
-        }
+        Feed::Shared => exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.frozen))),
         Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),

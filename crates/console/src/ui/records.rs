@@ -8,10 +8,9 @@ use super::theme::Role;
 use super::topics::{empty, simulated};
 use super::words;
 use crate::app::feed::Feed;
-use crate::app::screens::grants::day;
 use crate::app::screens::records::{Records, Wanted};
 use crate::app::{Screen, State};
-use crate::model::{RecordKind, RecordState};
+use crate::model::{RecordKind, RecordState, Timestamp};
 use crate::service::reply::{Caveat, RecordView, ShownState};
 
 const STATE: Column = Column::text("State", 11).named("state");
@@ -96,14 +95,14 @@ fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed, S
     let (records, feed, screen) = list;
     let slot = state.feeds.slot(feed);
     let (title, empty) = look;
-    let rows = records.visible(&state.topics.rows, state.now);
+    let rows = records.visible(&state.topics.rows);
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
     let layout = Layout::new(&with_local_time(all_columns(screen), state), screen, &records.table, area.width);
     let cells = |index: usize| {
         rows.get(index).map_or_else(Vec::new, |row| layout.pick(cells(state, row, screen == Screen::Shared)))
     };
     let empty = if records.table.filter.text().is_empty() { empty } else { "No records match the filter." };
-    let mut note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows, state.now));
+    let mut note = note(records, &records.wanted(&state.topics.rows));
     note.push_str(&layout.note());
     if slot.left || slot.told != slot.generation {
         note.push_str(", reading…");
@@ -112,6 +111,12 @@ fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed, S
     let sheet =
         Sheet { title, note, columns, keys: &keys, cells: &cells, table: &records.table, empty, old: slot.left };
     draw_table(canvas, area, &sheet);
+}
+
+/// `2026-11-26 21:54:22`.
+fn second(at: Timestamp) -> String {
+    let text = at.to_string();
+    text.get(..19).unwrap_or(&text).replace('T', " ")
 }
 
 fn note(records: &Records, wanted: &Wanted) -> String {
@@ -125,14 +130,17 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     if records.next.is_some() {
         note.push_str(", more below");
     }
+    if records.arriving {
+        note.push_str(", more is arriving from the gateway");
+    }
     let asked = &wanted.asked;
     let words = [
         asked.topic.as_ref().map(|topic| format!("only {topic}")),
         asked.type_name.as_ref().map(|name| format!("only {name}")),
         asked.owner.as_ref().map(|owner| format!("of {}", owner.short())),
         asked.kind.map(|kind| format!("only of kind {}", kind.word())),
-        asked.since.map(|since| format!("since {} UTC", day(since))),
-        asked.until.map(|until| format!("until {} UTC", day(until))),
+        asked.since.map(|since| format!("since {} UTC", second(since))),
+        asked.until.map(|until| format!("until {} UTC", second(until))),
     ];
     let searched = asked.words.iter().map(|word| format!("with '{word}'"));
     let tags = asked.tags.iter().map(|(name, value)| format!("tag {name}={value}"));

@@ -1,6 +1,7 @@
 //! Records: each row against its path, its batch and the chain; `deep` also against the stored bytes (`stored`). One
 //! thread reads pages, and one thread per core checks them.
 
+use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
@@ -14,7 +15,7 @@ use super::stored::{look_at_headers, look_deep};
 use super::{Network, Plant, Scope};
 use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
-use crate::model::{Digest, RecordState};
+use crate::model::{Digest, RecordState, Timestamp};
 use crate::pipeline::columns::Keys;
 use crate::store::{AuditedRecord, StoreError};
 
@@ -70,7 +71,7 @@ pub(super) fn compare(
     let (pieces, waiting) = sync_channel::<Vec<Looked>>(threads);
     let waiting = Mutex::new(waiting);
     let (read, counted) = std::thread::scope(|threads_of| {
-        let workers: Vec<_> = (0..threads).map(|_| threads_of.spawn(|| work(bench, &waiting))).collect();
+        let workers: Vec<_> = (0..threads).map(|_| threads_of.spawn(|| work(bench, runtime, &waiting))).collect();
         let read = feed(bench, scope, runtime, pieces, tally);
         let counted: Vec<_> = workers.into_iter().map(|worker| worker.join().ok()).collect();
         (read, counted)
@@ -214,7 +215,7 @@ fn cut(looked: Vec<Looked>) -> Vec<Vec<Looked>> {
     pieces
 }
 
-fn work(bench: Bench<'_>, waiting: &Mutex<Receiver<Vec<Looked>>>) -> Result<Tally, StoreError> {
+fn work(bench: Bench<'_>, runtime: &Handle, waiting: &Mutex<Receiver<Vec<Looked>>>) -> Result<Tally, StoreError> {
     let mut tally = Tally::default();
     let mut failed = None;
     loop {
@@ -222,10 +223,33 @@ fn work(bench: Bench<'_>, waiting: &Mutex<Receiver<Vec<Looked>>>) -> Result<Tall
         let Ok(piece) = next else { break };
         // After a failure the rest is received and dropped, so that the page reader does not wait forever.
         if failed.is_none() {
-            failed = look(bench, &piece, &mut tally).err();
+            match look_twice(bench, runtime, &piece) {
+                Ok(looked) => tally.join(looked),
+                Err(error) => failed = Some(error),
+            }
         }
     }
     failed.map_or(Ok(tally), Err)
+}
+
+/// Examines some records. A finding counts only if it is still there when row, chain and bytes are read once more: a
+/// block may have been replaced between the three, or the bytes been deleted on purpose.
+fn look_twice(bench: Bench<'_>, runtime: &Handle, piece: &[Looked]) -> Result<Tally, StoreError> {
+    let mut tally = Tally::default();
+    look(bench, piece, &mut tally)?;
+    if tally.findings().is_empty() {
+        return Ok(tally);
+    }
+    let again = read_again(bench.plant, piece)?;
+    match runtime.block_on(ask(bench.network, again)) {
+        (again, None) => {
+            tally = Tally::default();
+            look(bench, &again, &mut tally)?;
+            Ok(tally)
+        }
+        // Without the chain's second answer the first one stays.
+        (_, Some(_)) => Ok(tally),
+    }
 }
 
 /// Examines some records; `deep` also their bytes, all of them read before the first is checked.
@@ -252,6 +276,29 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
         (false, true) => look_at_headers(bench, piece, tally),
         (false, false) => Ok(()),
     }
+}
+
+/// The same records as they are now.
+pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedRecord>, StoreError> {
+    let first = piece.first().map_or(0, |(record, _)| record.number);
+    let page = plant.ledger.audit_page(first.saturating_sub(1), Timestamp(0), piece.len())?;
+    let mut now: HashMap<u64, AuditedRecord> =
+        page.records.into_iter().flatten().map(|record| (record.number, record)).collect();
+    let mut again = Vec::with_capacity(piece.len());
+    for (record, _) in piece {
+        // Rows between them may have been left out of the audit, for their age.
+        let found = match now.remove(&record.number) {
+            Some(found) => Some(found),
+            None => plant
+                .ledger
+                .audit_page(record.number.saturating_sub(1), Timestamp(0), 1)?
+                .records
+                .pop()
+                .and_then(Result::ok),
+        };
+        again.push(found.filter(|found| found.number == record.number).unwrap_or_else(|| record.clone()));
+    }
+    Ok(again)
 }
 
 /// Whether it is known as tampered because its bytes are no longer stored.

@@ -1,7 +1,7 @@
 //! The scrubber: a few records at a time are re-hashed like in a deep audit, from a cursor stored in the ledger;
 //! damaged ones become `tampered` and are reported.
 
-use super::records::{Bench, Uploaded, look};
+use super::records::{Bench, Uploaded, look, read_again};
 use super::report::Tally;
 use super::{Network, Plant};
 use crate::model::{Digest, RecordState, Timestamp};
@@ -51,12 +51,17 @@ fn scrub(
     done: &mut Scrubbed,
 ) -> Result<Option<Digest>, StoreError> {
     let digest = record.row.digest;
-    let mut tally = Tally::default();
-    look(
-        Bench { plant, network: Some(network), blind: false, deep: true, headers: true, keys: None },
-        &[(record, Uploaded::NotAsked)],
-        &mut tally,
-    )?;
+    let bench = Bench { plant, network: Some(network), blind: false, deep: true, headers: true, keys: None };
+    let (mut tally, mut piece) = (Tally::default(), [(record, Uploaded::NotAsked)]);
+    look(bench, &piece, &mut tally)?;
+    if !tally.findings().is_empty() {
+        // Its bytes may have been deleted on purpose, or its block replaced, since its row was read.
+        if let Some(now) = read_again(plant, &piece)?.pop() {
+            piece = [(now, Uploaded::NotAsked)];
+        }
+        tally = Tally::default();
+        look(bench, &piece, &mut tally)?;
+    }
     done.records += 1;
     done.bytes += tally.bytes;
     let Some(finding) = tally.findings().first() else { return Ok(None) };

@@ -7,7 +7,7 @@ use crate::model::{Address, Digest, Header, PublicKey};
 use crate::pipeline::authority::{Moment, SigningRight, key_of, may_sign};
 use crate::pipeline::proof::anchor_proof;
 use crate::pipeline::{Network, PipelineError, Plant};
-use crate::store::{RecordRow, Retained};
+use crate::store::{PlacedRecord, RecordRow, Retained};
 
 /// A record without its message: the header in place of its bytes. `None` if its signer is unknown.
 ///
@@ -20,8 +20,8 @@ pub fn left_of(
     header: Vec<u8>,
 ) -> Result<Option<Fetched>, PipelineError> {
     let Some(signer) = key_of(plant, network, row)? else { return Ok(None) };
-    let place = plant.ledger.batch_place(row.digest)?;
-    let proof = anchor_proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
+    let placed = plant.ledger.placed(row.digest)?;
+    let proof = placed.and_then(anchor_proof).map(|proof| proof.encode()).unwrap_or_default();
     Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
 }
 
@@ -39,8 +39,8 @@ pub fn notice_of(
     let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
         return Ok(None);
     };
-    let Some(row) = ledger.record(digest)? else { return Ok(None) };
-    let is_batched = ledger.batch_place(digest)?.is_some() && row.block.is_some();
+    let Some(PlacedRecord { row, place }) = ledger.placed(digest)? else { return Ok(None) };
+    let is_batched = place.is_some() && row.block.is_some();
     if !is_batched || !is_owners(network, row.owner, &statement.signer) {
         return Ok(None);
     }

@@ -111,7 +111,8 @@ async fn a_batch_that_was_passed_over_is_anchored_again_under_another_root() {
     line.watch().await;
     line.until_confirmed(7, true, &lanes).await;
     for (old, row) in before.iter().zip(line.rows(7)) {
-        let place = line.plant.ledger.batch_place(row.digest).expect("read").expect("batched");
+        let place =
+            line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
         assert!(row.block > old.block && place.block == row.block, "{row:?}");
         let other = RecordRow { seq: row.seq + 1, ..row.clone() };
         assert!(line.is_anchored(&row).await && !line.is_anchored(&other).await);
@@ -177,7 +178,7 @@ async fn a_digest_whose_own_upload_was_passed_over_goes_in_a_batch() {
     line.append(1, 4, 2);
     line.drain(AnchorMode::Each, 5, || false).await;
     for row in line.rows(5) {
-        let batched = line.plant.ledger.batch_place(row.digest).expect("read").is_some();
+        let batched = line.plant.ledger.placed(row.digest).expect("read").is_some_and(|placed| placed.place.is_some());
         assert_eq!(batched, digests[..2].contains(&row.digest), "the contract takes a digest once");
         assert!(line.is_anchored(&row).await, "{row:?}");
     }

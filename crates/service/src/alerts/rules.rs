@@ -19,8 +19,20 @@ const LOSING: Duration = Duration::from_secs(300);
 const GRANT: &str = "grant_ends";
 
 /// Every rule: the prefix of its keys.
-pub const RULES: [&str; 11] =
-    ["audit", "chain", "clock", "disk", "gap", GRANT, "quarantine", "robot_silent", "tampered", "unanchored", "vault"];
+pub const RULES: [&str; 12] = [
+    "audit",
+    "chain",
+    "clock",
+    "disk",
+    "gap",
+    GRANT,
+    "quarantine",
+    "robot_silent",
+    "stages",
+    "tampered",
+    "unanchored",
+    "vault",
+];
 
 /// The rule that an alert's key belongs to.
 pub fn rule_of(key: &str) -> &str {
@@ -96,6 +108,7 @@ impl Judge {
         let text = "The vault is not accepting records, or some are missing from it; captured records wait on disk. \
                     See `authros status` and `authros audit`.";
         judged.extend(part(figures, "vault", text));
+        judged.push(stages(figures));
         judged
     }
 
@@ -270,6 +283,19 @@ fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
         (false, false) => Level::Between,
     };
     Some(Judged { key: name.to_owned(), severity: Severity::Critical, level, text: text.to_owned() })
+}
+
+/// Stages that stand still; the part is there only while one does.
+fn stages(figures: &Figures) -> Judged {
+    let stands = figures.parts.iter().any(|part| part.part == "stages" && part.failed);
+    let text = "A stage of this site has work and makes no progress; it is restarted, nothing acknowledged is lost. See \
+                `authros status`; if it stays, stop the site and start it again.";
+    Judged {
+        key: "stages".to_owned(),
+        severity: Severity::Critical,
+        level: if stands { Level::Firing } else { Level::Clear },
+        text: text.to_owned(),
+    }
 }
 
 /// Over a limit, or at least a tenth below it.

@@ -68,7 +68,7 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
             }
         }
     };
-    let rules: [(&'static str, Trouble); 12] = [
+    let rules: [(&'static str, Trouble); 13] = [
         ("robot_silent/12345678", Box::new(|it| it.robots[0].last_seen = before(it, 601))),
         ("unanchored/0a0b0c0d", Box::new(|it| it.owners[0].oldest_unanchored = Some(before(it, 601)))),
         ("disk", Box::new(|it| it.disk = Some((999 << 20, 64 << 20)))),
@@ -80,6 +80,15 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
         ("grant_ends/0a0b0c0d-0e0f0a0b", Box::new(|it| it.grants = Some(vec![grant(3600)]))),
         ("vault", Box::new(failed("vault"))),
         ("chain", Box::new(failed("chain"))),
+        (
+            "stages",
+            Box::new(|it| {
+                it.parts.push(part_of("stages"));
+                it.parts.iter_mut().filter(|part| part.part == "stages").for_each(|part| {
+                    (part.well, part.failed) = (false, true);
+                });
+            }),
+        ),
         ("audit", Box::new(|it| it.audit_unanchored = Some(before(it, 901)))),
     ];
     rules.into()

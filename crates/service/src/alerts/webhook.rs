@@ -185,19 +185,6 @@ mod tests {
     }
 
     #[test]
-    fn each_answer_has_advice_of_its_own() {
-        let of = |status: u16, place: Option<&str>| {
-            let place = place.map(|place| place.parse().expect("a header"));
-            advice(reqwest::StatusCode::from_u16(status).expect("a status"), place.as_ref())
-        };
-        let moved = of(307, Some("https://other.example.org/hook/SECRET"));
-        assert!(moved.contains("other.example.org") && !moved.contains("SECRET"), "{moved}");
-        assert!(of(307, Some("/there")).contains("not followed") && of(302, None).contains("not followed"));
-        assert!(of(404, None).contains("path") && of(429, None).contains("again") && of(401, None).contains("secret"));
-        assert!(of(500, None).contains("log"));
-    }
-
-    #[test]
     fn an_alertmanager_is_told_by_labels_that_stay_the_same_from_begin_to_end() {
         let told = |delivery: &Delivery| -> serde_json::Value {
             serde_json::from_slice(&alertmanager(delivery, 0)).expect("JSON")

@@ -52,6 +52,22 @@ impl Kind {
 }
 
 impl Command {
+    /// Whether it leaves home and chain as they are; all that a home is asked that cannot be written.
+    pub fn only_reads(&self) -> bool {
+        let shows = matches!(
+            self,
+            Self::Unlock { .. }
+                | Self::ExportUpload { .. }
+                | Self::ExportEvidence(_)
+                | Self::OpenShared { .. }
+                | Self::View(_)
+                | Self::ExportAudit { .. }
+                | Self::OfStore(StoreCommand::ListAllUploads(_))
+                | Self::Recording { with: RecordingCommand::Export(_) }
+        );
+        shows || self.needs() == LOOK
+    }
+
     /// What this request needs.
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub fn needs(&self) -> Needed {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Address, Hash, ProfileName, PublicKey, SignerId, Token};
+use crate::model::{Address, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use crate::service::command::SecretBytes;
 
 /// The public side of a profile.
@@ -20,12 +20,36 @@ pub struct IdentityView {
     pub address: Option<Address>,
     /// Current epoch on the chain.
     pub epoch: Option<u64>,
+    /// What is sealed in that epoch already, as far as this home has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub epoch_records: Option<EpochRecords>,
     /// P_C.
     pub signing_key: Option<PublicKey>,
     /// P_C's fingerprint, for people.
     pub fingerprint: Option<String>,
     /// P_E.
     pub envelope_key: Option<PublicKey>,
+}
+
+/// The messages sealed in an epoch so far: a grant of the epoch opens them too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EpochRecords {
+    /// How many.
+    pub records: u64,
+    /// When the first of them was captured.
+    pub since: Option<Timestamp>,
+}
+
+impl EpochRecords {
+    /// From which moment a grant of the epoch opens records, in words; `of` is of what these are all, ` of all topics` or
+    /// nothing.
+    pub fn words(self, of: &str) -> String {
+        let Some(since) = self.since else { return "from now on (this epoch has no record yet)".to_owned() };
+        let moment = since.to_string();
+        let moment = moment.get(..19).unwrap_or(&moment).replace('T', " ");
+        let plural = if self.records == 1 { "" } else { "s" };
+        format!("since {moment} UTC (this epoch; {} record{plural}{of})", self.records)
+    }
 }
 
 /// One epoch of a profile's keys.

@@ -61,6 +61,9 @@ pub struct RecordPage {
     pub records: Vec<RecordView>,
     /// Cursor of the next page.
     pub next: Option<String>,
+    /// Why this is not all that there is to see: more is arriving from the gateway.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arriving: Option<String>,
 }
 
 /// One record with its provenance and its state.

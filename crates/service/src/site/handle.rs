@@ -2,18 +2,21 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
+use std::path::Path;
 use std::sync::Arc;
 
 use super::Site;
 use super::audit::acting::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
-use crate::model::ProfileName;
+use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
 use crate::service::command::{
     self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
+    UploadQuery,
 };
-use crate::service::reply::{Failure, Reply};
+use crate::service::reply::{Failure, RecordPage, Reply};
 use crate::site::devices::pulling::span;
+use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -24,6 +27,9 @@ impl Site {
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
         let owner = || self.parts.owners.unlocked(&profile);
+        if let Some(original) = self.home().original().filter(|_| !command.only_reads()) {
+            return Err(read_only(original));
+        }
         match command {
             // An operator's console takes nothing from the owner's.
             Command::OpenConsole if is_operator() => Ok(ask::OpenConsole::told(())),
@@ -104,15 +110,15 @@ impl Site {
             }
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
             Command::ListShared(query) => {
-                let owner = self.caught_up_owner(&profile).await?;
-                self.reading.list_shared(&owner, query).await.map(ask::ListShared::told)
+                let owner = owner()?;
+                self.list_shared(&owner, query).await.map(ask::ListShared::told)
             }
             Command::CheckShared { id } => {
-                let owner = self.caught_up_owner(&profile).await?;
+                let owner = self.owner_with(&profile, &id).await?;
                 self.reading.check_record(&owner, &id).await.map(ask::CheckShared::told)
             }
             Command::OpenShared { id } => {
-                let owner = self.caught_up_owner(&profile).await?;
+                let owner = self.owner_with(&profile, &id).await?;
                 self.reading.open_record(&owner, &id).await.map(Box::new).map(ask::OpenShared::told)
             }
             Command::View(viewing) => {
@@ -279,10 +285,45 @@ impl Site {
         }
     }
 
+    /// What is here of the records shared with a profile. A first list of a large gateway takes long; what came so far is
+    /// shown, and that more is arriving is said.
+    async fn list_shared(self: &Arc<Self>, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let Some(arriving) = self.joined.arriving(&owner.profile, LISTING).await? else {
+            return self.reading.list_shared(owner, query).await;
+        };
+        let page = self.reading.list_shared(owner, query.clone()).await?;
+        if !page.records.is_empty() || self.joined.arriving(&owner.profile, FIRST_ROUND).await?.is_some() {
+            return Ok(RecordPage { arriving: Some(arriving), ..page });
+        }
+        self.reading.list_shared(owner, query).await
+    }
+
+    /// The profile's owner, once a record is here: it need not wait for those that are still coming.
+    async fn owner_with(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
+        let owner = self.parts.owners.unlocked(profile)?;
+        let more = self.joined.arriving(profile, LISTING).await?.is_some();
+        if more && self.reading.find_record(id).await.is_err() {
+            self.joined.caught_up(profile).await?;
+        }
+        Ok(owner)
+    }
+
     /// The profile's owner, once the records shared with it are known up to now.
     async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         self.joined.caught_up(profile).await?;
         Ok(owner)
     }
+}
+
+/// Why nothing is changed in a home that cannot be written.
+fn read_only(original: &Path) -> Failure {
+    let root = original.display();
+    Failure::new(
+        ErrorKind::Home,
+        format!(
+            "{root} cannot be written, so it can only be looked at (status, audit, uploads, shared, evidence export); \
+             make it writable for everything else"
+        ),
+    )
 }

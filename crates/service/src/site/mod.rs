@@ -30,6 +30,7 @@ mod quarantine;
 mod reading;
 mod recordings;
 mod sharing;
+mod standstill;
 mod status;
 mod storage;
 mod supervision;
@@ -43,6 +44,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
 use tokio::sync::{broadcast, mpsc};
 
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
@@ -83,6 +85,7 @@ use quarantine::Quarantine;
 use reading::Reading;
 use recordings::Recordings;
 use sharing::Sharing;
+use standstill::Standstill;
 use storage::Storage;
 
 use super::client::{Call, Client};
@@ -106,7 +109,7 @@ const CLOSING: Duration = Duration::from_secs(2);
 const FLUSHING: Duration = Duration::from_secs(4);
 
 /// Which parts this run needs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Needs {
     /// ROS master, robots, capture.
     pub ros: bool,
@@ -150,8 +153,10 @@ pub struct Site {
     storage: Arc<Storage>,
     clock: Arc<Clock>,
     alerts: Arc<Alerts>,
+    standstill: Arc<Standstill>,
     consoles: Mutex<consoles::Consoles>,
     guests: AtomicUsize,
+    needs: Needs,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
 }
@@ -266,6 +271,7 @@ impl Site {
             storage: Arc::new(Storage::new(of, &reading)),
             clock: Arc::new(Clock::new(of)),
             alerts: Arc::new(Alerts::new(of)),
+            standstill: Arc::new(Standstill::new(of, &lanes)),
             plant,
             parts,
             rings,
@@ -288,6 +294,7 @@ impl Site {
             gateway,
             consoles: Mutex::default(),
             guests: AtomicUsize::new(0),
+            needs,
             ros_task: Mutex::default(),
             _lock: lock,
         })
@@ -369,6 +376,16 @@ impl Site {
     /// Why the master cannot be reached.
     pub async fn ros_uri(&self) -> Result<String, Failure> {
         self.ros.uri().await
+    }
+
+    /// The home that it works on.
+    pub fn place(&self) -> Home {
+        self.parts.home.clone()
+    }
+
+    /// The parts that it runs.
+    pub(crate) fn needs(&self) -> Needs {
+        self.needs
     }
 
     pub(crate) fn home(&self) -> &Home {

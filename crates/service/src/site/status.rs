@@ -43,6 +43,10 @@ impl Site {
 
     /// What is not well now, and what is: the one place used by status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
+        if let Some(original) = self.home().original() {
+            let text = format!("{} cannot be written: this is what is in it, and nothing goes on", original.display());
+            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.vault_health()]);
+        }
         let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
         health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
         health.extend(self.clock.health());
@@ -50,6 +54,7 @@ impl Site {
         health.extend(self.chain_proofs.health()?);
         health.extend(self.account_health()?);
         health.extend(self.sharing.missing_text().map(|text| part("keys", HealthLevel::Failed, &text)));
+        health.extend(self.standstill.health());
         health.extend(self.devices.untold_text().map(|text| part("robots", HealthLevel::Failed, &text)));
         Ok(health)
     }

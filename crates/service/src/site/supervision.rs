@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-use tokio::task::JoinHandle;
+use tokio::task::{AbortHandle, JoinHandle};
 
 use super::lifetime::Lifetime;
 use crate::crypto::fault;
@@ -34,6 +34,8 @@ pub(super) struct Supervisor {
 struct Task {
     name: String,
     standing: Mutex<Standing>,
+    /// Ends its present run, and why that was done.
+    run: Mutex<(Option<AbortHandle>, Option<&'static str>)>,
 }
 
 struct Standing {
@@ -51,13 +53,26 @@ impl Supervisor {
 
     fn add(&self, name: String) -> Arc<Task> {
         let standing = Standing { begun: Instant::now(), restarts: 0, pause: PAUSES.0, resumes: None, reason: None };
-        let task = Arc::new(Task { name, standing: Mutex::new(standing) });
+        let task = Arc::new(Task { name, standing: Mutex::new(standing), run: Mutex::default() });
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&task));
         task
     }
 
     fn remove(&self, task: &Arc<Task>) {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).retain(|other| !Arc::ptr_eq(other, task));
+    }
+
+    /// Ends the present runs of the tasks of this name, or of this name and a profile's, so that they are begun again. A
+    /// thread cannot be ended.
+    pub fn restart(&self, name: &str, why: &'static str) {
+        let is_of = |task: &&Arc<Task>| task.name.split(' ').next() == Some(name);
+        for task in self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().filter(is_of) {
+            let mut run = task.run.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(handle) = run.0.take() {
+                run.1 = Some(why);
+                handle.abort();
+            }
+        }
     }
 
     /// The state of all of them.
@@ -131,11 +146,14 @@ impl Supervisor {
                         () = fault::task_fails(&name) => {}
                     }
                 }));
+                task.run.lock().unwrap_or_else(PoisonError::into_inner).0 = Some(running.0.abort_handle());
                 let ended = (&mut running.0).await;
+                let restarted = std::mem::take(&mut *task.run.lock().unwrap_or_else(PoisonError::into_inner)).1;
                 if supervisor.life.is_ending() || !wanted(&part) {
                     break;
                 }
                 let reason = ended.err().map_or_else(|| "it ended too early".to_owned(), reason_of);
+                let reason = restarted.map_or(reason, str::to_owned);
                 let pause = supervisor.tell_ended(&task, &reason);
                 tokio::select! {
                     () = tokio::time::sleep(pause) => {}

@@ -16,6 +16,7 @@ use super::evidence::{ChainProofs, TimeStamps};
 use super::mirror::Joined;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
+use super::standstill::Standstill;
 use super::storage::Storage;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
@@ -39,6 +40,14 @@ pub(super) fn start(
     needs: Needs,
     opened: mpsc::UnboundedReceiver<Arc<Owner>>,
 ) -> Result<(), Failure> {
+    if site.parts.home.original().is_some() {
+        // It is looked at: nothing is captured, sent or kept.
+        site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
+        if needs.chain {
+            site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
+        }
+        return Ok(());
+    }
     site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
     site.parts.supervisor.keep("audit", &site.audit, Audit::keep);
     site.parts.supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
@@ -64,6 +73,7 @@ pub(super) fn start(
         }
         site.parts.supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
         site.parts.supervisor.keep("verifier", site, verify);
+        site.parts.supervisor.keep("stages", &site.standstill, Standstill::keep);
         site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
         site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
         site.parts.supervisor.keep("parties", &site.administering, Administering::keep_parties_known);

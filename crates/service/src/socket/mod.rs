@@ -22,6 +22,7 @@ pub use serving::listen;
 
 use super::event::Event;
 use super::reply::{Failure, Reply};
+use crate::site::Needs;
 
 /// The longest line accepted, bytes: an opened record of 64 MiB written as JSON.
 const LONGEST_LINE: usize = 512 * 1024 * 1024;
@@ -52,6 +53,8 @@ pub struct Greeting {
     /// Whether the site is to stay, and does not end with the command that it runs for.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stays: bool,
+    /// The parts that it runs.
+    pub has: Needs,
 }
 
 #[derive(Serialize, Deserialize)]

@@ -60,8 +60,8 @@ fn batch_of(
     }
     connection
         .prepare_cached(
-            "INSERT INTO batches (root, owner, count, closed_at, account, tx)
-             VALUES (?1, ?2, ?3, ?4, ?2, ?5) ON CONFLICT DO NOTHING",
+            "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
+             VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING",
         )?
         .execute(params![
             inclusion.root.0,

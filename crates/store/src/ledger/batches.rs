@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::append::count;
 use super::edges::{By, may};
 use super::rows::{self, unsigned};
-use super::{Ledger, database::whole, rights};
+use super::{Ledger, RecordRow, database::whole, named, rights};
 use crate::chain::merkle::{Inclusion, Leaf};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 use crate::store::StoreError;
@@ -63,6 +63,16 @@ pub struct BatchPlace {
     pub block_hash: Option<Hash>,
     /// The transaction that anchored it, or is to.
     pub transaction: Option<Hash>,
+}
+
+/// A record with its place, read in one transaction. Whoever compares the two takes them from here: read one after the
+/// other, an honest ledger contradicts itself whenever the watcher writes in between.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PlacedRecord {
+    /// The record.
+    pub row: RecordRow,
+    /// Its place, if it is in a batch.
+    pub place: Option<BatchPlace>,
 }
 
 /// What a transaction anchors.
@@ -207,25 +217,30 @@ impl Ledger {
         })
     }
 
-    /// A record's place in its batch, if it is in one.
+    /// A record and its place in its batch, of one moment; `None` if the record is not here.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn batch_place(&self, digest: Digest) -> Result<Option<BatchPlace>, StoreError> {
-        Ok(self.batch_places(&[digest])?.pop().flatten())
+    pub fn placed(&self, digest: Digest) -> Result<Option<PlacedRecord>, StoreError> {
+        Ok(self.placed_all(&[digest])?.pop().flatten())
     }
 
-    /// The places of several records, in their order, with one query of the ledger.
+    /// The same for several records, in their order, all of one moment.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
-    pub fn batch_places(&self, digests: &[Digest]) -> Result<Vec<Option<BatchPlace>>, StoreError> {
+    /// [`StoreError::Database`] and the like.
+    pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
         self.read(|connection| {
+            let rows = named::rows_of(connection, digests)?;
             let mut find = connection.prepare_cached(
                 "SELECT leaf, count, path, root, closed_at, account, batches.block, batches.block_hash, batches.tx
                  FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1",
             )?;
-            digests.iter().map(|digest| Ok(find.query_row([digest.0], place).optional()?)).collect()
+            let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
+                let place = find.query_row([row.digest.0], place).optional()?;
+                Ok(PlacedRecord { row, place })
+            };
+            rows.into_iter().map(|row| row.map(&mut with_place).transpose()).collect()
         })
     }
 }
@@ -254,7 +269,9 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
         None => {
             let leaves = i64::try_from(batch.leaves.len()).unwrap_or(i64::MAX);
             connection
-                .prepare_cached("INSERT INTO batches (root, owner, count, closed_at) VALUES (?1, ?2, ?3, ?4)")?
+                .prepare_cached(
+                    "INSERT INTO batches (root, owner, count, closed_at, closed_here) VALUES (?1, ?2, ?3, ?4, 1)",
+                )?
                 .execute(params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
             connection.last_insert_rowid()
         }

@@ -2,13 +2,14 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use rusqlite::Connection;
+use rusqlite::{Connection, params};
 use serde::{Deserialize, Serialize};
 
 use super::Ledger;
 use super::rows::{self, Stream};
-use crate::model::{Address, LossReason, RecordKind, RecordState, TopicId};
+use crate::model::{Address, LossReason, RecordKind, RecordState, Timestamp, TopicId};
 use crate::store::StoreError;
+use crate::store::database::whole;
 
 /// Bytes that header, head and tags add to a message.
 const AROUND: i64 = 600;
@@ -117,6 +118,53 @@ impl Ledger {
             tally.add_intake(connection, owner, &streams)?;
             tally.add_drops(connection, owner)?;
             Ok(tally.finish())
+        })
+    }
+
+    /// Messages of an owner that are sealed in an epoch, of these topics or of all: how many, and when the first of them
+    /// was captured.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn sealed_in_epoch(
+        &self,
+        owner: Address,
+        epoch: u64,
+        topics: Option<&[TopicId]>,
+    ) -> Result<(u64, Option<Timestamp>), StoreError> {
+        let epoch = whole("epoch", epoch)?;
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT topics.topic_id, epoch_records.records, first_at FROM epoch_records
+                 JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
+                 WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3",
+            )?;
+            let values = params![owner.0, epoch, RecordKind::Data.code()];
+            let found = statement.query_map(values, |row| {
+                Ok((TopicId(row.get(0)?), rows::unsigned(row, 1)?, Timestamp(rows::unsigned(row, 2)?)))
+            })?;
+            let (mut records, mut first) = (0, None::<Timestamp>);
+            for row in found {
+                let (topic, count, at) = row?;
+                if topics.is_none_or(|topics| topics.contains(&topic)) {
+                    records += count;
+                    first = Some(first.map_or(at, |first| first.min(at)));
+                }
+            }
+            Ok((records, first))
+        })
+    }
+
+    /// Records of all owners and kinds in each state.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn in_each_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
+            let mut statement = connection.prepare_cached(sql)?;
+            let found = statement.query_map([], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))?;
+            Ok(found.collect::<Result<_, _>>()?)
         })
     }
 

@@ -53,6 +53,9 @@ pub struct GapRow {
     pub report: Option<Digest>,
 }
 
+/// The setting with the number of a text of losses.
+const COUNTED: &str = "waiting:counted";
+
 const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
 
@@ -63,6 +66,27 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then none is counted yet.
     pub fn count_losses(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
         self.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
+    }
+
+    /// The same, and notes in the same commit up to which text of [`crate::store::WaitingFile`] its losses are counted.
+    ///
+    /// # Errors
+    /// See [`Self::count_losses`].
+    pub fn count_losses_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
+        self.write(move |session| {
+            losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
+            let values = [COUNTED.to_owned(), number.to_string()];
+            session.connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?.execute(values)?;
+            Ok(())
+        })
+    }
+
+    /// Up to which text its losses are counted; 0 = none.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn losses_counted(&self) -> Result<u64, StoreError> {
+        Ok(self.setting(COUNTED)?.and_then(|text| text.parse().ok()).unwrap_or(0))
     }
 
     /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.

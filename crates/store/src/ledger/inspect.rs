@@ -65,8 +65,10 @@ pub struct AuditedBatch {
     pub root: Hash,
     /// Leaves it was closed with.
     pub count: u64,
-    /// Leaves whose records the ledger still has.
+    /// Leaves whose records the ledger has.
     pub held: u64,
+    /// Whether this ledger closed it; otherwise only some of its records may ever have come here.
+    pub closed_here: bool,
     /// The account that anchored it, or is to.
     pub account: Option<Address>,
     /// The transaction.
@@ -176,7 +178,7 @@ impl Ledger {
             let sql =
                 "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
                        + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
-                       account, tx, block, block_hash FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
+                       account, tx, block, block_hash, closed_here FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
             let mut statement = connection.prepare_cached(sql)?;
             let rows = statement.query_map(params![after, limit], batch)?;
             Ok(rows.collect::<Result<_, _>>()?)
@@ -391,6 +393,7 @@ fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
         transaction: row.get::<_, Option<_>>(5)?.map(Hash),
         block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
         block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
+        closed_here: row.get(8)?,
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use rusqlite::params;
+use rusqlite::{Connection, params};
 
 use super::Ledger;
 use super::rows::{self, RecordRow};
@@ -23,18 +23,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn records(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
-        self.read(|connection| {
-            let mut find =
-                connection.prepare_cached(&format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS))?;
-            let mut by_key = HashMap::new();
-            let one = |digest: &Digest| {
-                let mut found = find.query(params![digest.0])?;
-                let Some(row) = found.next()? else { return Ok(None) };
-                rows::learn_stream(connection, row, &mut by_key)?;
-                Ok(Some(rows::record(row, &by_key)?))
-            };
-            digests.iter().map(one).collect()
-        })
+        self.read(|connection| rows_of(connection, digests))
     }
 
     /// The record whose digest begins with `id` (4 to 64 hex characters).
@@ -57,6 +46,19 @@ impl Ledger {
             if found.len() > 1 { Err(StoreError::Ambiguous(id.to_owned())) } else { Ok(found.pop()) }
         })
     }
+}
+
+/// The records with these digests, in this order.
+pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
+    let mut find = connection.prepare_cached(&format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS))?;
+    let mut by_key = HashMap::new();
+    let one = |digest: &Digest| {
+        let mut found = find.query(params![digest.0])?;
+        let Some(row) = found.next()? else { return Ok(None) };
+        rows::learn_stream(connection, row, &mut by_key)?;
+        Ok(Some(rows::record(row, &by_key)?))
+    };
+    digests.iter().map(one).collect()
 }
 
 /// The fewest characters that may name a record.

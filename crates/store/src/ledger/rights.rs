@@ -215,7 +215,10 @@ pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, S
     }
     connection.prepare_cached("DELETE FROM left_places WHERE batch = ?1")?.execute([batch])?;
     connection
-        .prepare_cached("UPDATE batches SET tx = NULL, account = NULL, block = NULL, block_hash = NULL WHERE key = ?1")?
+        .prepare_cached(
+            "UPDATE batches SET tx = NULL, account = NULL, block = NULL, block_hash = NULL, closed_here = 1
+             WHERE key = ?1",
+        )?
         .execute([batch])?;
     Ok(true)
 }

@@ -66,6 +66,16 @@ CREATE TRIGGER record_taken_in AFTER INSERT ON records BEGIN
     INSERT INTO intake VALUES (NEW.stream, 1) ON CONFLICT DO UPDATE SET records = records + 1;
 END;
 
+-- Records of a stream sealed in each epoch, and when the first of them was captured: what a grant of that epoch opens.
+CREATE TABLE epoch_records (
+    stream INTEGER NOT NULL, epoch INTEGER NOT NULL, records INTEGER NOT NULL, first_at INTEGER NOT NULL,
+    PRIMARY KEY (stream, epoch)
+) WITHOUT ROWID;
+CREATE TRIGGER record_sealed AFTER INSERT ON records BEGIN
+    INSERT INTO epoch_records VALUES (NEW.stream, NEW.epoch, 1, NEW.captured_at)
+        ON CONFLICT DO UPDATE SET records = records + 1, first_at = min(first_at, NEW.captured_at);
+END;
+
 -- What the sender signed; `digests` are the records it anchors, 32 bytes each, `batch` the root it anchors.
 CREATE TABLE transactions (
     key INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, account BLOB NOT NULL, nonce INTEGER NOT NULL,
@@ -78,11 +88,12 @@ CREATE INDEX transactions_mined ON transactions (block) WHERE state = 1;
 CREATE INDEX transactions_by_nonce ON transactions (account, nonce);
 
 -- A closed batch; `account`, `tx` and `block` as the chain has them, or as the sender last tried. `proof`: NULL = not
--- fetched yet, 1 = kept, 2 = could not be had.
+-- fetched yet, 1 = kept, 2 = could not be had. `closed_here`: 1 where this ledger closed it, so that all of its records
+-- are here; 0 where another one did, and only some may be.
 CREATE TABLE batches (
     key INTEGER PRIMARY KEY, root BLOB NOT NULL UNIQUE, owner BLOB NOT NULL, count INTEGER NOT NULL,
     closed_at INTEGER NOT NULL, account BLOB, tx BLOB, block INTEGER, block_hash BLOB,
-    proof INTEGER
+    proof INTEGER, closed_here INTEGER NOT NULL
 );
 CREATE INDEX batches_waiting ON batches (owner, key) WHERE tx IS NULL;
 CREATE INDEX batches_anchored ON batches (block) WHERE block IS NOT NULL;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, ErrorCode, OptionalExtension as _, params};
 
 use super::{Usage, Vault};
 use crate::model::Digest;
@@ -17,6 +17,12 @@ pub struct EmbeddedVault {
     path: PathBuf,
     writer: Mutex<Connection>,
     reader: Mutex<Connection>,
+    /// Its file cannot be written.
+    is_read_only: bool,
+}
+
+fn reader_of(path: &Path, is_read_only: bool) -> Result<Connection, StoreError> {
+    if is_read_only { database::open_immutable(path) } else { database::open_reader(path) }
 }
 
 impl EmbeddedVault {
@@ -25,9 +31,14 @@ impl EmbeddedVault {
     /// # Errors
     /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
-        let writer = Mutex::new(database::open_writer(path, &SCHEMA)?);
-        let reader = Mutex::new(database::open_reader(path)?);
-        Ok(Self { path: path.to_owned(), writer, reader })
+        let is_read_only = database::is_read_only(path);
+        let writer = match is_read_only {
+            // Whatever is to be written fails.
+            true => database::open_immutable(path)?,
+            false => database::open_writer(path, &SCHEMA)?,
+        };
+        let (writer, reader) = (Mutex::new(writer), Mutex::new(reader_of(path, is_read_only)?));
+        Ok(Self { path: path.to_owned(), writer, reader, is_read_only })
     }
 
     /// Refuses the file of a later version, without touching it.
@@ -45,6 +56,17 @@ impl EmbeddedVault {
     ) -> Result<T, StoreError> {
         let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
         work(&mut connection).map_err(|error| error.in_file(&self.path))
+    }
+}
+
+/// A blob cannot be opened that the index of this same moment names: pages of the file were altered.
+fn torn(row: i64, error: rusqlite::Error) -> StoreError {
+    match error.sqlite_error_code() {
+        Some(ErrorCode::Unknown) => {
+            let detail = format!("its index names row {row}, which is not there");
+            StoreError::Corrupt { file: PathBuf::new(), detail }
+        }
+        _ => error.into(),
     }
 }
 
@@ -99,7 +121,7 @@ impl Vault for EmbeddedVault {
                 let found = statement.query_row([digest.0], |row| row.get(0)).optional()?;
                 let Some(n) = found else { return Ok(None) };
                 // Opened as a blob, so that not all pages of a long one are read.
-                let blob = page.blob_open("main", "blobs", "bytes", n, true)?;
+                let blob = page.blob_open("main", "blobs", "bytes", n, true).map_err(|error| torn(n, error))?;
                 let mut bytes = vec![0; length.min(blob.len())];
                 blob.read_at_exact(&mut bytes, 0)?;
                 Ok(Some(bytes))
@@ -174,7 +196,7 @@ impl Vault for EmbeddedVault {
     }
 
     fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError> {
-        let connection = database::open_reader(&self.path)?;
+        let connection = reader_of(&self.path, self.is_read_only)?;
         let mut show = || -> Result<(), StoreError> {
             let mut statement = connection.prepare("SELECT digest, bytes FROM blobs ORDER BY n")?;
             let mut rows = statement.query([])?;

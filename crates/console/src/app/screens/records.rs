@@ -20,11 +20,24 @@ pub struct Records {
     pub table: Table,
     /// Nothing captured after it is shown, so that the row of the cursor stays in place; `None` = the newest.
     pub anchor: Option<Timestamp>,
+    /// The filter, and the moment when it was typed: `since:1m` is a minute before it, to the nanosecond, for as long as
+    /// the filter stays, so that it stays the same request too.
+    typed: (String, Timestamp),
+    /// Whether more records are on their way from the gateway.
+    pub arriving: bool,
 }
 
 impl Default for Records {
     fn default() -> Self {
-        Self { rows: Vec::new(), next: None, path: Vec::new(), table: Table::following(), anchor: None }
+        Self {
+            rows: Vec::new(),
+            next: None,
+            path: Vec::new(),
+            table: Table::following(),
+            anchor: None,
+            typed: (String::new(), Timestamp(0)),
+            arriving: false,
+        }
     }
 }
 
@@ -37,15 +50,10 @@ pub struct Wanted {
     pub rest: String,
 }
 
-/// Nanoseconds.
-const MINUTE: u64 = 60_000_000_000;
-
 impl Wanted {
     /// Parses a filter: state words, complete or unambiguous topic names, addresses, and the terms of the command line
-    /// with their values: `owner:bob`, `tag:name=value`, `since:1h`, `until:2026-12-31`.
+    /// with their values: `owner:bob`, `tag:name=value`, `since:1h`, `until:2026-12-31`. Spans count back from `now`.
     pub fn read(filter: &str, topics: &[TopicRow], now: Timestamp) -> Self {
-        // To the minute, so that the same filter stays the same request for a while.
-        let now = Timestamp(now.0 / MINUTE * MINUTE);
         let mut wanted = Self::default();
         for word in filter.split_whitespace() {
             if word.split_once(':').is_some_and(|(name, value)| wanted.takes(name, value, now)) {
@@ -95,9 +103,22 @@ fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
 }
 
 impl Records {
+    /// Notes when the filter was typed, if it is another one than before.
+    pub fn note_filter(&mut self, now: Timestamp) {
+        let text = self.table.filter.text();
+        if text != self.typed.0 {
+            self.typed = (text.to_owned(), now);
+        }
+    }
+
+    /// What the filter asks for.
+    pub fn wanted(&self, topics: &[TopicRow]) -> Wanted {
+        Wanted::read(self.table.filter.text(), topics, self.typed.1)
+    }
+
     /// The request for the visible page, as of the moment of the freeze, if there is one.
-    pub fn query(&self, topics: &[TopicRow], limit: usize, now: Timestamp, frozen: Option<Timestamp>) -> UploadQuery {
-        let asked = Wanted::read(self.table.filter.text(), topics, frozen.unwrap_or(now)).asked;
+    pub fn query(&self, topics: &[TopicRow], limit: usize, frozen: Option<Timestamp>) -> UploadQuery {
+        let asked = self.wanted(topics).asked;
         // The query's end is exclusive; the record of that very moment is still shown.
         let stands = [self.anchor, frozen].into_iter().flatten().map(|at| Timestamp(at.0.saturating_add(1)));
         UploadQuery {
@@ -111,17 +132,18 @@ impl Records {
 
     /// Takes over a page.
     pub fn set(&mut self, page: RecordPage, limit: usize) {
+        self.arriving = page.arriving.is_some();
         self.rows = page.records;
         self.rows.truncate(limit.max(1));
         self.next = page.next;
     }
 
     /// The rows to show.
-    pub fn visible(&self, topics: &[TopicRow], now: Timestamp) -> Vec<&RecordView> {
+    pub fn visible(&self, topics: &[TopicRow]) -> Vec<&RecordView> {
         if self.table.filter.text().is_empty() {
             return self.rows.iter().collect();
         }
-        let rest = Wanted::read(self.table.filter.text(), topics, now).rest;
+        let rest = self.wanted(topics).rest;
         fuzzy::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
     }
 

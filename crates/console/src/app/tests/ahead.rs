@@ -24,7 +24,8 @@ fn filtered() -> Robot {
 fn rows_come(robot: &mut Robot, answer: &Result<u64, Failure>) {
     while let Some(place) = robot.sent.iter().position(|(command, _)| matches!(command, Command::ListShared(_))) {
         let (_, tag) = robot.sent.remove(place);
-        let page = |seq: &u64| RecordPage { records: vec![fixtures::record(*seq, "verified")], next: None };
+        let page =
+            |seq: &u64| RecordPage { records: vec![fixtures::record(*seq, "verified")], next: None, arriving: None };
         let result = answer.as_ref().map(|seq| Reply::Records(page(seq))).map_err(Clone::clone);
         robot.act(Action::Answered { tag, result: Box::new(result) });
     }

@@ -34,7 +34,7 @@ fn records_come(robot: &mut Robot, further: u64) {
     };
     let place = robot.sent.iter().position(|(command, _)| matches!(command, Command::ListUploads(_)));
     let (_, tag) = robot.sent.remove(place.expect("asked"));
-    let page = Reply::Records(RecordPage { records: rows, next: Some("more".to_owned()) });
+    let page = Reply::Records(RecordPage { records: rows, next: Some("more".to_owned()), arriving: None });
     robot.act(crate::app::Action::Answered { tag, result: Box::new(Ok(page)) });
 }
 

@@ -7,10 +7,10 @@ use crate::model::{
 use crate::pipeline::sender::{LaneState, PauseReason};
 use crate::service::command::{IncidentCommand, RecordingCommand};
 use crate::service::reply::{
-    AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView,
-    GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView, IncidentView,
-    KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, PricesView, Provenance, QueueView, RecordPage,
-    RecordView, RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView,
+    AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochRecords, EpochView,
+    GasView, GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView,
+    IncidentView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, PricesView, Provenance, QueueView,
+    RecordPage, RecordView, RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView,
     SystemKeyView, TopicRow, TransactionView,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
@@ -66,6 +66,8 @@ pub fn identity(exists: bool, unlocked: bool, registered: bool) -> IdentityView 
         registered,
         address: exists.then_some(OWN),
         epoch: registered.then_some(2),
+        epoch_records: registered
+            .then(|| EpochRecords { records: 8_505, since: Some(Timestamp::from_seconds(NOW.seconds() - 407)) }),
         signing_key: None,
         fingerprint: None,
         envelope_key: None,
@@ -207,6 +209,7 @@ pub fn page(query: &UploadQuery, owner: Option<Address>) -> RecordPage {
     RecordPage {
         records: records.collect(),
         next: from.checked_sub(limit).filter(|left| *left > 0).map(|left| left.to_string()),
+        arriving: None,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::app::confirm::Typed;
+use crate::app::form::Input;
 use crate::app::resume::{kept, recall};
 use crate::model::Timestamp;
 use crate::service::reply::TopicRow;
@@ -144,8 +145,32 @@ fn what_others_share_is_browsed_by_owner_type_tag_and_time() {
     assert_eq!(query.type_name.map(|name| name.to_string()).as_deref(), Some("nav_msgs/Odometry"));
     assert_eq!(query.tags, [("mission".to_owned(), "harbour".to_owned())]);
     let since = query.since.expect("a time");
-    assert!(since < robot.state.now && since.0.is_multiple_of(MINUTE), "the same page until the minute is over");
-    assert_eq!(since.0 / MINUTE, (fixtures::NOW.0 - 120 * MINUTE) / MINUTE);
+    assert_eq!(since, Timestamp(robot.state.now.0 - 120 * MINUTE), "to the moment, as on the command line");
+    robot.site_answers(true);
+    robot.waits(40);
+    robot.hears_of(Part::Grants);
+    assert_eq!(asked(&robot).since, Some(since), "and the same request for as long as the filter stays");
+    robot.types(" until:40s");
+    let query = asked(&robot);
+    assert_eq!(query.until, Some(Timestamp(robot.state.now.0 - 40_000_000_000)));
+    assert_eq!(
+        query.since,
+        Some(Timestamp(robot.state.now.0 - 120 * MINUTE)),
+        "another filter counts from its own moment"
+    );
+}
+
+#[test]
+fn the_grant_form_says_from_which_moment_it_opens_records() {
+    let mut robot = Robot::at_work(true);
+    robot.types("2");
+    robot.site_answers(true);
+    robot.types("g");
+    let Some(Popup::Form(_, form)) = robot.state.popups.last() else { panic!("a form") };
+    let Input::Choice { options, chosen } = &form.lines[3].input else { panic!("a choice") };
+    let opens = "since 2023-11-14 22:06:33 UTC (this epoch; 8505 records of all topics)";
+    assert_eq!((options[*chosen].as_str(), options.len()), (opens, 2));
+    assert_eq!(crate::app::granting::opens(&robot.state), opens, "the question says the same");
 }
 
 #[test]

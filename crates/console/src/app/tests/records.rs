@@ -58,7 +58,7 @@ fn a_filter_asks_the_site_for_states_and_topics_and_narrows_the_page_by_the_rest
     assert_eq!(query.state, Some(RecordState::Verified));
     assert_eq!(query.topic.as_ref().map(ToString::to_string).as_deref(), Some("/robot2/odom"));
     robot.site_answers(true);
-    let shown = robot.state.uploads.visible(&robot.state.topics.rows, robot.state.now).len();
+    let shown = robot.state.uploads.visible(&robot.state.topics.rows).len();
     assert!(shown > 0 && shown < robot.state.uploads.rows.len());
     robot.presses(Key::Escape);
     assert_eq!(asked(&robot).state, None, "esc takes the filter away");

@@ -73,7 +73,7 @@ fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
             }
         }
         Input::Choice { options, chosen } => {
-            let word = options.get(*chosen).copied().unwrap_or_default();
+            let word = options.get(*chosen).map(String::as_str).unwrap_or_default();
             let hint = if focused { "  space: change" } else { "" };
             canvas.puts(place, &[(word, Role::Body), (hint, Role::Dim)]);
         }

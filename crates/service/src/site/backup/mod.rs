@@ -38,7 +38,7 @@ const CHAIN: &str = "chain/chain.db";
 /// The folder of a robot's ring, of which files fall out at any time.
 const RING: &str = "ring/";
 /// Files that belong to the running process, or are recreated: by the beginning of the name.
-const LEFT_OUT: [&str; 4] = ["backup.lock", "backup.sock", "reserve", unfinished::PREFIX];
+const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", "waiting", unfinished::PREFIX];
 
 /// Backups of a running home.
 pub(in crate::site) struct Backup {

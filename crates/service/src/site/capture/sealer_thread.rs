@@ -1,5 +1,6 @@
 //! The thread that seals what is captured or imported, started on first use.
 
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -10,6 +11,7 @@ use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sealer::Sealer;
 use crate::pipeline::{Losses, Plant};
+use crate::service::event::NoticeLevel;
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 use crate::site::parts::Parts;
@@ -23,6 +25,8 @@ pub(in crate::site) struct SealerThread {
     supervisor: Arc<Supervisor>,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
+    /// Where what waits in memory is noted while the disk is full.
+    waiting: PathBuf,
     /// The ring on the disk, on a robot that keeps one.
     ring: Arc<OnceLock<SharedRing>>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -31,7 +35,7 @@ pub(in crate::site) struct SealerThread {
 impl SealerThread {
     /// A sealer for what comes through `rings`, not started yet.
     pub fn new(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> Self {
-        let Parts { config, plant, hub, supervisor, .. } = parts.clone();
+        let Parts { home, config, plant, hub, supervisor, .. } = parts.clone();
         Self {
             config,
             plant,
@@ -39,6 +43,7 @@ impl SealerThread {
             supervisor,
             rings: Arc::clone(rings),
             losses: Arc::clone(losses),
+            waiting: home.waiting(),
             ring: Arc::default(),
             thread: Mutex::default(),
         }
@@ -62,7 +67,21 @@ impl SealerThread {
         Ok(())
     }
 
+    /// Counts what died in memory with the process before, while its disk was full.
+    fn take_over(&self) {
+        let text = match self.losses.keep_in(&self.waiting, &self.plant) {
+            Ok(0) => return,
+            Ok(count) => format!(
+                "{count} messages waited in memory for a full disk when this site last ended; they are lost, and gap \
+                 records report them"
+            ),
+            Err(error) => format!("what waits in memory for a full disk will not be counted after a crash: {error}"),
+        };
+        self.hub.notice(NoticeLevel::Warning, &text);
+    }
+
     fn start(&self) -> Result<JoinHandle<()>, Failure> {
+        self.take_over();
         let (plant, hub, losses) = (self.plant.clone(), Arc::clone(&self.hub), Arc::clone(&self.losses));
         let (rings, compression, ring) = (Arc::clone(&self.rings), self.config.compression, Arc::clone(&self.ring));
         self.supervisor.keep_thread("sealer", move || {

@@ -151,12 +151,11 @@ impl GatewayDesk {
             .map(|(digest, _)| *digest)
             .collect();
         let (ledger, internal) = (&self.gateway.plant.ledger, Refusal::because(Code::Internal));
-        let rows = ledger.records(&proven).map_err(&internal)?;
-        let mut found = rows.into_iter().zip(ledger.batch_places(&proven).map_err(&internal)?);
+        let mut found = ledger.placed_all(&proven).map_err(&internal)?.into_iter();
         let mut stood = Vec::with_capacity(digests.len());
         for standing in standings {
-            let found = if is_proven(&standing) { found.next() } else { None };
-            let proof = found.and_then(|(row, place)| anchor_proof(&row?, place));
+            let found = if is_proven(&standing) { found.next().flatten() } else { None };
+            let proof = found.and_then(anchor_proof);
             stood.push(Stood { standing, proof: proof.map(|proof| proof.encode()).unwrap_or_default() });
         }
         Ok(stood)
@@ -167,7 +166,7 @@ impl GatewayDesk {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
-        let place = plant.ledger.batch_place(row.digest).map_err(&internal)?;
+        let placed = plant.ledger.placed(row.digest).map_err(&internal)?;
         let blob = match row.deleted_at {
             // Deleted is deleted, even where an earlier version took the bytes in again.
             Some(_) => None,
@@ -182,7 +181,7 @@ impl GatewayDesk {
         }
         let signer = key_of(plant, &network, &row).map_err(Refusal::because(Code::Internal))?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
-        let proof = anchor_proof(&row, place).map(|proof| proof.encode()).unwrap_or_default();
+        let proof = placed.and_then(anchor_proof).map(|proof| proof.encode()).unwrap_or_default();
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 

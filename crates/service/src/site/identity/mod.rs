@@ -35,7 +35,7 @@ use crate::pipeline::Owner;
 use crate::service::command::SecretText;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
-use crate::service::reply::{Failure, IdentityView};
+use crate::service::reply::{EpochRecords, Failure, IdentityView};
 
 /// The profiles of a home and their keys.
 pub(in crate::site) struct Profiles {
@@ -233,6 +233,7 @@ impl Profiles {
             registered: false,
             address: None,
             epoch: None,
+            epoch_records: None,
             signing_key: None,
             fingerprint: None,
             envelope_key: None,
@@ -249,6 +250,12 @@ impl Profiles {
             view.registered =
                 network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
+        }
+        if let Some(epoch) = view.epoch {
+            let sealed =
+                move |profiles: &Self| Ok(profiles.plant.ledger.sealed_in_epoch(public.address, epoch, None)?);
+            let (records, since) = blocking(self, sealed).await?;
+            view.epoch_records = Some(EpochRecords { records, since });
         }
         Ok(view)
     }

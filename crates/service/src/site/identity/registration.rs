@@ -48,6 +48,9 @@ impl Profiles {
     /// Resumes at the state of the owner's keys on the chain: fetches those that the keyring lacks, seals under the
     /// current epoch, or finishes one that was begun and never reached the chain; re-wraps what readers lack.
     pub(in crate::site) async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if self.home.original().is_some() {
+            return Ok(());
+        }
         let network = self.link.network().await?;
         // A locked keyring goes on sealing as it was told.
         if owner.is_locked() || network.directory.identity(owner.address).is_err() {

@@ -29,7 +29,9 @@ use crate::site::identity::owners::Owners;
 /// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// How long a command waits until the gateway's records are here.
-const FIRST_ROUND: Duration = Duration::from_secs(90);
+pub(in crate::site) const FIRST_ROUND: Duration = Duration::from_secs(90);
+/// How long a list that can show some of them waits for the others.
+pub(in crate::site) const LISTING: Duration = Duration::from_secs(5);
 
 /// How long a home with a transport key waits for its owner to unlock it where visitors have no room, and how often it
 /// looks.
@@ -273,11 +275,13 @@ impl Remote {
         });
     }
 
-    /// Waits until the mirror has caught up for a profile, or failed; nothing if it has been behind for too long.
-    async fn settled(&self, profile: &ProfileName) -> Option<Result<(), Failure>> {
+    /// Waits until the mirror has caught up for a profile, or failed; nothing if it has been behind for too long, or this
+    /// wait lasted for `most`.
+    async fn settled(&self, profile: &ProfileName, most: Duration) -> Option<Result<(), Failure>> {
         let mut progress = self.mirrored.subscribe();
         let begun = progress.borrow().get(profile).cloned().unwrap_or_default();
         let patience = FIRST_ROUND.saturating_sub(begun.behind_since.map_or(Duration::ZERO, |since| since.elapsed()));
+        let patience = patience.min(most);
         let is_settled =
             |one: &Progress| one.settled > begun.settled || (one.settled > 0 && one.behind_since.is_none());
         let settled = progress.wait_for(|all| all.get(profile).is_some_and(is_settled));
@@ -287,18 +291,32 @@ impl Remote {
 }
 
 impl Joined {
-    /// Waits until the gateway's records for a profile are here; returns at once if this site joins none.
+    /// Waits until the gateway's records for a profile are here; returns immediately if this site joins none.
     ///
     /// # Errors
     /// Why the last attempt failed, or that not all are here yet.
     pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
-        let Some(remote) = &self.remote else { return Ok(()) };
+        match self.arriving(profile, FIRST_ROUND).await? {
+            None => Ok(()),
+            Some(text) => Err(Failure::new(ErrorKind::Incomplete, format!("{text}; try again in a moment"))),
+        }
+    }
+
+    /// The same for a list, which shows what is here: whether more is still arriving after this long, in words.
+    ///
+    /// # Errors
+    /// Why the last attempt failed.
+    pub(in crate::site) async fn arriving(
+        &self,
+        profile: &ProfileName,
+        most: Duration,
+    ) -> Result<Option<String>, Failure> {
+        let Some(remote) = self.remote.as_ref().filter(|_| self.home.original().is_none()) else { return Ok(None) };
         self.link.network().await?;
-        remote.settled(profile).await.unwrap_or_else(|| {
-            let text =
-                format!("the records of the gateway {} are still arriving; try again in a moment", remote.address());
-            Err(Failure::new(ErrorKind::Incomplete, text))
-        })
+        match remote.settled(profile, most).await {
+            Some(settled) => settled.map(|()| None),
+            None => Ok(Some(format!("the records of the gateway {} are still arriving", remote.address()))),
+        }
     }
 
     /// Tells the gateway of a grant, so that it need not wait for the chain.
@@ -346,7 +364,7 @@ mod tests {
         remote.note(&profile, Mirrored::Behind);
         let waiting = {
             let (remote, profile) = (Arc::clone(&remote), profile.clone());
-            tokio::spawn(async move { remote.settled(&profile).await })
+            tokio::spawn(async move { remote.settled(&profile, FIRST_ROUND).await })
         };
         tokio::task::yield_now().await;
         // The one who waits is on one thread with this, and sees only what is last.
@@ -355,7 +373,7 @@ mod tests {
         assert_eq!(waiting.await.expect("no panic"), Some(Ok(())));
 
         remote.note(&profile, Mirrored::Failed(refused("no")));
-        let failed = remote.settled(&profile).await;
+        let failed = remote.settled(&profile, FIRST_ROUND).await;
         assert!(matches!(failed, Some(Err(failure)) if failure.message == "no"), "as it stands");
     }
 
@@ -367,10 +385,15 @@ mod tests {
         remote.note(&profile, Mirrored::Behind);
         remote.note(&profile, Mirrored::Behind);
         let begun = Instant::now();
-        let short = tokio::time::timeout(Duration::from_millis(50), remote.settled(&profile)).await;
+        assert_eq!(
+            remote.settled(&profile, Duration::from_millis(20)).await,
+            None,
+            "a list waits for as long as it says"
+        );
+        let short = tokio::time::timeout(Duration::from_millis(50), remote.settled(&profile, FIRST_ROUND)).await;
         assert!(short.is_err(), "it may come to its end yet");
         let long_ago = begun.checked_sub(FIRST_ROUND).expect("a machine up for longer");
         remote.mirrored.send_modify(|all| all.entry(profile.clone()).or_default().behind_since = Some(long_ago));
-        assert_eq!(remote.settled(&profile).await, None);
+        assert_eq!(remote.settled(&profile, FIRST_ROUND).await, None);
     }
 }

@@ -141,7 +141,8 @@ impl Reading {
             steps.push(step("vault", format!("ciphertext stored ({})", self.plant.vault.name())));
         }
         let digest = row.digest;
-        let place = blocking(self, move |reading| Ok(reading.plant.ledger.batch_place(digest)?)).await?;
+        let placed = blocking(self, move |reading| Ok(reading.plant.ledger.placed(digest)?)).await?;
+        let place = placed.and_then(|placed| placed.place);
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
             steps.push(step("batch", format!("root {}, closed {}", inclusion.root, moment(place.closed_at))));
@@ -207,8 +208,11 @@ impl Reading {
         let digest = row.digest;
         let wanted = row.clone();
         let stored =
-            move |reading: &Self| Ok((reading.plant.stored_bytes(&wanted)?, reading.plant.ledger.batch_place(digest)?));
-        let (blob, place) = blocking(self, stored).await?;
+            move |reading: &Self| Ok((reading.plant.stored_bytes(&wanted)?, reading.plant.ledger.placed(digest)?));
+        let (blob, placed) = blocking(self, stored).await?;
+        // Block, transaction and path of one moment, whatever the row was when it was asked for.
+        let (row, place) = placed.map_or_else(|| (row.clone(), None), |placed| (placed.row, placed.place));
+        let row = &row;
         let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await?;
         let gone = gone.filter(|gone| gone.anchored || is_stated(&self.plant, Some(network), digest, gone));
         let blob = blob.ok_or_else(|| match gone {

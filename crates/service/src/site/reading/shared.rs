@@ -38,7 +38,7 @@ impl Reading {
             scopes.insert(grant.terms.owner, grant.terms.scope.clone());
         }
         if scopes.is_empty() {
-            return Ok(RecordPage { records: Vec::new(), next: None });
+            return Ok(RecordPage { records: Vec::new(), next: None, arriving: None });
         }
         self.log.asked(owner, "list shared", &query).await?;
         let filters = self.shared_tag_filters(&network, owner, &grants, &query.tags)?;

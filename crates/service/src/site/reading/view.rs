@@ -99,7 +99,7 @@ pub(in crate::site) fn record_view(shown: &Shown, with_owner: bool) -> RecordVie
 /// A page of rows, and where the next one begins.
 pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> RecordPage {
     let records = rows.iter().map(|row| record_view(row, with_owner)).collect();
-    RecordPage { records, next }
+    RecordPage { records, next, arriving: None }
 }
 
 /// A person's query in the ledger's form; captured messages unless another kind is requested.

@@ -30,7 +30,7 @@ use crate::pipeline::{Owner, authority};
 use crate::service::command::Epochs;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Direction, Failure, GrantRow, TransactionView};
+use crate::service::reply::{Direction, EpochRecords, Failure, GrantRow, TransactionView};
 use crate::store::RecordRow;
 
 /// Who may read what of this home's owners.
@@ -111,6 +111,7 @@ impl Sharing {
         let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         self.remember_topics(owner, &names)?;
+        let opens = self.opens_already(&terms)?;
         let covered = match epochs {
             Epochs::Current => vec![epoch],
             Epochs::All => owner.epochs(network.domain).into_iter().filter(|known| *known <= epoch).collect(),
@@ -137,10 +138,21 @@ impl Sharing {
             block: Some(receipt.block),
             epoch,
             text: match epochs {
-                Epochs::Current => format!("{grantee} can read {what}, from epoch {epoch} on"),
+                Epochs::Current => format!("{grantee} can read {what}, {}", opens.words("")),
                 Epochs::All => format!("{grantee} can read {what}, earlier epochs included"),
             },
         })
+    }
+
+    /// What a grant of the current epoch opens of what is sealed by now.
+    fn opens_already(&self, terms: &GrantTerms) -> Result<EpochRecords, Failure> {
+        let topics = match &terms.scope {
+            Scope::All => None,
+            Scope::Topics(topics) => Some(topics.as_slice()),
+        };
+        let sealed = || self.plant.ledger.sealed_in_epoch(terms.owner, terms.epoch, topics);
+        let (records, since) = tokio::task::block_in_place(sealed)?;
+        Ok(EpochRecords { records, since })
     }
 
     /// Extends an active grant; its keys and the epoch stay as they are.

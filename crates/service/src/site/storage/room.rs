@@ -25,6 +25,10 @@ const LAST: u64 = 512 << 10;
 /// The ledger of a home; on a full disk the space set aside for the states of its records is released for it. The
 /// second value says whether the home is a copy.
 pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
+    if home.original().is_some() {
+        // Nothing is recorded in it, so it needs no recorder of its own.
+        return Ok((Ledger::open(&home.ledger())?, false));
+    }
     match Ledger::open_in_place(&home.ledger()) {
         Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
             Ledger::open_in_place(&home.ledger())

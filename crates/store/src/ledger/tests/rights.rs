@@ -77,7 +77,10 @@ fn a_batch_that_all_its_records_left_waits_anew_when_it_is_closed_again() {
     assert_eq!(ledger.waiting_batches(OWNER, 9).map(|batches| batches.len()), Ok(1));
     assert_eq!(anchored(&ledger, 60, 2, 8), 2);
     assert_eq!(states(&ledger, &records), [Mined, Mined]);
-    assert_eq!(ledger.batch_place(records[1].digest).map(|place| place.and_then(|place| place.block)), Ok(Some(8)));
+    assert_eq!(
+        ledger.placed(records[1].digest).map(|placed| placed.and_then(|placed| placed.place?.block)),
+        Ok(Some(8))
+    );
     // The blocks are replaced: nothing is left to be ignored.
     ledger.unmine(5).expect("taken back");
     assert_eq!(ledger.was_passed_over(records[0].digest), Ok(false));

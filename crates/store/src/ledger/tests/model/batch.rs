@@ -109,7 +109,12 @@ impl Pair {
             for (place, index) in batch.members.iter().enumerate() {
                 let known = &self.model.records[*index];
                 assert_eq!(known.batch, Some(number));
-                let found = self.ledger().batch_place(known.new.digest).expect("read").expect("in a batch");
+                let found = self
+                    .ledger()
+                    .placed(known.new.digest)
+                    .expect("read")
+                    .and_then(|placed| placed.place)
+                    .expect("in a batch");
                 assert_eq!((found.inclusion.root, found.block), (batch.root, batch.block));
                 assert_eq!(found.inclusion.index, place as u64);
                 assert!(found.inclusion.proves(&leaf(&known.new)), "its path leads to the root");

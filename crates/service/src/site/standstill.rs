@@ -1,0 +1,295 @@
+//! Stages of a record's path that have work and make no progress: reported in the site's health and as an alert, and
+//! their tasks are restarted. A stage that waits for chain, vault or a key is not judged: who it waits for is reported.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::blocking;
+use super::chain::lanes::Lanes;
+use super::chain::link::Link;
+use super::identity::owners::Owners;
+use super::lifetime::Lifetime;
+use super::parts::Parts;
+use super::supervision::Supervisor;
+use crate::model::{RecordState, Timestamp};
+use crate::pipeline::storer::Condition;
+use crate::pipeline::{Network, Plant};
+use crate::service::event::{NoticeLevel, Part};
+use crate::service::hub::Hub;
+use crate::service::reply::{Failure, HealthLevel, PartHealth};
+
+/// Interval between looks.
+const LOOK: Duration = Duration::from_secs(10);
+/// The part of the health that reports it.
+pub(super) const PART: &str = "stages";
+
+/// A stage of a record's path.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Stage {
+    /// Puts sealed records into the vault.
+    Storer,
+    /// Closes batches and sends them.
+    Anchorer,
+    /// Reads new blocks.
+    Watcher,
+    /// Checks confirmed records.
+    Verifier,
+}
+
+impl Stage {
+    const ALL: [Self; 4] = [Self::Storer, Self::Anchorer, Self::Watcher, Self::Verifier];
+
+    /// The name of its tasks, or the beginning of it.
+    fn task(self) -> &'static str {
+        match self {
+            Self::Storer => "storer",
+            Self::Anchorer => "anchorer",
+            Self::Watcher => "watcher",
+            Self::Verifier => "verifier",
+        }
+    }
+
+    /// What waits for it.
+    fn work(self) -> &'static str {
+        match self {
+            Self::Storer => "records wait for the vault",
+            Self::Anchorer => "records wait to be anchored",
+            Self::Watcher => "blocks wait to be read",
+            Self::Verifier => "records wait to be verified",
+        }
+    }
+
+    /// How long it may have work without doing any: many times what it takes on a busy machine.
+    fn patience(self) -> Duration {
+        match self {
+            Self::Storer | Self::Watcher | Self::Verifier => Duration::from_secs(60),
+            Self::Anchorer => Duration::from_secs(180),
+        }
+    }
+}
+
+/// What a stage has to do, and a number that changes with whatever it does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Work {
+    waiting: u64,
+    done: u64,
+}
+
+/// One stage's work as it was when it last made progress.
+#[derive(Debug, Clone, Copy)]
+struct Progress {
+    since: Instant,
+    work: Work,
+    /// When it was found standing, and when its task was last restarted.
+    standing: Option<(Timestamp, Instant)>,
+}
+
+/// What a look at a stage came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Found {
+    /// It works, or has nothing to do.
+    Going,
+    /// It stands, and its task is to be restarted.
+    Restart,
+    /// It still stands.
+    Standing,
+}
+
+#[derive(Debug, Default)]
+struct Judge(BTreeMap<Stage, Progress>);
+
+impl Judge {
+    /// `work` is `None` while the stage waits for somebody else.
+    fn look(&mut self, stage: Stage, work: Option<Work>, now: Instant) -> Found {
+        let Some(work) = work.filter(|work| work.waiting > 0) else {
+            self.0.remove(&stage);
+            return Found::Going;
+        };
+        let begun = Progress { since: now, work, standing: None };
+        let known = self.0.entry(stage).or_insert(begun);
+        let moved = work.done != known.work.done || work.waiting < known.work.waiting;
+        if moved {
+            *known = begun;
+            return Found::Going;
+        }
+        known.work = work;
+        if now.duration_since(known.since) < stage.patience() {
+            return Found::Going;
+        }
+        match &mut known.standing {
+            Some((_, restarted)) if now.duration_since(*restarted) < stage.patience() => Found::Standing,
+            Some((_, restarted)) => {
+                *restarted = now;
+                Found::Restart
+            }
+            none => {
+                *none = Some((Timestamp::now(), now));
+                Found::Restart
+            }
+        }
+    }
+
+    /// Those that stand: since when, and how much waits for them.
+    fn standing(&self) -> impl Iterator<Item = (Stage, Timestamp, u64)> {
+        self.0.iter().filter_map(|(stage, progress)| Some((*stage, progress.standing?.0, progress.work.waiting)))
+    }
+}
+
+/// The stages of a site.
+pub(in crate::site) struct Standstill {
+    plant: Plant,
+    hub: Arc<Hub>,
+    owners: Arc<Owners>,
+    link: Arc<Link>,
+    life: Arc<Lifetime>,
+    supervisor: Arc<Supervisor>,
+    lanes: Arc<Lanes>,
+    judge: Mutex<Judge>,
+}
+
+impl Standstill {
+    /// From the shared parts.
+    pub fn new(parts: &Parts, lanes: &Arc<Lanes>) -> Self {
+        let Parts { plant, hub, owners, link, life, supervisor, .. } = parts.clone();
+        Self { plant, hub, owners, link, life, supervisor, lanes: Arc::clone(lanes), judge: Mutex::default() }
+    }
+
+    /// Looks at the stages until the site ends.
+    pub(super) async fn keep(self: Arc<Self>) {
+        while self.life.beat(LOOK).await {
+            let network = self.link.network_now().filter(|_| !self.link.is_silent());
+            let blocks = match &network {
+                Some(network) => self.unread(network).await,
+                None => None,
+            };
+            let found = blocking(&self, move |stages| stages.work(network.as_ref())).await;
+            // What the ledger does not answer, others report.
+            let Ok(mut works) = found else { continue };
+            works.insert(Stage::Watcher, blocks);
+            for stage in Stage::ALL {
+                self.judge_one(stage, works.get(&stage).copied().flatten());
+            }
+        }
+    }
+
+    /// Blocks that the chain has and the watcher has not read.
+    async fn unread(&self, network: &Network) -> Option<Work> {
+        let head = network.chain.head().await.ok()?.number;
+        let read = *self.link.scans().borrow();
+        Some(Work { waiting: head.saturating_sub(read), done: read })
+    }
+
+    fn work(&self, network: Option<&Network>) -> Result<BTreeMap<Stage, Option<Work>>, Failure> {
+        let states = self.plant.ledger.in_each_state()?;
+        let of = |state: RecordState| states.get(&state).copied().unwrap_or(0);
+        let beyond = |last: RecordState| -> u64 {
+            states.iter().filter(|(state, _)| **state > last && **state <= RecordState::Verified).map(|(_, n)| n).sum()
+        };
+        let vault_takes =
+            matches!(self.hub.vault_condition(), (Condition::Takes, _)) && self.plant.vault.ailing().is_none();
+        let stored = (vault_takes && !self.plant.vault.durable() && self.plant.takes_records().is_ok())
+            .then(|| Work { waiting: of(RecordState::Sealed), done: beyond(RecordState::Sealed) });
+        let checked = (vault_takes && network.is_some()).then(|| Work {
+            waiting: of(RecordState::Confirmed),
+            done: of(RecordState::Verified) + of(RecordState::Tampered),
+        });
+        let anchored = match network.filter(|network| self.lanes.paused_text(network).is_none()) {
+            // What is on its way keeps the next ones waiting.
+            Some(network) if of(RecordState::Submitted) == 0 => {
+                Some(Work { waiting: self.unbatched(network)?, done: beyond(RecordState::Stored) })
+            }
+            _ => None,
+        };
+        Ok([(Stage::Storer, stored), (Stage::Verifier, checked), (Stage::Anchorer, anchored)].into())
+    }
+
+    /// Records that an open owner anchors and that are in no batch.
+    fn unbatched(&self, network: &Network) -> Result<u64, Failure> {
+        let owners = self.owners.all();
+        let open =
+            owners.iter().filter(|owner| !owner.is_locked() && network.directory.identity(owner.address).is_ok());
+        open.map(|owner| Ok(self.plant.ledger.unbatched(owner.address)?.0)).sum()
+    }
+
+    fn judge_one(&self, stage: Stage, work: Option<Work>) {
+        let mut judge = self.judge.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = judge.standing().any(|(standing, ..)| standing == stage);
+        let found = judge.look(stage, work, Instant::now());
+        drop(judge);
+        match found {
+            Found::Restart => {
+                self.hub.notice(NoticeLevel::Error, &self.text().unwrap_or_default());
+                self.supervisor.restart(stage.task(), "it had work and made no progress");
+            }
+            Found::Going if before => {
+                let text = format!("the {} makes progress again", stage.task());
+                self.hub.notice(NoticeLevel::Info, &text);
+            }
+            Found::Going | Found::Standing => return,
+        }
+        self.hub.changed(Part::Health);
+    }
+
+    fn text(&self) -> Option<String> {
+        let judge = self.judge.lock().unwrap_or_else(PoisonError::into_inner);
+        let standing: Vec<String> = judge
+            .standing()
+            .map(|(stage, since, waiting)| {
+                format!(
+                    "{waiting} {}, and the {} has done nothing since {} UTC",
+                    stage.work(),
+                    stage.task(),
+                    since.clock()
+                )
+            })
+            .collect();
+        (!standing.is_empty()).then(|| {
+            format!(
+                "{}; nothing acknowledged is lost; it is restarted automatically; if that does not help, stop the site, \
+                 start it again and report this with its log",
+                standing.join("; ")
+            )
+        })
+    }
+
+    /// What stands, if anything does.
+    pub(super) fn health(&self) -> Option<PartHealth> {
+        let since =
+            self.judge.lock().unwrap_or_else(PoisonError::into_inner).standing().map(|(_, since, _)| since).min();
+        let text = self.text()?;
+        Some(PartHealth { part: PART.to_owned(), level: HealthLevel::Failed, text, since, retry: None })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn work(waiting: u64, done: u64) -> Work {
+        Work { waiting, done }
+    }
+
+    #[test]
+    fn a_stage_with_work_and_without_progress_is_reported_and_restarted_and_no_other_is() {
+        let (mut judge, begun) = (Judge::default(), Instant::now());
+        let at = |seconds: u64| begun + Duration::from_secs(seconds);
+        let mut look = |seconds: u64, work: Work| {
+            // Without a chain or a vault nothing is known of its work.
+            let known = Some(work).filter(|_| seconds != 251);
+            let found = judge.look(Stage::Verifier, known, at(seconds));
+            (found, judge.standing().count())
+        };
+        assert_eq!(look(0, work(602, 100)), (Found::Going, 0));
+        assert_eq!(look(59, work(900, 100)), (Found::Going, 0), "more came");
+        assert_eq!(look(60, work(4_295, 100)), (Found::Restart, 1));
+        assert_eq!(look(65, work(4_300, 100)), (Found::Standing, 1));
+        assert_eq!(look(120, work(4_300, 100)), (Found::Restart, 1), "and again");
+        assert_eq!(look(121, work(4_300, 101)), (Found::Going, 0), "one is enough");
+        assert_eq!(look(190, work(4_299, 101)), (Found::Going, 0), "or one less");
+        assert_eq!(look(251, work(4_299, 101)), (Found::Going, 0), "the vault is away, which is reported");
+        assert_eq!(look(252, work(4_299, 101)), (Found::Going, 0), "the time begins anew");
+        assert_eq!(look(311, work(0, 101)), (Found::Going, 0));
+        assert_eq!(look(400, work(1, 101)), (Found::Going, 0), "without work nothing stands");
+    }
+}
