@@ -11,6 +11,8 @@ use super::event::end;
 use super::{AccountState, Call, Chain, ChainError, ChainStatus, GrantState, QueryAnswer};
 use crate::model::{Address, Digest, Hash, Identity, Token, bytes::hex, bytes::unhex};
 
+/// No account has sent so many transactions.
+const NO_NONCE: u64 = 1 << 32;
 /// The most transactions of one account that a node may hold: far above any node's pool.
 const MOST_PENDING: u64 = 100_000;
 
@@ -74,7 +76,12 @@ impl Chain {
             Err(ChainError::Rejected { .. }) if pending => ask("latest").await?,
             answered => answered?,
         };
-        Ok(nonce.as_u64())
+        let nonce = nonce.as_u64();
+        if nonce < NO_NONCE {
+            Ok(nonce)
+        } else {
+            Err(self.misunderstood("eth_getTransactionCount", &nonce.to_string()))
+        }
     }
 
     /// Both next nonces of an account. They check each other: a node that answers one of them wrongly is not believed,

@@ -178,7 +178,12 @@ mod tests {
     }
 
     async fn sealing_of(url: String) -> Sealing {
-        let options = ChainOptions { endpoint: Endpoint::Node { url }, contract: None, pinned: None, confirmations: 1 };
+        let options = ChainOptions {
+            endpoint: Endpoint::Node { url, roots: None },
+            contract: None,
+            pinned: None,
+            confirmations: 1,
+        };
         Chain::connect(options).await.expect("connects").sealing().await.expect("told")
     }
 

@@ -222,9 +222,9 @@ pub fn validators_in(extra: &[u8]) -> Vec<Address> {
         let is_such = list.is_list() && list.item_count() == Ok(items);
         if is_such { validators.iter().map(address).collect::<Option<Vec<_>>>() } else { None }
     };
-    let whole = is_whole(&Rlp::new(extra), extra).then(|| named(extra, 5, 1)).flatten();
+    let whole = is_canonical(extra).then(|| named(extra, 5, 1)).flatten();
     let first = || {
-        let rest = extra.get(VANITY..).filter(|rest| is_whole(&Rlp::new(rest), rest))?;
+        let rest = extra.get(VANITY..).filter(|rest| is_canonical(rest))?;
         named(rest, 3, 0)
     };
     whole.or_else(first).unwrap_or_default()

@@ -49,7 +49,7 @@ impl Sender {
                 "{account} has no transaction with nonce {nonce} waiting here; `authros chain status` lists those that wait"
             )));
         };
-        if chain.nonces(account).await?.mined > nonce {
+        if self.nonces(chain, account).await?.mined > nonce {
             let text = format!("the transaction with nonce {nonce} ({}) is in a block already", row.purpose);
             return Err(PipelineError::Refused(format!("{text}; nothing was cancelled")));
         }
@@ -88,7 +88,7 @@ impl Sender {
     ) -> Result<Option<u64>, PipelineError> {
         let (account, deadline) = (eoa.address(), Instant::now() + PATIENCE);
         let mut head = chain.head().await?.number;
-        while chain.nonces(account).await?.mined <= cancelled.nonce {
+        while self.nonces(chain, account).await?.mined <= cancelled.nonce {
             if Instant::now() > deadline {
                 return Err(self.not_mined(account, PURPOSE));
             }

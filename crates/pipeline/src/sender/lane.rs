@@ -101,7 +101,7 @@ impl Lane<'_> {
     /// # Errors
     /// Errors of chain and ledger.
     pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
-        let pending = self.chain.nonces(self.account).await?.pending;
+        let pending = self.sender.nonces(self.chain, self.account).await?.pending;
         let open = block_in_place(|| self.sender.ledger.lane_count(self.account))?;
         Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending))
     }

@@ -9,6 +9,7 @@ mod funds;
 mod lane;
 #[cfg(test)]
 mod node_tests;
+mod nonces;
 mod state;
 mod tend;
 #[cfg(test)]

@@ -139,7 +139,7 @@ impl Sender {
             }
             return Ok(Vec::new());
         }
-        let nonces = chain.nonces(account).await?;
+        let nonces = self.nonces(chain, account).await?;
         let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < nonces.mined);
         for row in &used {
             self.learn_price(account, row)?;

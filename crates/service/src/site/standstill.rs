@@ -194,7 +194,7 @@ impl Standstill {
             waiting: of(RecordState::Confirmed),
             done: of(RecordState::Verified) + of(RecordState::Tampered),
         });
-        let anchored = match network.filter(|network| self.lanes.paused_text(network).is_none()) {
+        let anchored = match network.filter(|network| self.lanes.paused(network).is_none()) {
             // What is on its way keeps the next ones waiting.
             Some(network) if of(RecordState::Submitted) == 0 => {
                 Some(Work { waiting: self.unbatched(network)?, done: beyond(RecordState::Stored) })

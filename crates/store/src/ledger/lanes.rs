@@ -60,6 +60,18 @@ impl Ledger {
         })
     }
 
+    /// The highest nonce of an account's transactions signed here, whatever became of them.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn highest_nonce(&self, account: Address) -> Result<Option<u64>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT max(nonce) FROM transactions WHERE account = ?1")?;
+            let highest: Option<i64> = statement.query_row([account.0], |row| row.get(0))?;
+            Ok(highest.map(i64::cast_unsigned))
+        })
+    }
+
     /// The cost of an account's newest `most` anchoring transactions in blocks: their number, their gas, and the
     /// records they anchored. Read from an index, whatever the number of transactions.
     ///
