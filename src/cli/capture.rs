@@ -107,7 +107,8 @@ fn obstacle(site: &SiteView, chain: &ChainView, still: Duration) -> (&'static st
     match chain.waiting.first() {
         Some(next) => {
             let what = format!("{} with nonce {} at {} per gas", next.purpose, next.nonce, next.price);
-            ("transaction", format!("{} transactions are in no block yet, first {what}", chain.pending))
+            let advice = "check that the network makes blocks; see `authros chain status`";
+            ("transaction", format!("{} transactions are in no block yet, first {what}; {advice}", chain.pending))
         }
         None => ("progress", "the site is working through them; see `authros status`".to_owned()),
     }

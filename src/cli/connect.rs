@@ -191,7 +191,7 @@ impl Context {
                         your own";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
-        match self.stay(needs, output, "serve").await? {
+        match self.stay(needs, output, "`authros serve`").await? {
             Connection { site: None, .. } => {
                 let root = self.home.root().display();
                 let text = format!("a site of {root} is already running; commands join it automatically");
@@ -202,11 +202,11 @@ impl Context {
     }
 
     /// Joins a site that stays, or opens one that is to. A command that is the site of this home until it ends is waited
-    /// for: whoever joined it would end with it. `verb` is what to run again.
+    /// for: whoever joined it would end with it. `again` is what to run again.
     ///
     /// # Errors
     /// If the home cannot be used, or the command does not end.
-    pub async fn stay(&self, needs: Needs, output: &Output, verb: &str) -> Result<Connection, Failure> {
+    pub async fn stay(&self, needs: Needs, output: &Output, again: &str) -> Result<Connection, Failure> {
         let (root, begun, mut patience) = (self.home.root().display(), Instant::now(), SILENCE);
         while begun.elapsed() < patience {
             match socket::join(&self.home, self.profile.clone()).await? {
@@ -233,7 +233,7 @@ impl Context {
         if patience == SILENCE {
             return Err(self.unanswered());
         }
-        Err(self.still_used(patience, &format!("`authros {verb}`")))
+        Err(self.still_used(patience, again))
     }
 
     /// Becomes the site, unless another process has the home.

@@ -39,7 +39,7 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
     let needs = Needs { ros: false, chain: true };
     let connection = match context.operator {
         Some(_) => context.connect(needs).await?,
-        None => context.stay(needs, output, "gateway serve").await?,
+        None => context.stay(needs, output, "`authros gateway serve`").await?,
     };
     connection.oversee();
     let (joined, events) = (connection.site.is_none(), connection.client.events());

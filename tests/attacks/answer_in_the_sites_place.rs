@@ -80,7 +80,7 @@ fn a_home_that_others_can_write_gets_no_secret() {
         parts.reached(format!("{left} files were written into a home that others can write"));
     }
     chmod(&home.path(), 0o700);
-    alice.run(&["keys", "list"]).expect_code(0);
+    alice.run(&["keys", "list", "--passphrase-file", &passphrase]).expect_code(0);
     judge("answer_in_the_sites_place", parts.outcome());
 }
 

@@ -449,7 +449,7 @@ fn a_gateway_waits_for_a_short_command_and_does_not_end_with_it() {
     keeper.enrol();
     // A command that is the site until it ends, with a chain and all.
     let short = keeper.spawn(&["capture", "--topic", "/robot1/odom", "--count", "100000"]);
-    wait_until(60, "it has the home", || (home.authros().json(&["status"])["process"] == short.id()).then_some(()));
+    wait_until(60, "it has the home", || (keeper.json(&["status"])["process"] == short.id()).then_some(()));
     let mut serving = keeper.with(&["--json"]).spawn(&["gateway", "serve", "--listen", "127.0.0.1:0"]);
     wait_until(60, "it waits", || serving.stderr().contains("another command is using").then_some(()));
     assert!(serving.is_running() && !serving.stdout().contains("\"joined\""), "nor does it join");

@@ -1,5 +1,6 @@
 //! Who else could change or replace a file: nobody but one user and root should.
 
+use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
@@ -38,20 +39,42 @@ pub fn fault_of_home(home: &Path, user: u32) -> std::io::Result<Option<Fault>> {
 
 /// `above` is what may not be permitted in the folders above.
 fn find_fault(file: &Path, user: u32, above: u32) -> std::io::Result<Option<Fault>> {
-    let whole = file.canonicalize()?;
-    for (depth, path) in whole.ancestors().enumerate() {
-        let about = std::fs::metadata(path)?;
+    let named = file.canonicalize();
+    for (depth, (path, about)) in upwards(file)?.into_iter().enumerate() {
+        let name = || named.as_ref().ok().and_then(|named| named.ancestors().nth(depth)).unwrap_or(&path).to_owned();
         if about.uid() != user && about.uid() != 0 {
-            return Ok(Some(Fault::Foreign(path.to_owned())));
+            return Ok(Some(Fault::Foreign(name())));
         }
         // In a folder with the sticky bit nobody can replace another user's files.
         let is_kept_apart = depth > 0 && about.mode() & STICKY != 0;
         let forbidden = if depth == 0 { WRITTEN_BY_OTHERS } else { above };
         if about.mode() & forbidden != 0 && !is_kept_apart {
-            return Ok(Some(Fault::Open(path.to_owned())));
+            return Ok(Some(Fault::Open(name())));
         }
     }
     Ok(None)
+}
+
+/// The file or folder and all folders above it. The kernel finds each: in another mount namespace (`/proc/PID/root`) a
+/// whole path would lead elsewhere.
+fn upwards(file: &Path) -> std::io::Result<Vec<(PathBuf, Metadata)>> {
+    let about = std::fs::metadata(file)?;
+    let (mut found, mut at) = (Vec::new(), file.to_owned());
+    if !about.is_dir() {
+        at = file.canonicalize()?;
+        found.push((at.clone(), about));
+        at.pop();
+    }
+    loop {
+        let about = std::fs::metadata(&at)?;
+        let place = (about.dev(), about.ino());
+        found.push((at.clone(), about));
+        at.push("..");
+        let above = std::fs::metadata(&at)?;
+        if (above.dev(), above.ino()) == place {
+            return Ok(found);
+        }
+    }
 }
 
 #[cfg(test)]

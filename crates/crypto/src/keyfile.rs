@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use sm2::elliptic_curve::sec1::ToSec1Point as _;
-use sm2::pkcs8::der::SecretDocument;
+use sm2::pkcs8::der::{SecretDocument, pem};
 use sm2::pkcs8::{DecodePrivateKey as _, EncodePrivateKey as _, EncodePublicKey as _, LineEnding};
 use zeroize::Zeroizing;
 
@@ -130,8 +130,9 @@ fn sm2_of_pem(text: &str) -> Result<sm2::SecretKey, &'static str> {
     }
     let named = labelled(&PARAMETERS);
     for (_, parameters) in &named {
-        let (_, curve) = SecretDocument::from_pem(parameters).map_err(|_| "its PEM is broken")?;
-        if curve.as_bytes() != CURVE {
+        // A curve's OID alone: not a document, which is a sequence.
+        let (_, curve) = pem::decode_vec(parameters.as_bytes()).map_err(|_| "its PEM is broken")?;
+        if curve != CURVE {
             return Err(OTHER_CURVE);
         }
     }

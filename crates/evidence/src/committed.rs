@@ -8,7 +8,7 @@ use authros_crypto::{AccountSignature, keccak256, recover_account};
 use authros_model::Address;
 use rlp::{Rlp, RlpStream};
 
-use crate::form::is_canonical;
+use crate::form::{is_canonical, text};
 use crate::header::{EXTRA, SEAL, Seals, VANITY};
 
 /// The mix hash of such a header.
@@ -87,10 +87,10 @@ impl Committed {
     /// under QBFT, and empty under IBFT 2.0; a round is a number under QBFT, and four bytes under IBFT 2.0.
     pub(crate) fn parse(header: &[u8], extra: &[u8]) -> Option<Self> {
         let list = Rlp::new(extra);
-        if !is_canonical(extra) || list.item_count().ok()? != 5 || list.at(0).ok()?.data().ok()?.len() != VANITY {
+        if !is_canonical(extra) || list.item_count().ok()? != 5 || text(&list.at(0).ok()?)?.len() != VANITY {
             return None;
         }
-        let (vote, round) = (list.at(2).ok()?, list.at(3).ok()?.data().ok()?);
+        let (vote, round) = (list.at(2).ok()?, text(&list.at(3).ok()?)?);
         let without = vote.is_list() && vote.item_count().ok()? == 0;
         let (protocol, digits) = match round {
             [0, digits @ ..] if digits.len() == 3 && !without => (Protocol::Ibft2, digits),
@@ -99,8 +99,8 @@ impl Committed {
             _ => return None,
         };
         let round = digits.iter().fold(0, |number, digit| (number << 8) | u32::from(*digit));
-        let address = |item: Rlp<'_>| Some(Address(item.data().ok()?.try_into().ok()?));
-        let seal = |item: Rlp<'_>| item.data().ok()?.try_into().ok();
+        let address = |item: Rlp<'_>| Some(Address(text(&item)?.try_into().ok()?));
+        let seal = |item: Rlp<'_>| text(&item)?.try_into().ok();
         let (validators, seals) = (list.at(1).ok()?, list.at(4).ok()?);
         if !validators.is_list() || !seals.is_list() {
             return None;
@@ -125,7 +125,7 @@ impl Committed {
     /// The header's hash with another round in its extra data, or none, and without seals.
     fn hash(&self, round: Option<u32>) -> Option<[u8; 32]> {
         let header = Rlp::new(&self.header);
-        let extra = header.at(EXTRA).ok()?.data().ok()?;
+        let extra = text(&header.at(EXTRA).ok()?)?;
         let list = Rlp::new(extra);
         let items = match (self.protocol, round) {
             (_, None) => 3,
@@ -215,7 +215,7 @@ impl Committed {
 /// The validators that the extra data of a header names: under QBFT and IBFT 2.0, and under the first IBFT, whose list
 /// follows the vanity. None if it is of another consensus, or a contract of the network keeps them.
 pub fn validators_in(extra: &[u8]) -> Vec<Address> {
-    let address = |item: Rlp<'_>| Some(Address(item.data().ok()?.try_into().ok()?));
+    let address = |item: Rlp<'_>| Some(Address(text(&item)?.try_into().ok()?));
     let named = |list: &[u8], items: usize, at: usize| {
         let list = Rlp::new(list);
         let validators = list.at(at).ok().filter(Rlp::is_list)?;

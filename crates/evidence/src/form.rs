@@ -1,6 +1,7 @@
 //! Forms of which there is one spelling: lines with names are never a list, and RLP has its shortest form. What two
 //! readers could take differently is refused before it means anything.
 
+use rlp::Rlp;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -56,6 +57,11 @@ fn is_of_shape(told: &Value, written: &Value) -> bool {
 /// Whether these bytes are one item of RLP, each length of it in its shortest form.
 pub(crate) fn is_canonical(bytes: &[u8]) -> bool {
     item(bytes, 0) == Some(bytes.len())
+}
+
+/// The bytes of an item that is no list; `Rlp::data` gives those of a list as well.
+pub(crate) fn text<'a>(item: &Rlp<'a>) -> Option<&'a [u8]> {
+    if item.is_list() { None } else { item.data().ok() }
 }
 
 /// The length of the item at the beginning, if it is canonical.

@@ -7,7 +7,7 @@ use authros_model::{Address, Hash};
 use rlp::Rlp;
 
 use crate::committed::{Committed, Flaw, MIX, Protocol, recovered, with_extra};
-use crate::form::is_canonical;
+use crate::form::{is_canonical, text};
 
 /// The longest header, bytes; including a list of a hundred validators and the seals of two thirds of them.
 pub const LONGEST_HEADER: usize = 8192;
@@ -50,9 +50,9 @@ impl BlockHeader {
         if bytes.len() > LONGEST_HEADER || !is_canonical(bytes) || !(15..=32).contains(&fields) {
             return None;
         }
-        let hash = |at: usize| list.at(at).ok().and_then(|hash| Hash::from_slice(hash.data().ok()?));
-        let extra = list.at(EXTRA).ok()?.data().ok()?.to_vec();
-        let (number, mix) = (list.val_at(8).ok()?, list.at(13).ok()?.data().ok()?);
+        let hash = |at: usize| list.at(at).ok().and_then(|hash| Hash::from_slice(text(&hash)?));
+        let extra = text(&list.at(EXTRA).ok()?)?.to_vec();
+        let (number, mix) = (list.val_at(8).ok()?, text(&list.at(13).ok()?)?);
         // The genesis block's hash is that of its bytes, whatever its extra data has.
         let committed = if mix == MIX && number > 0 { Committed::parse(bytes, &extra) } else { None };
         let block_hash = match &committed {

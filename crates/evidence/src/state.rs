@@ -6,7 +6,7 @@ use authros_crypto::keccak256;
 use authros_model::{Address, Hash};
 use rlp::{Rlp, RlpStream};
 
-use crate::form::is_canonical;
+use crate::form::{is_canonical, text};
 use crate::trie::{EMPTY_ROOT, Step, follow, nibbles};
 
 /// The most nodes in a bundle.
@@ -77,7 +77,7 @@ impl Nodes {
         if !list.is_list() || list.item_count().ok()? > MOST_NODES {
             return None;
         }
-        let node = |node: Rlp<'_>| node.data().ok().filter(|node| node.len() <= LONGEST_NODE).map(<[u8]>::to_vec);
+        let node = |node: Rlp<'_>| text(&node).filter(|node| node.len() <= LONGEST_NODE).map(<[u8]>::to_vec);
         let nodes = list.iter().map(node).collect::<Option<Self>>()?;
         (nodes.encode() == bytes).then_some(nodes)
     }
@@ -250,7 +250,7 @@ impl<'a> Storage<'a> {
     pub fn of(nodes: &'a Nodes, state: Hash, contract: Address) -> Result<Self, Unproven> {
         let account = nodes.look_up(state, &contract.0)?.ok_or(Unproven::NoContract)?;
         let fields = Rlp::new(&account);
-        let hash = |at: usize| fields.at(at).ok().and_then(|hash| Hash::from_slice(hash.data().ok()?));
+        let hash = |at: usize| fields.at(at).ok().and_then(|hash| Hash::from_slice(text(&hash)?));
         let (root, code) = (hash(2), hash(3));
         if !is_canonical(&account) {
             return Err(Unproven::Value("account"));
@@ -268,11 +268,8 @@ impl<'a> Storage<'a> {
     pub fn word(&self, slot: Slot) -> Result<Word, Unproven> {
         let Some(value) = self.nodes.look_up(self.root, &slot.0)? else { return Ok(Word([0; 32])) };
         let item = Rlp::new(&value);
-        let bytes = item
-            .data()
-            .ok()
-            .filter(|bytes| bytes.len() <= 32 && is_canonical(&value))
-            .ok_or(Unproven::Value("word"))?;
+        let bytes =
+            text(&item).filter(|bytes| bytes.len() <= 32 && is_canonical(&value)).ok_or(Unproven::Value("word"))?;
         Ok(Word(padded(bytes)))
     }
 

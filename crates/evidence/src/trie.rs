@@ -3,6 +3,8 @@
 use authros_model::Hash;
 use rlp::Rlp;
 
+use crate::form::text;
+
 /// Root of a trie without keys: Keccak-256 of the RLP of nothing.
 pub const EMPTY_ROOT: Hash = Hash([
     0x56, 0xe8, 0x1f, 0x17, 0x1b, 0xcc, 0x55, 0xa6, 0xff, 0x83, 0x45, 0xe6, 0x92, 0xc0, 0xf8, 0x6e, 0x5b, 0x48, 0xe0,
@@ -22,10 +24,10 @@ pub enum Step {
 pub fn follow(node: &Rlp<'_>, path: &[u8]) -> Option<Step> {
     let (child, rest) = match node.item_count().ok()? {
         2 => {
-            let (own, leaf) = unpacked(node.at(0).ok()?.data().ok()?)?;
+            let (own, leaf) = unpacked(text(&node.at(0).ok()?)?)?;
             let Some(rest) = path.strip_prefix(&own[..]) else { return Some(Step::End(None)) };
             if leaf {
-                let value = node.at(1).ok()?.data().ok()?.to_vec();
+                let value = text(&node.at(1).ok()?)?.to_vec();
                 return Some(Step::End(rest.is_empty().then_some(value)));
             }
             // An extension must consume at least one nibble: an empty one could form a loop.
@@ -43,7 +45,7 @@ pub fn follow(node: &Rlp<'_>, path: &[u8]) -> Option<Step> {
     if child.is_list() {
         return follow(&child, rest);
     }
-    match child.data().ok()? {
+    match text(&child)? {
         [] => Some(Step::End(None)),
         hash => Some(Step::Down(Hash::from_slice(hash)?, rest.len())),
     }

@@ -17,8 +17,8 @@ fn left_in(folder: &Path) -> Vec<String> {
     shown.filter(|path| path.contains(UNFINISHED)).collect()
 }
 
-fn wait_for_end(mut site: Running) {
-    poll(60, || (!site.is_running()).then_some(())).expect("it ends at the place");
+fn wait_for_end(mut site: Running, place: &str) {
+    poll(60, || (!site.is_running()).then_some(())).unwrap_or_else(|| panic!("it ends at the place {place}"));
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn a_killed_backup_leaves_nothing_in_the_home_nor_beside_the_others() {
             _ => &["backup", &path(number), "--passphrase-file", &secret],
         };
         drop(authros.spawn(words).wait(60));
-        wait_for_end(site);
+        wait_for_end(site, place);
         let mut left = left_in(&home.path());
         left.extend(left_in(&folder));
         seen += left.len();

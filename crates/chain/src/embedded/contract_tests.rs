@@ -205,7 +205,7 @@ fn an_account_registers_once_with_a_whole_identity() {
     world.refused(B, &Call::Register { identity: identity(token(0)), envelope: Vec::new() }, "empty");
     world.send(B, &call).expect("tokens are per owner: nobody can take another's first");
     for length in [0, 223, 225] {
-        let refused = world.raw(C, "register", &[AbiToken::Bytes(vec![1; length])]);
+        let refused = world.raw(C, "register", &[vec![1; length], Vec::new()].map(AbiToken::Bytes));
         assert_eq!(refused, Err("length".to_owned()));
     }
 }

@@ -48,8 +48,10 @@ impl Address {
     /// [`ChainError::Url`], [`ChainError::Roots`].
     pub(super) fn parse(text: &str, roots: Option<&Path>) -> Result<Self, ChainError> {
         let shown = clean(&address_without_secrets(text), 120);
-        let refused = || ChainError::Url(shown.clone());
         let scheme = text.split_once("://").map_or("", |(scheme, _)| scheme);
+        // What cannot be taken apart may hold a secret anywhere.
+        let is_web = matches!(scheme, "http" | "https" | "ws" | "wss");
+        let refused = || ChainError::Url(if is_web { format!("{scheme}://…") } else { shown.clone() });
         let place = match scheme {
             "http" | "https" => Place::Http(Server::parse(text, roots, &refused)?),
             "ws" | "wss" => Place::WebSocket(Server::parse(text, roots, &refused)?),
