@@ -5,10 +5,10 @@ use std::time::Duration;
 use authros::gateway::{Client, GatewayError, Trust};
 use serde_json::json;
 
-use super::support::Home;
 use super::support::gate::Gate;
 use super::support::member::Gateway;
 use super::support::source::line_from;
+use super::support::{Home, wait_until};
 use super::{Outcome, judge};
 
 /// The visitors' places of one address, and the addresses that take them all.
@@ -61,8 +61,11 @@ async fn eight_addresses_hold_every_visitors_place() {
     let bob = away.profile("bob").with(&gate.options());
     let address = bob.enrol();
     gate.home.profile("gateway").with(&["--robots", "0"]).json(&["gateway", "admit", &address]);
-    // Allocates the transport key.
-    bob.run(&["shared", "list"]).expect_code(0);
+    // Allocates the transport key, in its own time.
+    let site = bob.serve(&away);
+    let key = away.path().join("profiles/bob/transport-key");
+    wait_until(60, "a transport key", || key.exists().then_some(()));
+    site.stop("TERM", 30).expect_code(0);
 
     let mut held = 0;
     for last in 1..=ADDRESSES {

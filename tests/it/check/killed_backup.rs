@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::all_verified;
 use crate::support::authros::files_below;
-use crate::support::{Home, Running, faulty, heavy, poll, skipped};
+use crate::support::{Home, faulty, heavy, poll, skipped};
 
 const TOPIC: &str = "/robot1/odom";
 const UNFINISHED: &str = ".authros-new-";
@@ -15,10 +15,6 @@ const UNFINISHED: &str = ".authros-new-";
 fn left_in(folder: &Path) -> Vec<String> {
     let shown = files_below(folder).into_iter().map(|path| path.display().to_string());
     shown.filter(|path| path.contains(UNFINISHED)).collect()
-}
-
-fn wait_for_end(mut site: Running, place: &str) {
-    poll(60, || (!site.is_running()).then_some(())).unwrap_or_else(|| panic!("it ends at the place {place}"));
 }
 
 #[test]
@@ -46,8 +42,8 @@ fn a_killed_backup_leaves_nothing_in_the_home_nor_beside_the_others() {
             "file-unfinished" => &["keys", "rotate"],
             _ => &["backup", &path(number), "--passphrase-file", &secret],
         };
-        drop(authros.spawn(words).wait(60));
-        wait_for_end(site, place);
+        let told = authros.spawn(words).wait(60);
+        assert!(poll(60, || (!site.is_running()).then_some(())).is_some(), "it ends at the place {place}: {told}");
         let mut left = left_in(&home.path());
         left.extend(left_in(&folder));
         seen += left.len();

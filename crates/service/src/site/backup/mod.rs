@@ -15,6 +15,7 @@ use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::runtime::Handle;
 
@@ -37,6 +38,8 @@ const VAULT: &str = "vault/vault.db";
 const CHAIN: &str = "chain/chain.db";
 /// The folder of a robot's ring, of which files fall out at any time.
 const RING: &str = "ring/";
+/// The longest that a backup waits for the chain of a site that has just begun.
+const OPENING: Duration = Duration::from_secs(30);
 /// Files that belong to the running process, or are recreated: by the beginning of the name.
 const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", "waiting", unfinished::PREFIX];
 
@@ -80,6 +83,10 @@ impl Backup {
         let running = self.runs.begin(profile, &shown, "copying into", "files");
         let runtime = Handle::current();
         let written = async {
+            // While an embedded chain is being opened, its file is locked and no connection has it.
+            if self.config.chain_url.is_none() {
+                drop(tokio::time::timeout(OPENING, self.link.settled()).await);
+            }
             // Work that deletes ciphertext before the ledger records it waits until the moment is taken.
             let quiet = self.quarantine.quiet().await;
             let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;

@@ -27,6 +27,7 @@ use crate::site::pins::Pinning;
 use crate::site::reading::Reading;
 use crate::site::sharing::Sharing;
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::blocking;
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
@@ -36,6 +37,9 @@ use crate::service::command::SecretText;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{EpochRecords, Failure, IdentityView};
+
+/// The longest wait for the chain to tell of the identity of a locked keyring.
+const LOCKED: Duration = Duration::from_secs(3);
 
 /// The profiles of a home and their keys.
 pub(in crate::site) struct Profiles {
@@ -246,7 +250,10 @@ impl Profiles {
         view.signing_key = Some(public.signing);
         view.envelope_key = Some(public.envelope);
         view.fingerprint = Some(Fingerprint::of(&public.signing).to_string());
-        if let Ok(network) = self.link.network().await {
+        // A gateway that has no room for visitors may let the site in once the keyring is open: who is about to open it asks
+        // first whether it is.
+        let patience = if view.unlocked { Duration::MAX } else { LOCKED };
+        if let Ok(Ok(network)) = tokio::time::timeout(patience, self.link.network()).await {
             view.registered =
                 network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
