@@ -1127,7 +1127,7 @@ def completeness(bundle, records, twice):
 
 
 def exporter(bundle, trust, records):
-    """Whether whoever put the bundle together is its records' owner, or pinned."""
+    """Whether the exporter owns the bundle's records, or is pinned."""
     account, key = unhex(bundle.manifest["exporter"]["account"]), unhex(bundle.manifest["exporter"]["key"])
     pinned = [unhex(one["key"]) for one in (trust or {}).get("person", []) if unhex(one["account"]) == account and "key" in one]
     if pinned:

@@ -202,7 +202,7 @@ impl Context {
     }
 
     /// Joins a site that stays, or opens one that is to. A command that is the site of this home until it ends is waited
-    /// for: whoever joined it would end with it. `again` is what to run again.
+    /// for: a command that joined it would end with it. `again` is what to run again.
     ///
     /// # Errors
     /// If the home cannot be used, or the command does not end.

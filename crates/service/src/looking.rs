@@ -1,4 +1,4 @@
-//! A home that cannot be written, such as an image of a disk that is mounted read-only: it is looked at in a working copy
+//! A home that cannot be written, such as an image of a disk that is mounted read-only: commands read a working copy
 //! in the folder for temporary files. Not a byte is written to the home itself.
 
 use std::fs::{self, File, TryLockError};

@@ -188,7 +188,7 @@ fn what_waited_for_a_full_disk_and_died_with_the_process_is_told_at_the_next_sta
     assert_eq!(after["conserved"], true, "{after}");
     authros.json(&["topics", "unwatch", ODOM]);
     let lost = count(&after, "lost_in_recorder");
-    let gaps = wait_until(60, "it is told of", || {
+    let gaps = wait_until(60, "a gap record of it", || {
         let gaps = authros.records(&["uploads", "list", "--kind", "gap", "--state", "verified"]);
         let opened: Vec<_> = gaps.iter().map(|gap| authros.json(&["shared", "open", &text(gap, "id")])).collect();
         (opened.iter().map(|gap| count(&gap["message"], "lost")).sum::<u64>() >= lost).then_some(opened)

@@ -163,7 +163,7 @@ fn verified_records_that_are_gone_without_a_copy_are_missed_at_once_and_go_on_wh
     wait_until(90, "the copies are given up", || {
         redis.cli(&["EVAL", "redis.call('RENAME',KEYS[1],'aside')", "1", &key(&records[0])]);
         redis.cli(&["DEL", "authros:mark"]);
-        wait_until(60, "it is looked", || redis.keys().checked_sub(records.len() as u64));
+        wait_until(60, "the look has begun", || redis.keys().checked_sub(records.len() as u64));
         let code = wait_until(30, "the look is over", || {
             let put_back = redis.cli(&["EXISTS", &key(&records[0])]).trim() == "1";
             let code = load.authros.run(&["status"]).code;

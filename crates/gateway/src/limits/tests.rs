@@ -88,14 +88,17 @@ fn a_network_of_ipv6_has_a_share_and_its_peers_have_theirs() {
     assert_eq!(arrived, 4 * 10 - 4, "four peers' worth of handshakes, of which four were used");
 }
 
+/// A visitor's place for a peer that has just arrived.
+fn visit(peers: &Peers, address: IpAddr, now: Instant) -> Result<Seat, Refusal> {
+    let mut seat = peers.admit(address, now).expect("admitted");
+    seat.visit().map(|()| seat)
+}
+
 #[test]
 fn a_newcomer_takes_the_place_of_the_oldest_visitor_of_those_who_hold_the_most() {
     let limits = Limits { visits: 8, visits_of_peer: 2, ..Limits::default() };
     let (peers, now) = (Peers::new(limits), Instant::now());
-    let visit = |address: IpAddr| {
-        let mut seat = peers.admit(address, now).expect("admitted");
-        seat.visit().map(|()| seat)
-    };
+    let visit = |address: IpAddr| visit(&peers, address, now);
     let mut held: Vec<Seat> = (0..8).map(|index| visit(other(1 + index / 2)).expect("two each of four")).collect();
     assert_eq!(visit(other(1)).expect_err("a third of one peer").code, Code::Busy);
     assert!(!held.iter_mut().any(is_evicted), "who has his share drops nobody");
@@ -131,10 +134,7 @@ fn newcomers_from_many_addresses_are_bounded_together() {
 fn the_peers_of_an_ipv6_network_hold_visitors_places_together() {
     let limits = Limits { visits: 8, visits_of_peer: 2, ..Limits::default() };
     let (peers, now) = (Peers::new(limits), Instant::now());
-    let visit = |address: IpAddr| {
-        let mut seat = peers.admit(address, now).expect("admitted");
-        seat.visit().map(|()| seat)
-    };
+    let visit = |address: IpAddr| visit(&peers, address, now);
     let mut held: Vec<Seat> = (0..4).map(|peer| visit(six(1, peer)).expect("one each of four")).collect();
     assert_eq!(visit(six(1, 5)).expect_err("a fifth of the network").code, Code::Busy);
     let mut single = visit(six(2, 0)).expect("another network");

@@ -130,7 +130,7 @@ fn a_bag_that_describes_a_connection_twice_differently_contradicts_itself() {
     assert!(text.contains("connection 0 is '/left' before and '/righ' here"), "{findings:?}");
 }
 
-/// What is told of a bag of two publishers without checksums, altered.
+/// The damage reported for an altered bag of two publishers without checksums.
 fn told_of_bag(change: impl FnOnce(&mut Vec<u8>)) -> Vec<String> {
     let (left, right) = (channel("/left", "/l"), channel("/righ", "/rr"));
     let messages = [message(&left, 1_000_000_007, b"left"), message(&right, 2_000_000_009, b"righ")];

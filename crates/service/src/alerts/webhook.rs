@@ -93,7 +93,9 @@ impl Webhook {
             (None, 404) => format!("the webhook at {host} has nothing at this path ({told}); check alerts.webhook"),
             (None, 413) => format!("the webhook at {host} finds the delivery too large ({told}); raise its limit"),
             (None, 429) => {
-                format!("the webhook at {host} limits how often it may be told ({told}); it is told again later")
+                format!(
+                    "the webhook at {host} limits how often it accepts alerts ({told}); this one is sent again later"
+                )
             }
             (None, 502..=504) => {
                 format!("the server at {host} does not reach its webhook ({told}); check that it is running")

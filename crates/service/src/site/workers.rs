@@ -41,7 +41,7 @@ pub(super) fn start(
     opened: mpsc::UnboundedReceiver<Arc<Owner>>,
 ) -> Result<(), Failure> {
     if site.parts.home.original().is_some() {
-        // It is looked at: nothing is captured, sent or kept.
+        // This site only reads: nothing is captured, sent or kept.
         site.parts.supervisor.keep("news", &site.parts.hub, Hub::run);
         if needs.chain {
             site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);

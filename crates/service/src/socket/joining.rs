@@ -48,7 +48,7 @@ pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, G
     greeted(stream, profile, Role::Owner).await
 }
 
-/// Whoever answers may be sent a passphrase: that is the owner, or root.
+/// Only the owner or root may answer: the next thing sent may be a passphrase.
 fn check_peer(socket: &Path, owner: u32, peer: u32) -> Result<(), Failure> {
     if peer == owner || peer == 0 {
         return Ok(());

@@ -169,7 +169,7 @@ impl Remote {
         let full = |error: &GatewayError| {
             matches!(error, GatewayError::Refused(Code::Busy) | GatewayError::RefusedInClear(Code::Busy))
         };
-        // Other failures of the chain are told by whoever asks it next.
+        // The next request to the chain reports any other failure.
         if line.probe().await.is_err_and(|error| full(&error)) {
             let begun = Instant::now();
             while begun.elapsed() < UNLOCKING && !prove() {

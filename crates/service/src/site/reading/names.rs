@@ -44,7 +44,7 @@ impl Reading {
         Ok(())
     }
 
-    /// Names the topic that is asked for, if it is here under its pseudonym alone: whoever has IK derives that from the
+    /// Names the topic that is asked for, if it is here under its pseudonym alone. With IK that is derived from the
     /// name, so no record has to be opened, nor believed.
     pub(in crate::site) async fn name_asked(
         self: &Arc<Self>,
