@@ -58,7 +58,7 @@ pub use instant::Timestamp;
 pub use operator::{OperatorName, OperatorNameError, OperatorRight, OperatorRights};
 pub use party::{ContactName, Party};
 pub use profile::ProfileName;
-pub use publisher::{Doubt, ListedPublishers, PinMode, Publisher};
+pub use publisher::{Doubt, ListedPublishers, PinMode, Publisher, pinned_name};
 pub use quarantine::QuarantineReport;
 pub use recorder_id::RecorderPrefix;
 pub use recorder_words::{Birth, Heads, Heights};

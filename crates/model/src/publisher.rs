@@ -1,5 +1,6 @@
 //! Who may publish a topic: caller id, host, type and md5sum, all of which are mere claims of a ROS 1 publisher.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 
@@ -28,7 +29,7 @@ pub enum PublisherError {
 /// A publisher as written in pins, `CALLER_ID@HOST:TYPE:MD5`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Publisher {
-    /// Its node name. A peer may send any text: clean it before it is shown.
+    /// Its node name, as [`pinned_name`] has it. A peer may send any text: clean it before it is shown.
     pub caller_id: String,
     /// The host in its URI, in lower case.
     pub host: String,
@@ -53,19 +54,50 @@ impl FromStr for Publisher {
     }
 }
 
+/// Nodes of tools that end in the number of their process.
+const BY_PROCESS: [&str; 4] = ["_ros2cli_", "launch_ros_", "rqt_gui_py_node_", "rqt_gui_cpp_node_"];
+/// As many digits are a time or a random number, not a name that somebody gave.
+const DRAWN_DIGITS: usize = 13;
+
+fn are_digits(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
+/// The name by which a node is pinned. An anonymous node of ROS ends in digits that it draws at each start (a time, a random
+/// number, the number of its process); `#` stands for them, so that every run of the node has one name: `/talker_#`.
+pub fn pinned_name(caller_id: &str) -> Cow<'_, str> {
+    let begin = caller_id.rfind('/').map_or(0, |at| at + 1);
+    let own = caller_id.get(begin..).unwrap_or_default();
+    let tool = BY_PROCESS.iter().find(|tool| own.strip_prefix(**tool).is_some_and(are_digits));
+    if let Some(tool) = tool {
+        return format!("{}{tool}#", caller_id.get(..begin).unwrap_or_default()).into();
+    }
+    let drawn = |(_, digits): &(&str, &str)| digits.len() >= DRAWN_DIGITS && are_digits(digits);
+    let Some((stem, drawn)) = own.rsplit_once('_').filter(drawn) else { return caller_id.into() };
+    // rospy and roslaunch put the number of the process before it; roscpp has 19 digits and none. A shorter number is part
+    // of the name.
+    let shortest = if drawn.len() == DRAWN_DIGITS { 1 } else { 3 };
+    let process = |(_, digits): &(&str, &str)| (shortest..=7).contains(&digits.len()) && are_digits(digits);
+    let stem = stem.rsplit_once('_').filter(process).map_or(stem, |(stem, _)| stem);
+    if stem.is_empty() {
+        return caller_id.into();
+    }
+    format!("{}{stem}_#", caller_id.get(..begin).unwrap_or_default()).into()
+}
+
 fn parse(text: &str) -> Option<Publisher> {
     let (rest, md5sum) = text.rsplit_once(':')?;
     let (rest, type_name) = rest.rsplit_once(':')?;
     let (caller_id, host) = rest.rsplit_once('@')?;
     let named = caller_id.starts_with('/')
         && (2..=LONGEST_NAME).contains(&caller_id.len())
-        && caller_id.bytes().all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
+        && caller_id.strip_suffix("_#").unwrap_or(caller_id).bytes().all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
     let placed = (1..=LONGEST_NAME).contains(&host.len())
         && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._:%".contains(&b));
     let typed = type_name.parse::<TypeName>().is_ok();
     let summed = md5sum.len() == 32 && md5sum.bytes().all(|b| b.is_ascii_hexdigit());
     (named && placed && typed && summed).then(|| Publisher {
-        caller_id: caller_id.to_owned(),
+        caller_id: pinned_name(caller_id).into_owned(),
         host: host.to_ascii_lowercase(),
         type_name: type_name.to_owned(),
         md5sum: md5sum.to_ascii_lowercase(),
@@ -184,6 +216,28 @@ mod tests {
             assert!(bad.replace("MD5", MD5).parse::<Publisher>().is_err(), "{bad}");
         }
         assert!(format!("/a@h:a/B:{}", &MD5[1..]).parse::<Publisher>().is_err());
+    }
+
+    #[test]
+    fn every_run_of_an_anonymous_node_has_one_name() {
+        for (given, pinned) in [
+            // roscpp, rospy, roslaunch's anon, then tools of ROS 2.
+            ("/ns/driver_1609459200123456789", "/ns/driver_#"),
+            ("/driver_2_1609459200123456789", "/driver_2_#"),
+            ("/driver_4711_1609459200123", "/driver_#"),
+            ("/driver_robot1_4711_1234567890123456789", "/driver_robot1_#"),
+            ("/_ros2cli_4711", "/_ros2cli_#"),
+            ("/ns/launch_ros_4711", "/ns/launch_ros_#"),
+            ("/driver_#", "/driver_#"),
+        ] {
+            assert_eq!(pinned_name(given), pinned, "{given}");
+            let publisher = format!("{given}@h:a/B:{MD5}").parse::<Publisher>().expect("a publisher");
+            assert_eq!(publisher.caller_id, pinned);
+        }
+        for own in ["/driver", "/driver_2", "/camera_0012345678", "/_1609459200123456789", "/1609459200123456789", ""] {
+            assert_eq!(pinned_name(own), own);
+        }
+        assert!(format!("/a_#b@h:a/B:{MD5}").parse::<Publisher>().is_err());
     }
 
     #[test]

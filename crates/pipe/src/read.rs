@@ -30,6 +30,8 @@ pub struct Writer {
     pub quality: Quality,
     /// Node name, if announced.
     pub node: Option<String>,
+    /// Whether its participant announces the names of its nodes, so that a missing one is still to come.
+    pub naming: bool,
     /// The maker of its middleware, a short word such as `cyclonedds`.
     pub vendor: String,
 }

@@ -77,6 +77,7 @@ pub fn message(topic: &str, captured_at: Timestamp, body: Vec<u8>) -> Message {
             md5sum: md5sum.into(),
             listed_at: Instant::now(),
             rival: None,
+            unnamed: false,
         }),
         latching: false,
         captured_at,

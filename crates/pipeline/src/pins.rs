@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
-use crate::model::{Address, Doubt, ListedPublishers, PinMode, Publisher, Timestamp, clean};
+use crate::model::{Address, Doubt, ListedPublishers, PinMode, Publisher, Timestamp, clean, pinned_name};
 use crate::ros::Origin;
 use crate::store::{AuditEntry, AuditLog, Ledger, StoreError};
 
@@ -72,7 +72,7 @@ struct Known {
 /// The publisher that an origin claims to be.
 pub fn publisher_of(origin: &Origin) -> Publisher {
     Publisher {
-        caller_id: origin.caller_id.to_string(),
+        caller_id: pinned_name(&origin.caller_id).into_owned(),
         host: origin.host.clone(),
         type_name: origin.type_name.to_string(),
         md5sum: origin.md5sum.to_ascii_lowercase(),
@@ -207,13 +207,23 @@ impl Pins {
     ) -> Result<Option<Doubt>, StoreError> {
         let known = self.known(topics, owner, topic)?;
         let publisher = publisher_of(origin);
+        let claims = self.claims(known, topic, origin, &publisher);
+        if claims == Some(Doubt::New)
+            && let Some(former) = self.former_name(owner, origin)
+        {
+            self.rename(known, owner, topic, (&former, &publisher))?;
+            return Ok(None);
+        }
         let accepted = known.accepted.get(&publisher);
         let replaces = |unmet| self.replaces(owner, origin, accepted, unmet);
-        let doubt = match self.claims(known, topic, origin, &publisher) {
+        let doubt = match claims {
             None if replaces(true) => Some(Doubt::Replaced),
             None if known.undecided.contains(&publisher.to_string()) => Some(Doubt::Undecided),
             Some(Doubt::New | Doubt::Type | Doubt::Host) if self.is_first(known, topic, origin) && !replaces(false) => {
-                self.pin_first(known, owner, topic, &publisher)?;
+                // Without a name it is no identity: whatever comes under its name later is the same publisher.
+                if !origin.unnamed {
+                    self.pin_first(known, owner, topic, &publisher)?;
+                }
                 None
             }
             other => other,
@@ -227,13 +237,39 @@ impl Pins {
         Ok(doubt)
     }
 
+    /// What an accepted publisher was called before it was named.
+    fn former_name(&self, owner: Address, origin: &Origin) -> Option<Publisher> {
+        let verdicts = self.verdicts.read().unwrap_or_else(PoisonError::into_inner);
+        let former = verdicts.get(&(owner, origin.number)).filter(|verdict| verdict.doubt.is_none())?;
+        (former.origin.caller_id != origin.caller_id).then(|| publisher_of(&former.origin))
+    }
+
+    /// An accepted publisher got its name: the pin goes with it, unless others have the former one, too.
+    fn rename(
+        &self,
+        known: &mut Known,
+        owner: Address,
+        topic: &str,
+        (former, publisher): (&Publisher, &Publisher),
+    ) -> Result<(), StoreError> {
+        if self.mode != PinMode::First {
+            return Ok(());
+        }
+        self.pin_first(known, owner, topic, publisher)?;
+        if known.pins.contains(former) && !self.live(topic).contains(former) {
+            self.ledger.unpin(owner, topic, &former.caller_id)?;
+            known.pins.retain(|pin| pin.caller_id != former.caller_id);
+        }
+        Ok(())
+    }
+
     /// The doubt that follows from the claims alone.
     fn claims(&self, known: &Known, topic: &str, origin: &Origin, publisher: &Publisher) -> Option<Doubt> {
         let allowed = || known.pins.iter().chain(self.listed(topic));
         if allowed().any(|pin| pin == publisher) {
             return None;
         }
-        let namesakes = || allowed().filter(|pin| *pin.caller_id == *origin.caller_id);
+        let namesakes = || allowed().filter(|pin| pin.caller_id == publisher.caller_id);
         Some(match namesakes().count() {
             0 => Doubt::New,
             _ if namesakes().any(|pin| pin.host == origin.host) => Doubt::Type,
@@ -286,8 +322,9 @@ impl Pins {
         self.observer.alert(
             false,
             format!(
-                "{topic}: {caller} on {host} is accepted from now on (first seen); enter on Topics, or `authros topics \
-                 pins`, shows it in full"
+                "{topic}: {caller} on {host}{} is accepted from now on (first seen); enter on Topics, or `authros topics \
+                 pins`, shows it in full",
+                if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" }
             ),
         );
         Ok(())
@@ -368,9 +405,10 @@ impl Pins {
     /// Errors of the ledger; then nothing changes.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
-        let gone = self.ledger.unpin(owner, topic, caller_id)?;
+        let name = pinned_name(caller_id);
+        let gone = self.ledger.unpin(owner, topic, &name)?;
         topics.remove(&(owner, topic.to_owned()));
-        self.judge_anew(owner, topic, |verdict| *verdict.origin.caller_id == *caller_id);
+        self.judge_anew(owner, topic, |verdict| pinned_name(&verdict.origin.caller_id) == name);
         Ok(gone)
     }
 

@@ -35,9 +35,6 @@ const ALIVE: Duration = Duration::from_millis(500);
 const OVERLAP: Duration = Duration::from_secs(2);
 /// How long leaving the domain may take before the process ends anyway.
 const LEAVING: Duration = Duration::from_secs(2);
-/// Samples that may wait for the name of their writer's node, and their bytes.
-const MOST_WAITING: usize = 4096;
-const MOST_WAITING_BYTES: usize = 64 << 20;
 /// The most topics read at once.
 const MOST_TOPICS: usize = 4096;
 
@@ -90,8 +87,6 @@ struct Child<'a, W: Write> {
     refused: BTreeSet<String>,
     graph: Graph,
     nodes: Nodes,
-    /// Samples of writers that are not reported yet, with topic and type.
-    waiting: Vec<(Taken, String, String)>,
     next: usize,
     out: &'a mut W,
 }
@@ -122,7 +117,6 @@ impl<'a, W: Write> Child<'a, W> {
             refused: BTreeSet::new(),
             graph,
             nodes: Nodes::default(),
-            waiting: Vec::new(),
             next: FIRST,
             out,
         })
@@ -142,8 +136,7 @@ impl<'a, W: Write> Child<'a, W> {
                 None => return Ok(()),
                 Some(new) => changed |= new,
             }
-            let look = if self.graph.has_nameless() { BEAT } else { LOOK };
-            if changed || due(looked, look) {
+            if changed || due(looked, LOOK) {
                 // A lost notification costs no more than this.
                 self.readings.values_mut().for_each(|reading| reading.ready = true);
                 self.look()?;
@@ -226,9 +219,6 @@ impl<'a, W: Write> Child<'a, W> {
         }
         let graph = &self.graph;
         self.nodes.keep(|participant| graph.is_there(participant));
-        for (sample, topic, type_name) in std::mem::take(&mut self.waiting) {
-            self.pass_on(sample, &topic, &type_name)?;
-        }
         self.fit()
     }
 
@@ -302,7 +292,7 @@ impl<'a, W: Write> Child<'a, W> {
             reading.take(&mut taken);
             let (topic, type_name) = (reading.dds_topic.clone(), reading.dds_type.clone());
             if topic == names::NODES {
-                taken.drain(..).for_each(|sample| self.nodes.take(&sample.bytes));
+                taken.drain(..).for_each(|sample| self.nodes.take(&sample.writer, &sample.bytes));
                 nodes_changed = true;
                 continue;
             }
@@ -318,21 +308,13 @@ impl<'a, W: Write> Child<'a, W> {
     }
 
     fn pass_on(&mut self, sample: Taken, dds_topic: &str, dds_type: &str) -> Result<(), Ros2Error> {
-        if !self.graph.knows(&sample.writer) && !self.graph.is_nameless(&sample.writer) {
+        if !self.graph.knows(&sample.writer) {
             let told = self.graph.look(&self.participant.discovered_writers(), &self.nodes);
-            let by_sample = !self.graph.knows(&sample.writer) && !self.graph.is_nameless(&sample.writer);
+            let by_sample = !self.graph.knows(&sample.writer);
             let by_sample = by_sample.then(|| self.graph.by_sample(sample.writer, dds_topic, dds_type)).flatten();
             for told in told.into_iter().chain(by_sample) {
                 send(self.out, &told, &[])?;
             }
-        }
-        if self.graph.is_nameless(&sample.writer) {
-            let bytes: usize = self.waiting.iter().map(|(waiting, ..)| waiting.bytes.len()).sum();
-            // Where there is no room, its number is missing and counted.
-            if self.waiting.len() < MOST_WAITING && bytes + sample.bytes.len() <= MOST_WAITING_BYTES {
-                self.waiting.push((sample, dds_topic.to_owned(), dds_type.to_owned()));
-            }
-            return Ok(());
         }
         if sample.bytes.len() > LONGEST_PAYLOAD as usize {
             let reason = format!("a message of {} bytes exceeds the limit of {LONGEST_PAYLOAD}", sample.bytes.len());

@@ -1,7 +1,6 @@
 //! The participants and writers of the domain; changes are reported to the site.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::time::{Duration, Instant};
 
 use rustdds::discovery::DiscoveredWriterData;
 
@@ -12,12 +11,6 @@ use crate::quality;
 
 /// The most writers reported.
 const MOST_WRITERS: usize = 20_000;
-
-/// How long a writer may wait for the name of its node: a node of ROS 2 announces a writer first, and then whose it is. The
-/// same publisher under two names would look like two.
-const NAMING: Duration = Duration::from_millis(1500);
-/// The same where nothing shows yet that nodes will be named: what a participant has is learnt in any order.
-const SETTLING: Duration = Duration::from_millis(300);
 
 /// An id of DDS.
 pub type Id = [u8; 16];
@@ -43,8 +36,6 @@ pub struct Graph {
     own: Prefix,
     participants: BTreeSet<Prefix>,
     writers: BTreeMap<Id, Found>,
-    /// Writers whose node will be named, since when.
-    nameless: BTreeMap<Id, Instant>,
     /// Ids known to the site, including those of writers that are gone.
     known: HashSet<Id>,
 }
@@ -97,43 +88,22 @@ impl Graph {
         self.known.contains(id)
     }
 
-    /// Whether a writer is not reported yet, because its node is about to be named.
-    pub fn is_nameless(&self, id: &Id) -> bool {
-        self.nameless.contains_key(id)
-    }
-
-    /// Whether any writer is.
-    pub fn has_nameless(&self) -> bool {
-        !self.nameless.is_empty()
-    }
-
-    /// Since when a writer waits for its name; `None` for one that has a name or has waited for it.
-    fn waits(&mut self, id: Id, found: &Found, naming: &BTreeSet<Prefix>) -> Option<Instant> {
-        let is_open = found.told.as_ref().is_some_and(|told| told.node.is_none());
-        if !is_open || self.known.contains(&id) {
-            return None;
-        }
-        let since = self.nameless.get(&id).copied().unwrap_or_else(Instant::now);
-        let patience = if naming.contains(&prefix(&id)) { NAMING } else { SETTLING };
-        (since.elapsed() < patience).then_some(since)
-    }
-
     /// Takes the present writers; returns what to report.
     pub fn look(&mut self, now: &[DiscoveredWriterData], nodes: &Nodes) -> Vec<Told> {
         let mut told = Vec::new();
-        let (mut there, mut nameless) = (BTreeMap::new(), BTreeMap::new());
+        let mut there = BTreeMap::new();
         let is_naming = |writer: &&DiscoveredWriterData| writer.publication_topic_data.topic_name == names::NODES;
         let naming = now.iter().filter(is_naming);
-        let naming = naming.map(|writer| prefix(&writer.publication_topic_data.key.to_bytes())).collect();
+        let naming: BTreeSet<Prefix> =
+            naming.map(|writer| prefix(&writer.publication_topic_data.key.to_bytes())).collect();
         for writer in now.iter().take(MOST_WRITERS) {
             let id = writer.publication_topic_data.key.to_bytes();
             if prefix(&id) == self.own {
                 continue;
             }
             let mut found = found(id, writer, nodes);
-            if let Some(since) = self.waits(id, &found, &naming) {
-                nameless.insert(id, since);
-                found.told = None;
+            if let Some(told) = &mut found.told {
+                told.naming = naming.contains(&prefix(&id));
             }
             if self.writers.get(&id) != Some(&found)
                 && let Some(writer) = &found.told
@@ -147,16 +117,16 @@ impl Graph {
         told.extend(gone.map(|(id, _)| Told::WriterGone { id: names::hex(id) }));
         let seen: BTreeSet<Prefix> = there.keys().map(prefix).collect();
         seen.iter().for_each(|participant| self.came(participant));
-        (self.writers, self.nameless) = (there, nameless);
+        self.writers = there;
         told
     }
 
-    /// Reports a writer that is known only from its samples.
+    /// Reports a writer that is known only from its samples: the rest of what it is will be announced.
     pub fn by_sample(&mut self, id: Id, dds_topic: &str, dds_type: &str) -> Option<Told> {
         let quality = Quality::default();
         let writer = writer(id, dds_topic, dds_type, (None, quality), None)?;
         self.know(id);
-        Some(Told::WriterHere(writer))
+        Some(Told::WriterHere(Writer { naming: true, ..writer }))
     }
 
     fn know(&mut self, id: Id) {
@@ -204,6 +174,7 @@ fn writer(
         type_hash,
         quality,
         node: node.map(str::to_owned),
+        naming: false,
         vendor: names::vendor(id),
     })
 }

@@ -21,11 +21,14 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// Takes a message, with its header; what cannot be read is left out.
-    pub fn take(&mut self, message: &[u8]) {
+    /// Takes a message of `sender`, with its header. Ignores what cannot be read, and what it says of another participant.
+    pub fn take(&mut self, sender: &Id, message: &[u8]) {
         let Some((participant, writers)) = [16, 24].into_iter().find_map(|length| parse(message, length)) else {
             return;
         };
+        if participant[..12] != sender[..12] {
+            return;
+        }
         self.forget(&participant);
         if self.kept + writers.len() <= MOST {
             self.kept += writers.len();
@@ -116,7 +119,7 @@ mod tests {
     fn writers_belong_to_nodes_in_both_lengths_of_ids() {
         for length in [16, 24] {
             let mut nodes = Nodes::default();
-            nodes.take(&message(length, "/robot1", "driver"));
+            nodes.take(&[7; 16], &message(length, "/robot1", "driver"));
             let mut id = [7; 16];
             for (last, node) in [(2, Some("/robot1/driver")), (3, Some("/robot1/driver")), (1, None), (9, None)] {
                 id[15] = last;
@@ -127,8 +130,15 @@ mod tests {
             assert_eq!((nodes.of(&id), nodes.kept), (None, 0));
         }
         let mut nodes = Nodes::default();
-        nodes.take(&message(16, "/", "driver"));
+        nodes.take(&[7; 16], &message(16, "/", "driver"));
         assert_eq!(nodes.of(&[[7; 15].as_slice(), &[2]].concat().try_into().expect("16")), Some("/driver"));
+    }
+
+    #[test]
+    fn nobody_names_the_writers_of_another_participant() {
+        let mut nodes = Nodes::default();
+        nodes.take(&[8; 16], &message(16, "/", "driver"));
+        assert_eq!(nodes.kept, 0);
     }
 
     #[test]
@@ -136,12 +146,12 @@ mod tests {
         let whole = message(16, "/", "x");
         let mut nodes = Nodes::default();
         for end in 0..whole.len() - 3 {
-            nodes.take(&whole[..end]);
+            nodes.take(&[7; 16], &whole[..end]);
         }
         let mut claim = whole.clone();
         claim[20..24].copy_from_slice(&u32::MAX.to_le_bytes());
-        nodes.take(&claim);
-        nodes.take(&message(16, "/", "x\u{1b}[2J"));
+        nodes.take(&[7; 16], &claim);
+        nodes.take(&[7; 16], &message(16, "/", "x\u{1b}[2J"));
         assert_eq!(nodes.kept, 0);
     }
 }

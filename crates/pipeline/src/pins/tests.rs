@@ -41,6 +41,7 @@ impl Desk {
             md5sum: MD5.into(),
             listed_at: Instant::now(),
             rival: None,
+            unnamed: false,
         }
     }
 

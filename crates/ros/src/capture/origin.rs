@@ -51,6 +51,8 @@ pub struct Origin {
     pub listed_at: Instant,
     /// The publisher with the same caller id that it replaces or coexists with.
     pub rival: Option<Rival>,
+    /// Its node's name is still to come: there is nothing to pin yet.
+    pub unnamed: bool,
 }
 
 /// The host of an origin: the name in its URI, if the peer's address is one of that name's.

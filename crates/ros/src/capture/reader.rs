@@ -203,6 +203,7 @@ impl Reader {
             md5sum: Arc::clone(&from.md5sum),
             listed_at: publisher.listed_at,
             rival: self.topic.connected(publisher, &from.caller_id),
+            unnamed: false,
         };
         Ok(Link { frames, from, origin: Arc::new(origin) })
     }

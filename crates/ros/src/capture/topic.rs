@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::TopicCapture;
 use super::node::lock;
 use super::origin::{Lineage, Rival, next_number};
-use crate::model::{Timestamp, TopicName, TypeName, clean};
+use crate::model::{Timestamp, TopicName, TypeName, clean, pinned_name};
 use crate::ros::address::Endpoint;
 use crate::ros::graph::Unreached;
 use crate::ros::slave::BusLink;
@@ -133,7 +133,11 @@ impl Topic {
     pub fn connected(&self, publisher: &Publisher, caller_id: &Arc<str>) -> Option<Rival> {
         let state = lock(&self.state);
         let beside = state.publishers.values().filter(|other| other.number != publisher.number).find_map(|other| {
-            let same = lock(&other.state).connected.as_ref() == Some(caller_id);
+            let same = lock(&other.state).connected.as_deref().is_some_and(|name| {
+                // Two runs of an anonymous node have different names, so the master lets both be there.
+                name == &**caller_id
+                    || other.listed_at < publisher.listed_at && pinned_name(name) == pinned_name(caller_id)
+            });
             same.then(|| Rival { number: other.number, uri: other.endpoint.to_string() })
         });
         let before = state.lineage.rival(caller_id, publisher.number, publisher.absent_until);

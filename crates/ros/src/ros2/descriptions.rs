@@ -108,6 +108,7 @@ mod tests {
             type_hash: hash.map(str::to_owned),
             quality: Quality::default(),
             node: Some(node.into()),
+            naming: false,
             vendor: "fastdds".into(),
         }
     }

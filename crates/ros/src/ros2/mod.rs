@@ -4,6 +4,7 @@
 //! here, by the publisher's own numbers, so that the count continues when the program has to be restarted.
 
 mod descriptions;
+mod identity;
 mod numbers;
 mod publisher;
 mod publishing;
@@ -97,6 +98,11 @@ impl Ros2Capture {
         self.shared.unwatch(topic);
     }
 
+    /// Captures the messages of a topic, or of all, that still wait for the identity of their publisher. Blocks like the sink.
+    pub fn settle(&self, topic: Option<&str>) {
+        self.shared.settle(topic);
+    }
+
     /// The watched topics.
     pub fn watched(&self) -> Vec<TopicName> {
         self.shared.state().watched.iter().cloned().collect()
@@ -122,6 +128,7 @@ impl Ros2Capture {
 
 impl Drop for Ros2Capture {
     fn drop(&mut self) {
+        self.shared.settle(None);
         self.shared.stop();
         for thread in self.threads.drain(..) {
             drop(thread.join());

@@ -7,8 +7,9 @@ use crate::model::{Timestamp, clean};
 use crate::pipe::read::{Quality, Writer};
 use crate::ros::capture::next_number;
 use crate::ros::recording::{TYPE_HASH, tags};
+use crate::ros::ros2::identity::{Held, Pulse};
 use crate::ros::ros2::numbers::Numbers;
-use crate::ros::{CaptureNotice, Message, Origin};
+use crate::ros::{CaptureNotice, Message, Origin, Rival};
 
 /// MCAP's name for the QoS that a channel's publishers offer.
 pub const QUALITY: &str = "offered_qos_profiles";
@@ -31,6 +32,16 @@ pub struct Publisher {
     pub connected: bool,
     /// The definition of its type, if one had to be asked for; else empty.
     pub definition: Arc<str>,
+    /// When it was first reported.
+    pub came: Instant,
+    /// When it was heard.
+    pub pulse: Pulse,
+    /// Publishers of its name that came before it, by their ids; empty once their ends or their lives are known.
+    pub elders: Vec<String>,
+    /// Whether its identity is known as far as it will be, so that its messages are captured at once.
+    pub settled: bool,
+    /// Its messages until then.
+    pub held: Vec<Held>,
     topic: Arc<str>,
     type_name: Arc<str>,
     tags: Vec<(String, String)>,
@@ -42,41 +53,70 @@ pub fn name(writer: &Writer) -> String {
     node.unwrap_or_else(|| format!("/unnamed_{}", clean(&writer.vendor, 40)))
 }
 
+fn origin(writer: &Writer, domain: u16, listed_at: Instant) -> Origin {
+    let hash = writer.type_hash.as_deref().and_then(|hash| hash.strip_prefix("RIHS01_")).unwrap_or("*");
+    Origin {
+        number: next_number(),
+        caller_id: name(writer).into(),
+        // The library that reads the network does not say where a participant runs.
+        host: format!("domain{domain}"),
+        uri: format!("dds://{domain}/{}", writer.id),
+        type_name: writer.type_name.as_str().into(),
+        md5sum: hash.into(),
+        listed_at,
+        rival: None,
+        unnamed: writer.node.is_none() && writer.naming,
+    }
+}
+
+fn tags_of(writer: &Writer) -> Vec<(String, String)> {
+    let channel = |key: &str, value: String| (format!("{}{key}", tags::CHANNEL), value);
+    let mut said = vec![
+        (tags::ENCODING.to_owned(), "cdr".to_owned()),
+        channel(WRITER, writer.id.clone()),
+        channel(QUALITY, profile(writer.quality)),
+    ];
+    said.extend(writer.type_hash.clone().map(|hash| channel(TYPE_HASH, hash)));
+    said
+}
+
 impl Publisher {
     /// A publisher in a domain, just reported.
-    pub fn new(writer: Writer, domain: u16, told_by: u64) -> Self {
-        let type_name: Arc<str> = writer.type_name.as_str().into();
-        let hash = writer.type_hash.as_deref().and_then(|hash| hash.strip_prefix("RIHS01_")).unwrap_or("*");
-        let origin = Origin {
-            number: next_number(),
-            caller_id: name(&writer).into(),
-            // The library that reads the network does not say where a participant runs.
-            host: format!("domain{domain}"),
-            uri: format!("dds://{domain}/{}", writer.id),
-            type_name: Arc::clone(&type_name),
-            md5sum: hash.into(),
-            listed_at: Instant::now(),
-            rival: None,
-        };
-        let channel = |key: &str, value: String| (format!("{}{key}", tags::CHANNEL), value);
-        let mut said = vec![
-            (tags::ENCODING.to_owned(), "cdr".to_owned()),
-            channel(WRITER, writer.id.clone()),
-            channel(QUALITY, profile(writer.quality)),
-        ];
-        said.extend(writer.type_hash.clone().map(|hash| channel(TYPE_HASH, hash)));
+    pub fn new(writer: Writer, domain: u16, now: Instant) -> Self {
+        let origin = origin(&writer, domain, now);
         Self {
             origin: Arc::new(origin),
             numbers: Numbers::default(),
             gone: None,
-            told_by,
+            told_by: 0,
             connected: false,
             definition: "".into(),
+            came: now,
+            pulse: Pulse::default(),
+            elders: Vec::new(),
+            settled: false,
+            held: Vec::new(),
             topic: writer.topic.as_str().into(),
-            type_name,
-            tags: said,
+            type_name: writer.type_name.as_str().into(),
+            tags: tags_of(&writer),
             writer,
         }
+    }
+
+    /// The same publisher announced something else.
+    pub fn announce(&mut self, writer: Writer, domain: u16) {
+        let Origin { number, listed_at, rival, .. } = &*self.origin;
+        let origin = Origin { number: *number, rival: rival.clone(), ..origin(&writer, domain, *listed_at) };
+        self.origin = Arc::new(origin);
+        self.topic = writer.topic.as_str().into();
+        self.type_name = writer.type_name.as_str().into();
+        self.tags = tags_of(&writer);
+        self.writer = writer;
+    }
+
+    /// It came while another of its name was there.
+    pub fn is_rival_of(&mut self, rival: Rival) {
+        self.origin = Arc::new(Origin { rival: Some(rival), ..Origin::clone(&self.origin) });
     }
 
     /// A message of it.
@@ -193,13 +233,14 @@ mod tests {
             type_hash: Some(format!("RIHS01_{}", "ab".repeat(32))),
             quality: Quality { reliable: false, latched: true, deadline: None, lifespan: Some(1_500_000_000) },
             node: None,
+            naming: false,
             vendor: "cyclonedds".into(),
         }
     }
 
     #[test]
     fn what_is_told_of_a_publisher_goes_beside_its_messages() {
-        let publisher = Publisher::new(writer(), 7, 1);
+        let publisher = Publisher::new(writer(), 7, Instant::now());
         let message = publisher.message(((1 << 32) + 5, Some(9)), Timestamp(10), vec![0, 1, 0, 0]);
         let tag = |name: &str| message.tags.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str());
         assert_eq!(tag("encoding"), Some("cdr"));
@@ -218,7 +259,7 @@ mod tests {
     #[test]
     fn whoever_vanishes_while_nobody_reads_leaves_an_unknown_end() {
         let now = Instant::now();
-        let mut publisher = Publisher::new(writer(), 0, 1);
+        let mut publisher = Publisher::new(writer(), 0, now);
         assert!(publisher.vanished(now).is_empty(), "nothing was read of it");
         assert!(publisher.connect().is_some() && publisher.connect().is_none());
         publisher.numbers.follow(1, now);

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::Ros2Topic;
 use super::descriptions::Descriptions;
+use super::identity::{self, Held, Place};
 use super::numbers::Arrival;
 use super::publisher::{Publisher, name};
 use super::standing::Reading;
@@ -22,6 +23,10 @@ const REMEMBERED: Duration = Duration::from_secs(60);
 /// The time for discovery after the start, and the time if somebody was found.
 const LOOKED: Duration = Duration::from_secs(3);
 const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
+/// Bytes of messages that may wait for the identity of their publishers.
+const MOST_HELD: usize = 256 << 20;
+/// What a message takes beside its bytes.
+const HELD_OVERHEAD: usize = 256;
 /// The longest reason taken.
 const LONGEST_REASON: usize = 400;
 
@@ -32,8 +37,8 @@ pub struct Outcome {
     pub notices: Vec<CaptureNotice>,
     /// Questions for the program that reads.
     pub wishes: Vec<Wish>,
-    /// A message.
-    pub message: Option<Message>,
+    /// Messages.
+    pub messages: Vec<Message>,
 }
 
 /// What is known.
@@ -54,6 +59,10 @@ pub struct State {
     /// How often the program said hello.
     started: u64,
     hello: Option<Instant>,
+    /// From here on it is known in what order publishers come.
+    ordered: Option<Instant>,
+    /// Bytes of messages that wait.
+    held: usize,
 }
 
 impl State {
@@ -70,6 +79,8 @@ impl State {
             descriptions: Descriptions::default(),
             started: 0,
             hello: None,
+            ordered: None,
+            held: 0,
         }
     }
 
@@ -84,7 +95,7 @@ impl State {
                 self.greet(version, domain, now)?;
                 self.confined = Some(confined);
             }
-            Told::WriterHere(writer) => self.here(writer, &mut outcome),
+            Told::WriterHere(writer) => self.here(writer, now, &mut outcome),
             Told::WriterGone { id } => self.gone(&id, now, &mut outcome),
             Told::Sample { writer, number, sent, arrived } => {
                 self.sample(&writer, (number, sent, arrived), payload, now, &mut outcome);
@@ -114,6 +125,7 @@ impl State {
         }
         self.started += 1;
         self.hello = Some(now);
+        self.ordered.get_or_insert(now + FOUND_AGAIN);
         self.descriptions.ask_again();
         self.reading = Reading::Looking;
         Ok(())
@@ -123,7 +135,7 @@ impl State {
         self.watched.iter().any(|watched| watched.as_str() == topic)
     }
 
-    fn here(&mut self, writer: Writer, outcome: &mut Outcome) {
+    fn here(&mut self, mut writer: Writer, now: Instant, outcome: &mut Outcome) {
         let usable = writer.topic.parse::<TopicName>().is_ok()
             && writer.id.len() <= 64
             && writer.type_name.len() <= LONGEST_NAME
@@ -131,31 +143,75 @@ impl State {
         if !usable || self.publishers.len() >= MOST_PUBLISHERS && !self.publishers.contains_key(&writer.id) {
             return;
         }
-        let (watched, started) = (self.is_watched(&writer.topic), self.started);
+        let (id, watched) = (writer.id.clone(), self.is_watched(&writer.topic));
+        let mut known =
+            self.publishers.remove(&id).unwrap_or_else(|| Publisher::new(writer.clone(), self.domain, now));
+        // A node takes the name from its publishers before it removes them: it stays the node's.
+        writer.node = known.writer.node.clone().or(writer.node);
+        writer.type_hash = writer.type_hash.or_else(|| known.writer.type_hash.clone());
         if watched {
             outcome.wishes.extend(self.descriptions.wanted(&writer));
         }
-        match self.publishers.get_mut(&writer.id).filter(|known| known.writer == writer) {
-            Some(known) => (known.gone, known.told_by) = (None, started),
-            None => {
-                let mut new = Publisher::new(writer, self.domain, started);
-                new.definition = self.descriptions.text_of(&new.writer);
-                if let Some(mut former) = self.publishers.remove(&new.writer.id) {
-                    outcome.notices.extend(former.disconnect("it now offers something else"));
-                    new.numbers = former.numbers;
-                }
-                self.publishers.insert(new.writer.id.clone(), new);
-                return self.connect_new(watched, outcome);
-            }
+        if known.writer != writer {
+            outcome.notices.extend(known.disconnect("it now offers something else"));
+            known.announce(writer, self.domain);
         }
+        (known.gone, known.told_by) = (None, self.started);
+        known.definition = self.descriptions.text_of(&known.writer);
+        let topic = known.writer.topic.clone();
+        self.publishers.insert(id.clone(), known);
+        if watched {
+            self.relate(&topic);
+        }
+        self.settle_one(&id, now, false, outcome);
         self.connect_new(watched, outcome);
+    }
+
+    fn relate(&mut self, topic: &str) {
+        if let Some(ordered) = self.ordered {
+            identity::relate(topic, ordered, &mut self.publishers);
+        }
+    }
+
+    /// Settles who the publishers are whose identity was open, and captures their messages; of topics that are `due`, by what
+    /// is known now.
+    pub fn settle(&mut self, now: Instant, due: impl Fn(&str) -> bool, outcome: &mut Outcome) {
+        let open = self.publishers.iter().filter(|(_, known)| !known.settled || !known.elders.is_empty());
+        let open: Vec<(String, bool)> = open.map(|(id, known)| (id.clone(), due(&known.writer.topic))).collect();
+        open.iter().for_each(|(id, due)| self.settle_one(id, now, *due, outcome));
+    }
+
+    fn settle_one(&mut self, id: &str, now: Instant, due: bool, outcome: &mut Outcome) {
+        let Some(publisher) = self.publishers.get(id) else { return };
+        let place = identity::place(publisher, &self.publishers, now);
+        if place == Place::Open && !due {
+            return;
+        }
+        let watched = self.is_watched(&publisher.writer.topic);
+        let there: Vec<String> =
+            publisher.elders.iter().filter(|elder| self.publishers.contains_key(*elder)).cloned().collect();
+        let Some(publisher) = self.publishers.get_mut(id) else { return };
+        publisher.elders = there;
+        if let Place::Beside(rival) = place {
+            publisher.elders.clear();
+            publisher.is_rival_of(rival);
+        }
+        publisher.settled = true;
+        if watched {
+            outcome.notices.extend(publisher.connect());
+        }
+        for held in std::mem::take(&mut publisher.held) {
+            self.held = self.held.saturating_sub(held.body.len() + HELD_OVERHEAD);
+            outcome.messages.push(publisher.message(held.sent, held.at, held.body));
+        }
     }
 
     fn connect_new(&mut self, watched: bool, outcome: &mut Outcome) {
         if watched {
             let Self { watched, publishers, .. } = self;
             let is_watched = |topic: &str| watched.iter().any(|watched| watched.as_str() == topic);
-            let wanted = publishers.values_mut().filter(|known| !known.connected && is_watched(&known.writer.topic));
+            let wanted = publishers.values_mut().filter(|known| !known.connected && known.settled);
+            let wanted = wanted.filter(|known| is_watched(&known.writer.topic));
             outcome.notices.extend(wanted.filter_map(Publisher::connect));
         }
     }
@@ -183,6 +239,7 @@ impl State {
         publisher.gone = Some(now);
         outcome.notices.extend(publisher.lost(now, false));
         outcome.notices.extend(publisher.disconnect("it left the domain"));
+        self.settle_one(id, now, false, outcome);
     }
 
     fn sample(
@@ -200,11 +257,22 @@ impl State {
         }
         let arrival = publisher.numbers.follow(number, now);
         outcome.notices.extend(publisher.lost(now, false));
-        if arrival == Arrival::New {
-            // A future or missing time is not believed.
-            let own = Timestamp::now();
-            let at = if arrived == 0 || arrived > own.0 { own } else { Timestamp(arrived) };
-            outcome.message = Some(publisher.message((number, sent), at, payload));
+        // A future or missing time is not believed.
+        let own = Timestamp::now();
+        let at = if arrived == 0 || arrived > own.0 { own } else { Timestamp(arrived) };
+        let delay = Duration::from_nanos(own.0.saturating_sub(at.0));
+        publisher.pulse.beat(now.checked_sub(delay).unwrap_or(now));
+        if arrival != Arrival::New {
+            return;
+        }
+        if publisher.settled {
+            outcome.messages.push(publisher.message((number, sent), at, payload));
+            return;
+        }
+        self.held += payload.len() + HELD_OVERHEAD;
+        publisher.held.push(Held { sent: (number, sent), at, body: payload });
+        if self.held > MOST_HELD {
+            self.settle_one(id, now, true, outcome);
         }
     }
 
@@ -227,6 +295,7 @@ impl State {
         for publisher in self.publishers.values_mut() {
             outcome.notices.extend(publisher.lost(now, false));
         }
+        self.settle(now, |_| false, outcome);
         self.publishers
             .retain(|_, known| known.gone.is_none_or(|gone| now.saturating_duration_since(gone) < REMEMBERED));
     }
@@ -234,6 +303,7 @@ impl State {
     /// A topic is captured from now on.
     pub fn watch(&mut self, topic: &TopicName, outcome: &mut Outcome) -> bool {
         let new = self.watched.insert(topic.clone());
+        self.relate(topic.as_str());
         self.connect_new(new, outcome);
         let Self { publishers, descriptions, .. } = self;
         let of_topic = publishers.values().filter(|known| known.gone.is_none() && known.writer.topic == topic.as_str());
@@ -243,9 +313,11 @@ impl State {
 
     /// A topic is no longer captured: what is missing of it until now will not come.
     pub fn unwatch(&mut self, topic: &TopicName, now: Instant, outcome: &mut Outcome) -> bool {
-        if !self.watched.remove(topic) {
+        if !self.watched.contains(topic) {
             return false;
         }
+        self.settle(now, |name| name == topic.as_str(), outcome);
+        self.watched.remove(topic);
         for publisher in self.publishers.values_mut().filter(|known| known.writer.topic == topic.as_str()) {
             outcome.notices.extend(publisher.lost(now, true));
             outcome.notices.extend(publisher.disconnect("the topic is no longer captured"));
@@ -287,6 +359,7 @@ mod tests {
             type_hash: None,
             quality: Quality { reliable, ..Quality::default() },
             node: Some("/talker".into()),
+            naming: true,
             vendor: "fastdds".into(),
         })
     }
@@ -313,18 +386,18 @@ mod tests {
         let mut take = |told, at| state.take(told, vec![1], at).expect("taken");
         take(hello(), now);
         take(writer("aa", "/chatter", true), now);
-        assert!(take(sample("aa", 1), now).message.is_none(), "nobody wants it");
+        assert!(take(sample("aa", 1), now).messages.is_empty(), "nobody wants it");
         let mut outcome = Outcome::default();
         assert!(state.watch(&"/chatter".parse().expect("a name"), &mut outcome));
         assert!(matches!(outcome.notices[..], [CaptureNotice::PublisherConnected { .. }]));
         let mut take = |told, at| state.take(told, vec![1], at).expect("taken");
-        assert!(take(sample("aa", 2), now).message.is_some());
+        assert_eq!(take(sample("aa", 2), now).messages.len(), 1);
         // It dies, is restarted, and finds the publisher again.
         take(hello(), now);
         assert!(take(writer("aa", "/chatter", true), now).notices.is_empty());
-        assert!(take(sample("aa", 2), now).message.is_none());
+        assert!(take(sample("aa", 2), now).messages.is_empty());
         let outcome = take(sample("aa", 9), now);
-        assert_eq!((lost(&outcome.notices), outcome.message.is_some()), (6, true));
+        assert_eq!((lost(&outcome.notices), outcome.messages.len()), (6, 1));
         let late = take(Told::Alive(Counts::default()), now + FOUND_AGAIN);
         assert!(late.notices.is_empty(), "{late:?}");
     }
@@ -367,7 +440,7 @@ mod tests {
         let asked =
             |text: &[Wish]| text.len() == 1 && matches!(&text[0], Wish::Describe { node, .. } if node == "/talker");
         assert!(asked(&outcome.wishes), "{outcome:?}");
-        assert_eq!(&*take(&mut state, sample("aa", 1), &[1]).message.expect("captured").definition, "");
+        assert_eq!(&*take(&mut state, sample("aa", 1), &[1]).messages[0].definition, "");
         // Another run of the program is asked again.
         take(&mut state, hello(), &[]);
         assert!(asked(&take(&mut state, grip, &[]).wishes));
@@ -376,7 +449,7 @@ mod tests {
         let lie = take(&mut state, described.clone(), b"float64 force\n");
         assert!(matches!(lie.notices[..], [CaptureNotice::Contradiction { .. }]), "{lie:?}");
         assert!(take(&mut state, described, TEXT.as_bytes()).notices.is_empty());
-        assert_eq!(&*take(&mut state, sample("aa", 2), &[1]).message.expect("captured").definition, TEXT);
+        assert_eq!(&*take(&mut state, sample("aa", 2), &[1]).messages[0].definition, TEXT);
     }
 
     #[test]

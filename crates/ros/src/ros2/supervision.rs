@@ -71,9 +71,14 @@ impl Shared {
         }
         outcome.wishes.iter().for_each(|wish| self.wish(wish));
         outcome.notices.into_iter().for_each(|notice| self.sink.notice(notice));
-        if let Some(message) = outcome.message {
-            self.sink.accept(message);
-        }
+        outcome.messages.into_iter().for_each(|message| self.sink.accept(message));
+    }
+
+    /// Captures the messages that still wait for the identity of their publisher, of a topic or of all.
+    pub fn settle(&self, topic: Option<&str>) {
+        let mut outcome = Outcome::default();
+        self.state().settle(Instant::now(), |name| topic.is_none_or(|topic| topic == name), &mut outcome);
+        self.hand_on(outcome);
     }
 
     /// Captures a topic from now on.

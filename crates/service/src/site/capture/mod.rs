@@ -129,9 +129,11 @@ impl Capture {
         };
         tokio::select! {
             () = session.closed() => {}
-            () = time_is_up => session.close(),
-            () = self.life.stopped() => session.close(),
+            () = time_is_up => {}
+            () = self.life.stopped() => {}
         }
+        names.iter().for_each(|topic| self.ros.second.settle(Some(topic)));
+        session.close();
         let unreached = self.ros.unreached();
         self.end(owner, &names, &session);
         let captured: u64 = session.figures().iter().map(|topic| topic.captured).sum();
@@ -189,6 +191,7 @@ impl Capture {
 
     /// Ends the running captures of a profile; their own answers follow.
     pub(super) fn stop(&self, profile: &ProfileName) {
+        self.ros.second.settle(None);
         let captures = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         captures.iter().filter(|(owner, _)| owner == profile).for_each(|(_, session)| session.close());
     }

@@ -110,6 +110,14 @@ impl Second {
         }
     }
 
+    /// Captures the messages of a topic, or of all, that still wait for the identity of their publisher: before somebody
+    /// stops wanting them.
+    pub fn settle(&self, topic: Option<&str>) {
+        if let Some(capture) = self.capture() {
+            tokio::task::block_in_place(|| capture.settle(topic));
+        }
+    }
+
     /// Whether there is a domain being read.
     pub fn is_on(&self) -> bool {
         self.capture().is_some()

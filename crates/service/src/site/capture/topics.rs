@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
+use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean, pinned_name};
 use crate::service::reply::{Failure, HeldUp, TopicRow};
 use crate::store::TopicCounts;
 
@@ -61,7 +61,7 @@ impl Capture {
             row.unreached = unreached.remove(&row.topic).filter(|_| row.ros == 1).unwrap_or_default();
             if let Some(pinned) = pins.get(&row.topic) {
                 row.pins = pinned.len() as u64;
-                row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(*name)).cloned().collect();
+                row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(&*pinned_name(name))).cloned().collect();
             }
             if let Some(counts) = captured.get(&row.topic) {
                 (row.messages, row.quarantined) = (counts.captured, counts.quarantined);
@@ -153,6 +153,7 @@ impl Capture {
         let removed = async { self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic)) };
         self.log.deed(profile, "unwatch", topic.as_str(), removed).await?;
         if let Some(owner) = self.owners.get(profile) {
+            self.ros.second.settle(Some(topic.as_str()));
             self.recorder.unwatch(topic.as_str(), &owner.author);
             self.ros.wishes_changed();
         }
@@ -162,6 +163,9 @@ impl Capture {
     /// Pauses the capture of everything that the profile watches, or resumes it; the watch list stays.
     pub(in crate::site) fn hold(&self, profile: &ProfileName, hold: bool) {
         let Some(owner) = self.owners.get(profile) else { return };
+        if hold {
+            self.ros.second.settle(None);
+        }
         if hold { self.watches.hold(&owner) } else { self.watches.restore(&owner) }
     }
 }
