@@ -91,7 +91,11 @@ fn parse(text: &str) -> Option<Publisher> {
     let (caller_id, host) = rest.rsplit_once('@')?;
     let named = caller_id.starts_with('/')
         && (2..=LONGEST_NAME).contains(&caller_id.len())
-        && caller_id.strip_suffix("_#").unwrap_or(caller_id).bytes().all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
+        && caller_id
+            .strip_suffix("_#")
+            .unwrap_or(caller_id)
+            .bytes()
+            .all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
     let placed = (1..=LONGEST_NAME).contains(&host.len())
         && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._:%".contains(&b));
     let typed = type_name.parse::<TypeName>().is_ok();

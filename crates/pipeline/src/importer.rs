@@ -123,7 +123,7 @@ impl Stream {
                 md5sum: Arc::clone(&channel.md5sum),
                 listed_at: Instant::now(),
                 rival: None,
-            unnamed: false,
+                unnamed: false,
             }),
         }
     }

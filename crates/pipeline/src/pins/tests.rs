@@ -163,6 +163,46 @@ fn what_happened_before_anybody_watched_does_not_spoil_the_first_use() {
 }
 
 #[test]
+fn a_publisher_without_a_name_is_not_pinned_and_its_name_is_no_other_publisher() {
+    let home = tempfile::tempdir().expect("folder");
+    let desk = Desk::open(home.path(), PinMode::First, "");
+    let pinned = || {
+        let rows = desk.ledger.pins(OWNER, Some("/t")).expect("read").into_iter();
+        rows.map(|row| row.publisher.caller_id).collect::<Vec<_>>()
+    };
+    let unnamed = Origin { unnamed: true, ..desk.origin("/unnamed_fastdds", "h") };
+    assert_eq!((desk.judge("/t", &unnamed), pinned().len()), (None, 0));
+    let named = Origin { caller_id: "/talker".into(), unnamed: false, ..unnamed.clone() };
+    assert_eq!((desk.judge("/t", &named), pinned()), (None, vec!["/talker".to_owned()]));
+    assert_eq!(desk.judge("/t", &Origin { unnamed: true, ..desk.origin("/unnamed_fastdds", "h") }), Some(Doubt::New));
+    // One that was pinned under no name, because nothing announced names: the pin goes with the name.
+    let plain = desk.origin("/unnamed_fastdds", "h");
+    assert_eq!(desk.judge("/u", &plain), None);
+    let named = Origin { caller_id: "/talker".into(), ..plain.clone() };
+    assert_eq!(desk.judge("/u", &named), None);
+    let rows = desk.ledger.pins(OWNER, Some("/u")).expect("read");
+    assert_eq!(rows.iter().map(|row| row.publisher.caller_id.as_str()).collect::<Vec<_>>(), ["/talker"]);
+    assert_eq!(desk.judge("/u", &desk.origin("/unnamed_fastdds", "h")), Some(Doubt::New), "another writer");
+    assert_eq!(desk.alarms(), 2);
+}
+
+#[test]
+fn every_run_of_an_anonymous_node_is_the_pinned_one() {
+    let home = tempfile::tempdir().expect("folder");
+    let desk = Desk::open(home.path(), PinMode::First, "");
+    assert_eq!(desk.judge("/t", &desk.origin("/talker_1609459200123456789", "h")), None);
+    assert_eq!(desk.notes.with("/talker_# on h (# is any number: it draws one at each start)"), 1);
+    std::thread::sleep(Duration::from_millis(2));
+    let again = desk.origin("/talker_1609459300123456789", "h");
+    assert_eq!((desk.judge("/t", &again), desk.alarms()), (None, 0));
+    let beside = after(desk.origin("/talker_1609459400123456789", "h"), &again);
+    assert_eq!(desk.judge("/t", &beside), Some(Doubt::Replaced));
+    assert_eq!(desk.judge("/t", &desk.origin("/other_1609459400123456789", "h")), Some(Doubt::New));
+    assert_eq!(desk.judge("/t", &desk.origin("/talker_1609459500123456789", "elsewhere")), Some(Doubt::Host));
+    assert_eq!(desk.pins.unpin(OWNER, "/t", "/talker_1609459300123456789"), Ok(1));
+}
+
+#[test]
 fn lists_and_off() {
     let home = tempfile::tempdir().expect("folder");
     let listed = format!("/t=/a@h:std_msgs/String:{MD5}");

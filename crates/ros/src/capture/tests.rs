@@ -270,6 +270,39 @@ fn unregister(master: &EmbeddedMaster, name: &str, slave: &SlaveServer) {
     call(&master, "unregisterPublisher", &params, Instant::now() + Duration::from_secs(5)).expect("unregistered");
 }
 
+/// Two runs of an anonymous node of roscpp.
+const RUNS: [&str; 2] = ["/p_1609459200123456789", "/p_1609459300123456789"];
+
+#[test]
+fn of_two_runs_of_an_anonymous_node_that_are_there_at_once_the_later_is_a_rival() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (slave, listener) = publisher(&master, RUNS[0]);
+    let (_capture, kept) = start(&master);
+    let stream = welcome(&listener, RUNS[0]);
+    until("the first", || origins(&kept).len() == 1);
+    let (_second, other) = publisher(&master, RUNS[1]);
+    let _other = welcome(&other, RUNS[1]);
+    until("the second", || origins(&kept).len() == 2);
+    let met = origins(&kept);
+    assert_eq!(met[1].rival.as_ref().map(|rival| rival.number), Some(met[0].number), "{met:?}");
+    drop((stream, listener, slave));
+}
+
+#[test]
+fn a_restarted_anonymous_node_is_nobodys_rival() {
+    let master = EmbeddedMaster::start().expect("master");
+    let (slave, listener) = publisher(&master, RUNS[0]);
+    let (_capture, kept) = start(&master);
+    let stream = welcome(&listener, RUNS[0]);
+    until("the first", || origins(&kept).len() == 1);
+    drop((stream, listener, slave));
+    until("its end", || kept.noticed(|notice| matches!(notice, CaptureNotice::PublisherLost { .. })) == 1);
+    let (_slave, listener) = publisher(&master, RUNS[1]);
+    let _stream = welcome(&listener, RUNS[1]);
+    until("the second", || origins(&kept).len() == 2);
+    assert!(origins(&kept).iter().all(|origin| origin.rival.is_none()));
+}
+
 #[test]
 fn a_restarted_node_is_nobodys_rival() {
     let master = EmbeddedMaster::start().expect("master");

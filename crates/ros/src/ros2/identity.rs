@@ -130,3 +130,284 @@ pub fn relate(topic: &str, ordered: Instant, all: &mut BTreeMap<String, Publishe
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::TopicName;
+    use crate::pipe::read::{Counts, Quality, Told, Writer};
+    use crate::ros::ros2::state::{Outcome, State};
+    use crate::ros::{CaptureNotice, Message};
+
+    const TOPIC: &str = "/odom";
+
+    /// A watched topic in a domain that has been read for long enough to know who came when.
+    struct Domain {
+        state: State,
+        now: Instant,
+        said: Outcome,
+    }
+
+    /// A writer of a participant; writers of one participant share its number.
+    fn id(participant: u8, writer: u8) -> String {
+        format!("{}{writer:02x}000103", format!("{participant:02x}").repeat(12))
+    }
+
+    impl Domain {
+        fn new() -> Self {
+            let (mut state, now) = (State::new(0), Instant::now());
+            let hello = Told::Hello { version: crate::pipe::VERSION, domain: 0, confined: true };
+            state.take(hello, Vec::new(), now).expect("taken");
+            state.watch(&TOPIC.parse::<TopicName>().expect("a name"), &mut Outcome::default());
+            let mut domain = Self { state, now, said: Outcome::default() };
+            domain.pass(11_000);
+            domain
+        }
+
+        fn tell(&mut self, told: Told, payload: &[u8]) {
+            let outcome = self.state.take(told, payload.to_vec(), self.now).expect("taken");
+            self.said.notices.extend(outcome.notices);
+            self.said.messages.extend(outcome.messages);
+        }
+
+        /// Time passes, with a sign of life each half second.
+        fn pass(&mut self, milliseconds: u64) {
+            for _ in 0..milliseconds / 500 {
+                self.now += Duration::from_millis(500);
+                self.tell(Told::Alive(Counts::default()), &[]);
+            }
+        }
+
+        fn here(&mut self, id: &str, node: Option<&str>, naming: bool) {
+            let writer = Writer {
+                id: id.to_owned(),
+                topic: TOPIC.into(),
+                type_name: "std_msgs/msg/String".into(),
+                type_hash: None,
+                quality: Quality { reliable: true, ..Quality::default() },
+                node: node.map(str::to_owned),
+                naming,
+                vendor: "fastdds".into(),
+            };
+            self.tell(Told::WriterHere(writer), &[]);
+        }
+
+        fn gone(&mut self, id: &str) {
+            self.tell(Told::WriterGone { id: id.to_owned() }, &[]);
+        }
+
+        fn sample(&mut self, id: &str, number: i64, bytes: usize) {
+            let told = Told::Sample { writer: id.to_owned(), number, sent: None, arrived: 0 };
+            self.tell(told, &vec![0; bytes]);
+        }
+
+        /// It publishes four times a second, from this number on.
+        fn publish(&mut self, id: &str, numbers: std::ops::Range<i64>) {
+            for number in numbers {
+                self.sample(id, number, 1);
+                self.now += Duration::from_millis(250);
+                self.tell(Told::Alive(Counts::default()), &[]);
+            }
+        }
+
+        fn messages(&mut self) -> Vec<Message> {
+            std::mem::take(&mut self.said.messages)
+        }
+
+        fn connected(&mut self) -> Vec<String> {
+            let notices = std::mem::take(&mut self.said.notices);
+            let names = notices.into_iter().filter_map(|notice| match notice {
+                CaptureNotice::PublisherConnected { caller_id, .. } => Some(caller_id),
+                _ => None,
+            });
+            names.collect()
+        }
+    }
+
+    fn names(messages: &[Message]) -> Vec<&str> {
+        messages.iter().map(|message| &*message.caller_id).collect()
+    }
+
+    fn rivals(messages: &[Message]) -> usize {
+        messages.iter().filter(|message| message.origin.rival.is_some()).count()
+    }
+
+    #[test]
+    fn a_name_that_comes_late_is_the_name_of_the_first_message_too() {
+        let (mut domain, id) = (Domain::new(), id(1, 1));
+        domain.here(&id, None, true);
+        domain.publish(&id, 1..21);
+        assert!(domain.messages().is_empty() && domain.connected().is_empty());
+        domain.here(&id, Some("/talker"), true);
+        assert_eq!((names(&domain.messages()), domain.connected()), (vec!["/talker"; 20], vec!["/talker".to_owned()]));
+        domain.sample(&id, 21, 1);
+        assert_eq!(names(&domain.messages()), ["/talker"]);
+    }
+
+    #[test]
+    fn a_node_that_takes_its_name_back_before_it_leaves_keeps_it() {
+        let (mut domain, id) = (Domain::new(), id(1, 1));
+        domain.here(&id, Some("/talker"), true);
+        domain.sample(&id, 1, 1);
+        let number = domain.messages()[0].origin.number;
+        assert_eq!(domain.connected(), ["/talker"]);
+        domain.here(&id, None, true);
+        domain.sample(&id, 2, 1);
+        let last = domain.messages();
+        assert_eq!((names(&last), last[0].origin.number), (vec!["/talker"], number));
+        domain.gone(&id);
+        assert!(domain.connected().is_empty());
+    }
+
+    #[test]
+    fn a_name_that_never_comes_is_waited_for_and_one_that_comes_after_all_is_the_same_publishers() {
+        let (mut domain, id) = (Domain::new(), id(1, 1));
+        domain.here(&id, None, true);
+        domain.sample(&id, 1, 1);
+        domain.pass(29_000);
+        assert!(domain.messages().is_empty());
+        domain.pass(1_500);
+        let before = domain.messages();
+        assert_eq!((names(&before), before[0].origin.unnamed), (vec!["/unnamed_fastdds"], true));
+        domain.here(&id, Some("/talker"), true);
+        domain.sample(&id, 2, 1);
+        let after = domain.messages();
+        assert_eq!((names(&after), after[0].origin.unnamed), (vec!["/talker"], false));
+        assert_eq!(after[0].origin.number, before[0].origin.number);
+    }
+
+    #[test]
+    fn without_names_there_is_little_to_wait_for_and_an_end_ends_the_wait() {
+        let mut domain = Domain::new();
+        domain.here(&id(1, 1), None, false);
+        domain.sample(&id(1, 1), 1, 1);
+        domain.pass(1_500);
+        let messages = domain.messages();
+        assert_eq!((names(&messages), messages[0].origin.unnamed), (vec!["/unnamed_fastdds"], false));
+        // It left before it was named, and the operator wants no more of the topic.
+        domain.here(&id(2, 1), None, true);
+        domain.sample(&id(2, 1), 1, 1);
+        domain.gone(&id(2, 1));
+        assert!(domain.messages()[0].origin.unnamed);
+        domain.here(&id(3, 1), None, true);
+        domain.sample(&id(3, 1), 1, 1);
+        let mut outcome = Outcome::default();
+        assert!(domain.state.unwatch(&TOPIC.parse().expect("a name"), domain.now, &mut outcome));
+        assert_eq!(outcome.messages.len(), 1);
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_nothing_is_lost() {
+        let (mut domain, id) = (Domain::new(), id(1, 1));
+        domain.here(&id, None, true);
+        (1..=300).for_each(|number| domain.sample(&id, number, 1 << 20));
+        let numbers = domain.messages().len();
+        assert_eq!(numbers, 300, "it is captured as it is");
+    }
+
+    #[test]
+    fn a_node_that_dies_and_returns_is_a_restart_when_it_falls_silent_and_when_it_is_given_up() {
+        for silent in [true, false] {
+            let (mut domain, before, after) = (Domain::new(), id(1, 1), id(2, 1));
+            domain.here(&before, Some("/talker"), true);
+            // One that is in full flow, and one that spoke once.
+            domain.publish(&before, 1..if silent { 21 } else { 2 });
+            domain.messages();
+            domain.here(&after, Some("/talker"), true);
+            domain.publish(&after, 1..9);
+            assert!(domain.messages().is_empty(), "who knows");
+            if silent {
+                domain.pass(1_500);
+            } else {
+                domain.pass(15_000);
+                assert!(domain.messages().is_empty());
+                domain.gone(&before);
+                domain.pass(500);
+            }
+            let messages = domain.messages();
+            assert_eq!((messages.len(), rivals(&messages)), (8, 0), "{silent}");
+            domain.gone(&before);
+            domain.pass(60_000);
+            domain.sample(&after, 9, 1);
+            assert_eq!(rivals(&domain.messages()), 0);
+        }
+    }
+
+    #[test]
+    fn a_stranger_under_the_name_of_one_that_goes_on_is_a_rival() {
+        let (mut domain, robot, stranger) = (Domain::new(), id(1, 1), id(2, 1));
+        domain.here(&robot, Some("/talker"), true);
+        domain.publish(&robot, 1..21);
+        domain.messages();
+        domain.here(&stranger, Some("/talker"), true);
+        domain.sample(&stranger, 1, 1);
+        // Even if he is gone before it shows.
+        domain.gone(&stranger);
+        domain.publish(&robot, 21..31);
+        let messages = domain.messages();
+        assert_eq!((messages.len(), rivals(&messages)), (11, 1));
+        let his = messages.iter().find(|message| message.origin.rival.is_some()).expect("his");
+        let robots = messages.iter().find(|message| message.origin.rival.is_none()).expect("the robot's");
+        assert_eq!(his.origin.rival.as_ref().expect("a rival").number, robots.origin.number);
+        assert!(his.origin.uri.contains(&stranger));
+    }
+
+    #[test]
+    fn a_rival_of_one_that_rarely_speaks_or_spoke_again_shows_later() {
+        let (mut domain, robot, stranger) = (Domain::new(), id(1, 1), id(2, 1));
+        domain.here(&robot, Some("/talker"), true);
+        domain.sample(&robot, 1, 1);
+        domain.pass(10_000);
+        domain.messages();
+        domain.here(&stranger, Some("/talker"), true);
+        domain.sample(&stranger, 1, 1);
+        domain.pass(LEASE.as_millis().try_into().expect("short"));
+        assert_eq!(rivals(&domain.messages()), 1, "the robot is still listed");
+        // One that was stopped for a while: the newcomer passed for its successor until it spoke again.
+        let (mut domain, robot, stranger) = (Domain::new(), id(1, 1), id(2, 1));
+        domain.here(&robot, Some("/talker"), true);
+        domain.publish(&robot, 1..21);
+        domain.here(&stranger, Some("/talker"), true);
+        domain.publish(&stranger, 1..21);
+        assert_eq!(rivals(&domain.messages()), 0);
+        domain.publish(&robot, 21..23);
+        domain.sample(&stranger, 21, 1);
+        assert_eq!(rivals(&domain.messages()), 1);
+    }
+
+    #[test]
+    fn who_came_first_is_known_whatever_name_came_first() {
+        let (mut domain, robot, stranger) = (Domain::new(), id(1, 1), id(2, 1));
+        domain.here(&robot, None, true);
+        domain.publish(&robot, 1..5);
+        domain.here(&stranger, Some("/talker"), true);
+        domain.publish(&stranger, 1..2);
+        domain.here(&robot, Some("/talker"), true);
+        domain.publish(&robot, 5..15);
+        domain.messages();
+        domain.sample(&stranger, 2, 1);
+        domain.sample(&robot, 15, 1);
+        assert_eq!(domain.messages().iter().map(|one| one.origin.rival.is_some()).collect::<Vec<_>>(), [true, false]);
+    }
+
+    #[test]
+    fn publishers_of_one_participant_and_those_there_from_the_start_are_nobodys_rivals() {
+        let mut domain = Domain::new();
+        for writer in 1..3 {
+            domain.here(&id(1, writer), Some("/talker"), true);
+            domain.publish(&id(1, writer), 1..5);
+        }
+        assert_eq!((domain.said.messages.len(), rivals(&domain.messages())), (8, 0));
+        let mut domain = Domain::new();
+        domain.state = State::new(0);
+        domain.state.watch(&TOPIC.parse().expect("a name"), &mut Outcome::default());
+        domain.tell(Told::Hello { version: crate::pipe::VERSION, domain: 0, confined: true }, &[]);
+        for participant in 1..3 {
+            domain.pass(1_000);
+            domain.here(&id(participant, 1), Some("/talker"), true);
+        }
+        domain.publish(&id(1, 1), 1..9);
+        domain.publish(&id(2, 1), 1..9);
+        assert_eq!((domain.said.messages.len(), rivals(&domain.messages())), (16, 0));
+    }
+}

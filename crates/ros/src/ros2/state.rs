@@ -144,8 +144,7 @@ impl State {
             return;
         }
         let (id, watched) = (writer.id.clone(), self.is_watched(&writer.topic));
-        let mut known =
-            self.publishers.remove(&id).unwrap_or_else(|| Publisher::new(writer.clone(), self.domain, now));
+        let mut known = self.publishers.remove(&id).unwrap_or_else(|| Publisher::new(writer.clone(), self.domain, now));
         // A node takes the name from its publishers before it removes them: it stays the node's.
         writer.node = known.writer.node.clone().or(writer.node);
         writer.type_hash = writer.type_hash.or_else(|| known.writer.type_hash.clone());
@@ -329,7 +328,7 @@ impl State {
     /// Topics with a present publisher.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         let mut topics: BTreeMap<&str, Ros2Topic> = BTreeMap::new();
-        for Publisher { writer, .. } in self.publishers.values().filter(|known| known.gone.is_none()) {
+        for Publisher { writer, settled, .. } in self.publishers.values().filter(|known| known.gone.is_none()) {
             let topic = topics.entry(&writer.topic).or_insert_with(|| Ros2Topic {
                 name: writer.topic.clone(),
                 type_name: writer.type_name.clone(),
@@ -340,7 +339,10 @@ impl State {
             topic.quality.reliable &= writer.quality.reliable;
             topic.quality.latched &= writer.quality.latched;
             topic.type_hash = topic.type_hash.take().or_else(|| writer.type_hash.clone());
-            topic.publishers.push(name(writer));
+            // Who is about to be named is not shown under no name: nobody pinned is called that.
+            if writer.node.is_some() || *settled {
+                topic.publishers.push(name(writer));
+            }
         }
         topics.into_values().collect()
     }

@@ -61,7 +61,8 @@ impl Capture {
             row.unreached = unreached.remove(&row.topic).filter(|_| row.ros == 1).unwrap_or_default();
             if let Some(pinned) = pins.get(&row.topic) {
                 row.pins = pinned.len() as u64;
-                row.unpinned = row.publishers.iter().filter(|name| !pinned.contains(&*pinned_name(name))).cloned().collect();
+                row.unpinned =
+                    row.publishers.iter().filter(|name| !pinned.contains(&*pinned_name(name))).cloned().collect();
             }
             if let Some(counts) = captured.get(&row.topic) {
                 (row.messages, row.quarantined) = (counts.captured, counts.quarantined);

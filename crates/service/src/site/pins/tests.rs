@@ -25,7 +25,7 @@ fn origin(number: u64, caller_id: &str) -> Arc<Origin> {
         md5sum: MD5.into(),
         listed_at: Instant::now(),
         rival: None,
-            unnamed: false,
+        unnamed: false,
     })
 }
 
