@@ -24,7 +24,7 @@ const REMEMBERED: Duration = Duration::from_secs(60);
 const LOOKED: Duration = Duration::from_secs(3);
 const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
 /// Bytes of messages that may wait for the identity of their publishers.
-const MOST_HELD: usize = 256 << 20;
+const MOST_HELD: usize = if cfg!(test) { 4 << 20 } else { 256 << 20 };
 /// What a message takes beside its bytes.
 const HELD_OVERHEAD: usize = 256;
 /// The longest reason taken.
@@ -146,13 +146,17 @@ impl State {
         let (id, watched) = (writer.id.clone(), self.is_watched(&writer.topic));
         let mut known = self.publishers.remove(&id).unwrap_or_else(|| Publisher::new(writer.clone(), self.domain, now));
         // A node takes the name from its publishers before it removes them: it stays the node's.
-        writer.node = known.writer.node.clone().or(writer.node);
+        if known.writer.node.is_some() {
+            (writer.node, writer.naming) = (known.writer.node.clone(), known.writer.naming);
+        }
         writer.type_hash = writer.type_hash.or_else(|| known.writer.type_hash.clone());
         if watched {
             outcome.wishes.extend(self.descriptions.wanted(&writer));
         }
         if known.writer != writer {
-            outcome.notices.extend(known.disconnect("it now offers something else"));
+            let is_named = known.writer.node != writer.node;
+            let reason = if is_named { "its node's name is known now" } else { "it now offers something else" };
+            outcome.notices.extend(known.disconnect(reason));
             known.announce(writer, self.domain);
         }
         (known.gone, known.told_by) = (None, self.started);
