@@ -44,6 +44,12 @@ pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
     Schema::parse(type_name, text).map(|schema| hash::of(&schema))
 }
 
+/// Whether the definition built into this program has this hash.
+pub fn is_built_in(type_name: &str, hash: &str) -> bool {
+    let text = Folders::default().text_of(type_name);
+    text.is_ok_and(|(text, _)| type_hash(type_name, &text).is_ok_and(|found| found == hash))
+}
+
 fn layout(interface: &Interface, known: &[Layout]) -> Layout {
     let fields: Vec<Field> = interface.members.iter().map(field).collect();
     let least = |field: &Field| match field.arity {

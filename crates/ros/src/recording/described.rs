@@ -20,7 +20,7 @@ pub struct TypeFacts<'a> {
     pub text: Option<&'a str>,
     /// Its md5sum (ROS 1); `*` or empty if nobody said.
     pub md5sum: &'a str,
-    /// Its hash, as given in the recording.
+    /// Its hash, as given in the recording; an empty one is none.
     pub hash: Option<&'a str>,
 }
 
@@ -36,7 +36,8 @@ pub struct Described {
 impl Described {
     /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`, or built in.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
-        let facts = TypeFacts { text: facts.text.filter(|text| says_something(text, facts)), ..facts };
+        let text = facts.text.filter(|text| says_something(text, facts));
+        let facts = TypeFacts { text, hash: facts.hash.filter(|hash| !hash.is_empty()), ..facts };
         match own(facts).or_else(|error| completed(facts, folders).ok_or(error)) {
             Ok((definition, note)) => {
                 Self { definition: Some(Arc::new(definition)), note: note.or_else(|| differs(facts)) }
@@ -183,6 +184,7 @@ mod tests {
         let said = |encoding, text, hash| described(encoding, text, hash, &none);
         assert_eq!(said(MSG, Some("string data"), Some(STRING)), (true, String::new()));
         assert_eq!(said(MSG, Some("string data"), None), (true, String::new()));
+        assert_eq!(said(MSG, Some("string<=9 data"), Some("")), (true, String::new()), "no hash");
         let (found, note) = said(MSG, Some("string<=9 data"), Some(STRING));
         assert!(found && note.contains("values may be wrong") && note.contains(STRING), "{note}");
         let (found, note) = own_kind(IDL, Some("module a {};"));
