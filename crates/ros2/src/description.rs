@@ -124,7 +124,8 @@ fn whole_structure(types: &[(&str, Option<String>)], type_name: &str) -> String 
 }
 
 /// Begins a text that is written from a structure.
-const WRITTEN: &str = "# From the structure that the publishing node told: without comments, constants and default values.\n";
+const WRITTEN: &str =
+    "# From the structure that the publishing node told: without comments, constants and default values.\n";
 
 /// Empty if there is none of the type itself, or one is not in `.msg`, or all of it is too long.
 fn joined(sources: &[(&str, &str, &str)], type_name: &str) -> String {

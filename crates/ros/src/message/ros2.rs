@@ -10,6 +10,7 @@ mod schema;
 
 pub(super) use built_in::text_of as interface;
 pub use folder::{Folders, Source};
+pub(in super::super) use schema::plain_text;
 
 use super::definition::{Definition, Field, Kind, Layout, element_size};
 use super::line::Arity;

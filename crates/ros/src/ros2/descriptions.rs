@@ -71,17 +71,17 @@ impl Descriptions {
         if !asked.values().any(|known| known == node) {
             return Ok(false);
         }
-        let mut wrong = "the definition it gave is empty".to_owned();
+        let mut wrong = None;
         for text in texts.into_iter().filter(|text| !text.is_empty()) {
             match fitting(&type_name, &hash, text) {
                 Ok(text) => {
                     self.0.insert((type_name, hash), Description::Known(text.into()));
                     return Ok(true);
                 }
-                Err(reason) => wrong = reason,
+                Err(reason) => drop(wrong.get_or_insert(reason)),
             }
         }
-        Err(wrong)
+        Err(wrong.unwrap_or_else(|| "the definition it gave is empty".to_owned()))
     }
 
     /// The program that asks was started anew: who has not answered is asked again.
