@@ -54,6 +54,7 @@ pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
 pub use devices::enrolling::EnrolWishes;
 pub(crate) use operators::{Asker, Heard};
+pub use evidence::definition_of;
 pub use reading::view::record_page;
 
 use alerts::Alerts;

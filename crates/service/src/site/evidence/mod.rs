@@ -2,6 +2,8 @@
 
 mod figure;
 mod page;
+
+pub use page::definition_of;
 mod proofs;
 #[cfg(test)]
 mod tests;

@@ -245,13 +245,15 @@ fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport
 }
 
 /// The definition of a disclosed message: the one that its head names, or one that has its type's hash, or one built into this
-/// program.
+/// program with that hash.
 pub fn definition_of(bundle: &Bundle, head: &Head) -> Option<Arc<Definition>> {
     let about = importer::about(&head.tags);
     let (hash, encoding) = (about.get(TYPE_HASH).map(|hash| &**hash), importer::encoding(&head.tags));
     let has_hash = |text: &&String| hash.is_some() && type_hash(&head.type_name, text).ok().as_deref() == hash;
     let named = bundle.definitions.get(&head.definition).filter(|text| !text.is_empty());
     let text = named.or_else(|| bundle.definitions.values().find(has_hash)).map(String::as_str);
+    // Nothing would show that a built-in one is the message's.
+    text.or(hash)?;
     let facts = TypeFacts { name: &head.type_name, encoding, text, hash, md5sum: &head.md5sum };
     Described::of(facts, &Folders::default()).definition
 }
