@@ -2,13 +2,12 @@
 
 mod figure;
 mod page;
-
-pub use page::definition_of;
 mod proofs;
 #[cfg(test)]
 mod tests;
 mod time;
 
+pub use self::page::definition_of;
 pub(in crate::site) use self::proofs::ChainProofs;
 pub(in crate::site) use self::time::TimeStamps;
 
