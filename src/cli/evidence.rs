@@ -12,9 +12,9 @@ use super::verbs::CHAIN;
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;
-use crate::service::{Failure, definition_of};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
 use crate::service::reply::{EvidenceView, StampView};
+use crate::service::{Failure, definition_of};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 

@@ -82,7 +82,11 @@ fn expect_shown_as_sent(distribution: &str, seed: &str) {
     // The definitions of types that are not built in come from the node; the messages before them are shown by them too.
     let own = |id: &str| alice.json(&["shared", "open", id])["message"].is_object();
     wait_until(60, "every message has fields", || {
-        alice.records(&["uploads", "list", "--topic", "/shown/test_msgs/**"]).iter().all(|row| own(&text(row, "id"))).then_some(())
+        alice
+            .records(&["uploads", "list", "--topic", "/shown/test_msgs/**"])
+            .iter()
+            .all(|row| own(&text(row, "id")))
+            .then_some(())
     });
     assert_eq!(open_all(&alice, &folder), expected);
     let recording = folder.join("export.mcap");

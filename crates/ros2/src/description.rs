@@ -82,8 +82,8 @@ fn structure<'a>(reader: &mut Reader<'a>) -> Option<(&'a str, Option<String>)> {
         if field == "structure_needs_at_least_one_member" {
             continue;
         }
-        let kind = kind(number, capacity, bound, nested);
-        lines = lines.zip(kind).map(|(lines, kind)| format!("{lines}{kind} {field}\n"));
+        let line = kind(number, capacity, bound, nested).map(|kind| format!("{kind} {field}\n"));
+        lines = lines.zip(line).map(|(lines, line)| lines + &line);
     }
     Some((name, lines))
 }
@@ -190,12 +190,12 @@ mod tests {
         let expected = format!("Jaw left # the left one\n{}\nMSG: rig_msgs/Jaw\nfloat64 force\n", "=".repeat(80));
         for header in [None, Some((7, 9))] {
             let found = answer(&reply(header, &[JAW, GRIP]), header, GRIP.0);
-            assert_eq!(found, Some(Answer::Texts(expected.clone(), structure())), "{header:?}");
+            assert_eq!(found, Some(Answer::Texts(expected.clone(), written())), "{header:?}");
         }
         assert_eq!(answer(&reply(Some((7, 9)), &[GRIP]), Some((7, 8)), GRIP.0), None, "another's");
     }
 
-    fn structure() -> String {
+    fn written() -> String {
         format!("{WRITTEN}float64 force\n{}\nMSG: rig_msgs/Jaw\nfloat64 force\n", "=".repeat(80))
     }
 
@@ -205,13 +205,13 @@ mod tests {
         let cut = (JAW.0, "msg", "float64 force # 10\u{b0}");
         for sources in [&[JAW][..], &[], &[GRIP, (JAW.0, "idl", "module x {};")], &[(GRIP.0, "msg", &long)]] {
             let found = answer(&reply(None, sources), None, GRIP.0);
-            assert_eq!(found, Some(Answer::Texts(String::new(), structure())), "{sources:?}");
+            assert_eq!(found, Some(Answer::Texts(String::new(), written())), "{sources:?}");
         }
         // A text that ends within a character.
         let mut spoilt = reply(None, &[GRIP, cut]);
         let place = spoilt.windows(2).position(|pair| pair == "\u{b0}".as_bytes()).expect("there");
         spoilt[place + 1] = b' ';
-        assert_eq!(answer(&spoilt, None, GRIP.0), Some(Answer::Texts(String::new(), structure())));
+        assert_eq!(answer(&spoilt, None, GRIP.0), Some(Answer::Texts(String::new(), written())));
     }
 
     #[test]

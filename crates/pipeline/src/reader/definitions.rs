@@ -13,9 +13,10 @@ use super::Reader;
 use crate::crypto::OpenedRecord;
 use crate::crypto::sm3::sm3;
 use crate::model::{Address, Digest, Head, RecordKind, Timestamp, TopicId};
-use crate::pipeline::{PipelineError, importer};
+use crate::pipeline::PipelineError;
 use crate::ros::message::{is_built_in, type_hash};
 use crate::ros::recording::TYPE_HASH;
+use crate::ros::recording::tags::CHANNEL;
 use crate::store::{RecordQuery, RecordRow};
 
 /// The most definition records opened at each attempt.
@@ -71,7 +72,7 @@ impl Definitions {
         if self.0.len() >= MOST_KEPT {
             self.0.clear();
         }
-        Arc::clone(self.0.entry(key).or_insert(text.into()))
+        Arc::clone(self.0.entry(key).or_insert_with(|| text.into()))
     }
 }
 
@@ -82,7 +83,7 @@ fn key(row: &RecordRow, opened: &OpenedRecord) -> Key {
 
 /// The hash of a message's type, if its publisher or its recording told it.
 fn hash_of(head: &Head) -> Option<String> {
-    importer::about(&head.tags).get(TYPE_HASH).filter(|hash| !hash.is_empty()).map(|hash| hash.to_string())
+    head.tags.get(&format!("{CHANNEL}{TYPE_HASH}")).filter(|hash| !hash.is_empty()).cloned()
 }
 
 impl Reader<'_> {

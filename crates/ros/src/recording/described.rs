@@ -252,9 +252,11 @@ mod tests {
         const NAME: &str = "rcl_interfaces/srv/SetParameters_Event";
         // By ROS 2 Jazzy.
         const HASH: &str = "RIHS01_5060f52369bcff7f9dbd6eca21ee521859e471e71b33a8a8df26d5236fe54a80";
-        const OWN: &str = "# A list.\nParameter[] parameters\n\n---\n# Whether, and why.\nSetParametersResult[] results\n";
+        const OWN: &str =
+            "# A list.\nParameter[] parameters\n\n---\n# Whether, and why.\nSetParametersResult[] results\n";
         let rule = "=".repeat(80);
-        let nested = format!("{OWN}\n{rule}\nMSG: rcl_interfaces/SetParametersResult\nbool successful\nstring reason\n");
+        let nested =
+            format!("{OWN}\n{rule}\nMSG: rcl_interfaces/SetParametersResult\nbool successful\nstring reason\n");
         for text in [OWN.to_owned(), format!("{rule}\nSRV: rcl_interfaces/srv/SetParameters\n{OWN}"), nested] {
             let plain = plain_text(NAME, &text);
             let (whole, _) = Folders::default().complete(NAME, &plain).expect("all is built in");

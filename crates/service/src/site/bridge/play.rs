@@ -17,7 +17,7 @@ use super::names::Names;
 use super::pacer::{Pacer, TICK};
 use super::target::{Form, Target};
 use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{Address, Digest, ErrorKind, Hash, Scope, Timestamp, clean};
+use crate::model::{Address, ErrorKind, Hash, Scope, Timestamp, clean};
 use crate::pipeline::reader::{Definitions, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::service::command::{Pace, PlayWishes};

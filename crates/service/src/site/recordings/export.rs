@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 use super::writing::Draft;
 use super::{Recordings, Run};
 use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
+use crate::model::{Address, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
 use crate::pipeline::reader::{Definitions, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
