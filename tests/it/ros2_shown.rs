@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
 use support::ros2::{Network, reader_program};
 use support::{Authros, Home, Running, count, is_verified, long, poll, skipped, text, wait_until};
 
@@ -29,9 +30,14 @@ fn peer(network: &Network, python: &Path, arguments: &[&str]) -> Running {
     Running::start(command)
 }
 
+/// The records of what was sent, of those that are listed.
+fn of_sent(records: Vec<Value>) -> Vec<Value> {
+    records.into_iter().filter(|record| text(record, "topic").starts_with("/shown/")).collect()
+}
+
 /// Opens every record in both forms beside what was sent; returns how many there are.
 fn open_all(alice: &Authros, folder: &Path) -> usize {
-    let records = alice.records(&["uploads", "list", "--topic", "/shown/**"]);
+    let records = of_sent(alice.records(&["uploads", "list"]));
     let mut topics: BTreeMap<String, Vec<(u64, String)>> = BTreeMap::new();
     for record in &records {
         topics.entry(text(record, "topic")).or_default().push((count(record, "seq"), text(record, "id")));
@@ -73,10 +79,10 @@ fn expect_shown_as_sent(distribution: &str, seed: &str) {
     watched.for_each(|topic| drop(alice.json(&["topics", "watch", &topic])));
     let expected = types.len() * usize::try_from(EACH).expect("few");
     let all = || {
-        let records = alice.records_so_far(&["uploads", "list", "--topic", "/shown/**"])?;
+        let records = of_sent(alice.records_so_far(&["uploads", "list"])?);
         (records.len() >= expected && records.iter().all(is_verified)).then_some(())
     };
-    let so_far = || alice.records(&["uploads", "list", "--topic", "/shown/**"]).len();
+    let so_far = || of_sent(alice.records(&["uploads", "list"])).len();
     poll(180, all).unwrap_or_else(|| panic!("{} of {expected} records are verified", so_far()));
 
     // The definitions of types that are not built in come from the node; the messages before them are shown by them too.
