@@ -11,10 +11,10 @@ use super::parse;
 use super::verbs::CHAIN;
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
-use crate::ros::{Definition, Limits};
-use crate::service::Failure;
+use crate::ros::Limits;
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
 use crate::service::reply::{EvidenceView, StampView};
+use crate::service::{Failure, definition_of};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
@@ -193,8 +193,7 @@ fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
 /// whole file go.
 fn message(bundle: &Bundle, report: &Report, digest: Digest, limits: &mut Limits) -> Option<serde_json::Value> {
     let revealed = report.messages.get(&digest)?;
-    let text = bundle.definitions.get(&revealed.head.definition)?;
-    let definition = Definition::parse(&revealed.head.type_name, text).ok()?;
+    let definition = definition_of(bundle, &revealed.head)?;
     let value = definition.decode_from(&revealed.body, limits).ok()?;
     Some(value.to_json())
 }

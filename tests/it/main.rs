@@ -69,6 +69,7 @@ mod ros2_identity;
 mod ros2_losses;
 mod ros2_many;
 mod ros2_playing;
+mod ros2_shown;
 mod ros2_walls;
 mod rosrust_playing;
 mod scale;

@@ -2,6 +2,19 @@
 
 use serde::{Deserialize, Serialize};
 
+/// How a publisher shows that it lives, in DDS's order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Liveliness {
+    /// Its middleware does it.
+    #[default]
+    Automatic,
+    /// Its node does it for all its publishers.
+    ManualByParticipant,
+    /// It does it itself.
+    ManualByTopic,
+}
+
 /// What a publisher offers, as far as it was announced; missing parts are the defaults of DDS.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 pub struct Quality {
@@ -13,6 +26,10 @@ pub struct Quality {
     pub deadline: Option<u64>,
     /// How long a message stays valid, nanoseconds; `None` = forever.
     pub lifespan: Option<u64>,
+    /// How it shows that it lives.
+    pub liveliness: Liveliness,
+    /// How often it promises to show it, nanoseconds; `None` = no promise.
+    pub lease: Option<u64>,
 }
 
 /// One publisher of one topic.
@@ -85,7 +102,8 @@ pub enum Told {
         /// The reason.
         reason: String,
     },
-    /// The answer to [`Wish::Describe`]; the definition's text with all its types, as in MCAP's `ros2msg`, is the payload.
+    /// The answer to [`Wish::Describe`]. The payload is the definition with all its types, as in MCAP's `ros2msg`, twice: as written
+    /// from the node's structured description, and the node's own text; either may be empty.
     Described {
         /// Who was asked.
         node: String,
@@ -93,6 +111,8 @@ pub enum Told {
         type_name: String,
         /// The hash it was asked for by; not compared with the text.
         type_hash: String,
+        /// How many bytes of the payload are from the structured description.
+        structured: u32,
         /// Why there is no text.
         reason: Option<String>,
     },

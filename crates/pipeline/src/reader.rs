@@ -5,6 +5,8 @@ mod definitions;
 mod granted;
 mod own;
 
+pub use definitions::Definitions;
+
 use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;

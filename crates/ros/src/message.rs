@@ -20,7 +20,8 @@ pub use decode::{Limits, Picture};
 pub use definition::{Definition, LONGEST_DEFINITION};
 pub use matrix::layout;
 pub use nesting::DEEPEST;
-pub use ros2::{Folders, Source, type_hash};
+pub(super) use ros2::plain_text;
+pub use ros2::{Folders, Source, is_built_in, type_hash};
 pub use value::Value;
 
 use super::RosError;

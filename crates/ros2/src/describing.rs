@@ -108,11 +108,12 @@ impl Describing {
 
 fn tell(question: Question, answer: Answer) -> (Told, Vec<u8>) {
     let Question { node, type_name, type_hash } = question;
-    let (reason, text) = match answer {
-        Answer::Text(text) => (None, text),
-        Answer::Refused(reason) => (Some(reason.chars().take(300).collect()), String::new()),
+    let (reason, text, structure) = match answer {
+        Answer::Texts(text, structure) => (None, text, structure),
+        Answer::Refused(reason) => (Some(reason.chars().take(300).collect()), String::new(), String::new()),
     };
-    (Told::Described { node, type_name, type_hash, reason }, text.into_bytes())
+    let structured = u32::try_from(structure.len()).unwrap_or(0);
+    (Told::Described { node, type_name, type_hash, structured, reason }, [structure, text].concat().into_bytes())
 }
 
 /// By the maker of a node's middleware.

@@ -2,7 +2,7 @@
 
 use crate::cdr::{Reader, Writer};
 
-/// The longest text that is passed on, bytes.
+/// The longest of the texts that are passed on, bytes.
 pub const LONGEST_TEXT: usize = 1 << 20;
 /// The least bytes of a field, of a type and of a source in an answer.
 const FIELD: usize = 4;
@@ -28,8 +28,9 @@ pub fn request(header: Option<Header>, type_name: &str, type_hash: &str) -> Vec<
 /// An answer.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// The text of the type with all the types it consists of, as in MCAP's `ros2msg`.
-    Text(String),
+    /// The type with all the types it consists of, as in MCAP's `ros2msg`, twice: the texts that its package was built from, empty
+    /// if there are none in `.msg`, and what is written from its structure.
+    Texts(String, String),
     /// There is none, and why.
     Refused(String),
 }
@@ -53,48 +54,92 @@ fn read(reader: &mut Reader<'_>, type_name: &str) -> Option<Answer> {
     if !is_successful {
         return Some(Answer::Refused(format!("it refuses: {reason}")));
     }
-    skip_type(reader)?;
+    let mut types = vec![structure(reader)?];
     for _ in 0..reader.count(TYPE)? {
-        skip_type(reader)?;
+        types.push(structure(reader)?);
     }
-    let mut sources = Vec::new();
-    for _ in 0..reader.count(SOURCE)? {
-        sources.push((reader.text()?, reader.text()?, reader.text()?));
+    // rclpy's texts may be cut in the middle of a character; the structure does not depend on them.
+    let sources = sources(reader).unwrap_or_default();
+    let (text, structure) = (joined(&sources, type_name), whole_structure(&types, type_name));
+    if text.is_empty() && structure.is_empty() {
+        return Some(Answer::Refused("what it answers cannot be said in .msg, or is too long".to_owned()));
     }
-    Some(joined(&sources, type_name))
+    Some(Answer::Texts(text, structure))
 }
 
-/// The structured description: the hash is computed from the text anyway.
-fn skip_type(reader: &mut Reader<'_>) -> Option<()> {
-    reader.text()?;
+fn sources<'a>(reader: &mut Reader<'a>) -> Option<Vec<(&'a str, &'a str, &'a str)>> {
+    (0..reader.count(SOURCE)?).map(|_| Some((reader.text()?, reader.text()?, reader.text()?))).collect()
+}
+
+/// One type of a structured description: its name, and its lines in `.msg`, if these can say it.
+fn structure<'a>(reader: &mut Reader<'a>) -> Option<(&'a str, Option<String>)> {
+    let name = reader.text()?;
+    let mut lines = Some(String::new());
     for _ in 0..reader.count(FIELD)? {
-        reader.text()?;
-        reader.byte()?;
-        reader.long()?;
-        reader.long()?;
-        reader.text()?;
-        reader.text()?;
+        let (field, number, capacity) = (reader.text()?, reader.byte()?, reader.long()?);
+        let (bound, nested, _default) = (reader.long()?, reader.text()?, reader.text()?);
+        // A type without fields is described by this one.
+        if field == "structure_needs_at_least_one_member" {
+            continue;
+        }
+        let line = kind(number, capacity, bound, nested).map(|kind| format!("{kind} {field}\n"));
+        lines = lines.zip(line).map(|(lines, line)| lines + &line);
     }
-    Some(())
+    Some((name, lines))
 }
 
-fn joined(sources: &[(&str, &str, &str)], type_name: &str) -> Answer {
-    let Some((_, encoding, own)) = sources.iter().find(|(name, ..)| *name == type_name) else {
-        return Answer::Refused("it answers without the text of the type".to_owned());
+/// A field's type as `.msg` has it; `None` for one of IDL alone.
+fn kind(number: u8, capacity: u64, bound: u64, nested: &str) -> Option<String> {
+    const PLAIN: [&str; 10] =
+        ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"];
+    let element = match number % 48 {
+        1 => short(nested),
+        plain @ 2..=11 => PLAIN.get(usize::from(plain - 2)).map(|name| (*name).to_owned())?,
+        15 => "bool".to_owned(),
+        16 => "byte".to_owned(),
+        17 => "string".to_owned(),
+        18 => "wstring".to_owned(),
+        21 => format!("string<={bound}"),
+        22 => format!("wstring<={bound}"),
+        _ => return None,
     };
-    let others = sources.iter().filter(|(name, ..)| *name != type_name);
-    if *encoding != "msg" || others.clone().any(|(_, encoding, _)| *encoding != "msg") {
-        return Answer::Refused("it describes the type in another language than .msg".to_owned());
-    }
+    Some(match number / 48 {
+        0 => element,
+        1 => format!("{element}[{capacity}]"),
+        2 => format!("{element}[<={capacity}]"),
+        3 => format!("{element}[]"),
+        _ => return None,
+    })
+}
+
+fn short(name: &str) -> String {
+    name.replacen("/msg/", "/", 1)
+}
+
+/// Empty if a part is missing or cannot be said, or all of it is too long.
+fn whole_structure(types: &[(&str, Option<String>)], type_name: &str) -> String {
+    let parts: Option<Vec<_>> = types.iter().map(|(name, lines)| Some((*name, lines.as_deref()?))).collect();
+    let text = parts.map(|parts| whole(&parts, type_name)).unwrap_or_default();
+    if text.is_empty() { text } else { format!("{WRITTEN}{text}") }
+}
+
+/// Begins a text that is written from a structure.
+const WRITTEN: &str =
+    "# From the structure that the publishing node told: without comments, constants and default values.\n";
+
+/// Empty if there is none of the type itself, or one is not in `.msg`, or all of it is too long.
+fn joined(sources: &[(&str, &str, &str)], type_name: &str) -> String {
+    let parts = sources.iter().map(|(name, encoding, lines)| (*encoding == "msg").then_some((*name, *lines)));
+    parts.collect::<Option<Vec<_>>>().map(|parts| whole(&parts, type_name)).unwrap_or_default()
+}
+
+fn whole(parts: &[(&str, &str)], type_name: &str) -> String {
+    let Some((_, own)) = parts.iter().find(|(name, _)| *name == type_name) else { return String::new() };
     let mut text = format!("{}\n", own.trim_end());
-    for (name, _, lines) in others {
-        let short = name.replacen("/msg/", "/", 1);
-        text.push_str(&format!("{}\nMSG: {short}\n{}\n", "=".repeat(80), lines.trim_end()));
+    for (name, lines) in parts.iter().filter(|(name, _)| *name != type_name) {
+        text.push_str(&format!("{}\nMSG: {}\n{}\n", "=".repeat(80), short(name), lines.trim_end()));
     }
-    if text.len() > LONGEST_TEXT {
-        return Answer::Refused(format!("its text is longer than {LONGEST_TEXT} bytes"));
-    }
-    Answer::Text(text)
+    if text.len() > LONGEST_TEXT { String::new() } else { text }
 }
 
 #[cfg(test)]
@@ -145,25 +190,63 @@ mod tests {
         let expected = format!("Jaw left # the left one\n{}\nMSG: rig_msgs/Jaw\nfloat64 force\n", "=".repeat(80));
         for header in [None, Some((7, 9))] {
             let found = answer(&reply(header, &[JAW, GRIP]), header, GRIP.0);
-            assert_eq!(found, Some(Answer::Text(expected.clone())), "{header:?}");
+            assert_eq!(found, Some(Answer::Texts(expected.clone(), written())), "{header:?}");
         }
         assert_eq!(answer(&reply(Some((7, 9)), &[GRIP]), Some((7, 8)), GRIP.0), None, "another's");
     }
 
+    fn written() -> String {
+        format!("{WRITTEN}float64 force\n{}\nMSG: rig_msgs/Jaw\nfloat64 force\n", "=".repeat(80))
+    }
+
+    #[test]
+    fn the_structure_is_told_where_the_texts_help_nobody() {
+        let long = "x".repeat(LONGEST_TEXT);
+        let cut = (JAW.0, "msg", "float64 force # 10\u{b0}");
+        for sources in [&[JAW][..], &[], &[GRIP, (JAW.0, "idl", "module x {};")], &[(GRIP.0, "msg", &long)]] {
+            let found = answer(&reply(None, sources), None, GRIP.0);
+            assert_eq!(found, Some(Answer::Texts(String::new(), written())), "{sources:?}");
+        }
+        // A text that ends within a character.
+        let mut spoilt = reply(None, &[GRIP, cut]);
+        let place = spoilt.windows(2).position(|pair| pair == "\u{b0}".as_bytes()).expect("there");
+        spoilt[place + 1] = b' ';
+        assert_eq!(answer(&spoilt, None, GRIP.0), Some(Answer::Texts(String::new(), written())));
+    }
+
+    #[test]
+    fn every_kind_of_field_is_written_as_in_msg_or_not_at_all() {
+        let cases = [
+            ((2, 0, 0, ""), Some("int8")),
+            ((58, 36, 0, ""), Some("float32[36]")),
+            ((11 + 96, 3, 0, ""), Some("float64[<=3]")),
+            ((17 + 144, 0, 0, ""), Some("string[]")),
+            ((22 + 96, 4, 3, ""), Some("wstring<=3[<=4]")),
+            ((21, 0, 10, ""), Some("string<=10")),
+            ((1 + 144, 0, 0, "a/msg/B"), Some("a/B[]")),
+            ((1, 0, 0, "a/srv/B_Request"), Some("a/srv/B_Request")),
+            ((15, 0, 0, ""), Some("bool")),
+            ((16, 0, 0, ""), Some("byte")),
+            // A long double, a char of IDL, a text of fixed length, and none.
+            ((12, 0, 0, ""), None),
+            ((13, 0, 0, ""), None),
+            ((19, 0, 0, ""), None),
+            ((0, 0, 0, ""), None),
+            ((48 * 4 + 2, 0, 0, ""), None),
+        ];
+        for ((number, capacity, bound, nested), expected) in cases {
+            assert_eq!(kind(number, capacity, bound, nested).as_deref(), expected, "{number}");
+        }
+    }
+
     #[test]
     fn what_helps_nobody_is_refused_with_a_reason() {
-        let said = |sources: &[(&str, &str, &str)]| match answer(&reply(None, sources), None, GRIP.0) {
-            Some(Answer::Refused(reason)) => reason,
-            other => panic!("{other:?}"),
-        };
-        assert!(said(&[JAW]).contains("without the text"));
-        assert!(said(&[GRIP, (JAW.0, "idl", "module x {};")]).contains("another language"));
-        let long = "x".repeat(LONGEST_TEXT);
-        assert!(said(&[(GRIP.0, "msg", &long)]).contains("longer"));
         let whole = reply(None, &[GRIP, JAW]);
-        for end in 0..whole.len() - 8 {
+        let second = whole.windows(JAW.0.len()).position(|part| part == JAW.0.as_bytes()).expect("there") + 40;
+        for end in 0..second {
             assert!(matches!(answer(&whole[..end], None, GRIP.0), Some(Answer::Refused(_))), "{end}");
         }
+        assert!(matches!(answer(&whole, None, "rig_msgs/msg/Other"), Some(Answer::Refused(_))), "of another type");
         // No byte makes it take what is not there.
         for place in 4..whole.len() {
             for byte in [0, 1, 0x7f, 0xff] {

@@ -1,11 +1,11 @@
 //! What is offered, what is requested, and how much is kept.
 
 use rustdds::discovery::PublicationBuiltinTopicData;
-use rustdds::policy::{DataRepresentation, Durability, History, Reliability, ResourceLimits};
+use rustdds::policy::{self, DataRepresentation, Durability, History, Reliability, ResourceLimits};
 use rustdds::qos::policy::{XCDR_DATA_REPRESENTATION, XCDR2_DATA_REPRESENTATION};
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder};
 
-use crate::pipe::read::Quality;
+use crate::pipe::read::{Liveliness, Quality};
 
 /// Samples of a topic kept before the size of one is known.
 pub const FIRST_DEPTH: usize = 16;
@@ -19,17 +19,29 @@ const ALL_BYTES: usize = 256 << 20;
 
 /// A writer's offer.
 pub fn offered(told: &PublicationBuiltinTopicData) -> Quality {
-    let nanoseconds = |duration: Duration| {
-        let endless = duration >= Duration::INFINITE;
-        u64::try_from(duration.to_nanoseconds()).ok().filter(|_| !endless)
-    };
     Quality {
         // A writer that does not say so is reliable, by the standard's default.
         reliable: !matches!(told.reliability, Some(Reliability::BestEffort)),
         latched: told.durability.is_some_and(|durability| durability >= Durability::TransientLocal),
         deadline: told.deadline.and_then(|deadline| nanoseconds(deadline.0)),
         lifespan: told.lifespan.and_then(|lifespan| nanoseconds(lifespan.duration)),
+        liveliness: match told.liveliness {
+            None | Some(policy::Liveliness::Automatic { .. }) => Liveliness::Automatic,
+            Some(policy::Liveliness::ManualByParticipant { .. }) => Liveliness::ManualByParticipant,
+            Some(policy::Liveliness::ManualByTopic { .. }) => Liveliness::ManualByTopic,
+        },
+        lease: told.liveliness.and_then(|liveliness| nanoseconds(liveliness.duration())),
     }
+}
+
+/// The nanoseconds that were rounded down to a fraction of a second in 2^32 parts; `None` for an endless time.
+fn nanoseconds(duration: Duration) -> Option<u64> {
+    if duration >= Duration::INFINITE {
+        return None;
+    }
+    let least = duration.to_nanoseconds();
+    let is_next = Duration::from_nanos(least.saturating_add(1)) == duration;
+    u64::try_from(least.saturating_add(i64::from(is_next))).ok()
 }
 
 /// What all writers of a topic can provide.
@@ -103,6 +115,23 @@ mod tests {
         let mut long = told(None, None);
         long.deadline = Some(rustdds::policy::Deadline(Duration::INFINITE));
         assert_eq!(offered(&long).deadline, None);
+    }
+
+    #[test]
+    fn what_is_said_is_told_to_the_nanosecond() {
+        let mut told =
+            PublicationBuiltinTopicData::new(rustdds::GUID::from_bytes([1; 16]), None, "a".into(), "b".into(), None);
+        for nanoseconds in [1, 100_000_000, 999_999_999, 1_000_000_000, 2_300_000_001, 86_400_000_000_007] {
+            let length = i64::try_from(nanoseconds).map(Duration::from_nanos).expect("small");
+            told.deadline = Some(policy::Deadline(length));
+            told.liveliness = Some(policy::Liveliness::ManualByTopic { lease_duration: length });
+            let offer = offered(&told);
+            assert_eq!((offer.deadline, offer.lease), (Some(nanoseconds), Some(nanoseconds)));
+            assert_eq!(offer.liveliness, Liveliness::ManualByTopic);
+        }
+        told.liveliness = Some(policy::Liveliness::ManualByParticipant { lease_duration: Duration::INFINITE });
+        let offer = offered(&told);
+        assert_eq!((offer.liveliness, offer.lease), (Liveliness::ManualByParticipant, None));
     }
 
     #[test]

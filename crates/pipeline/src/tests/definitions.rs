@@ -47,3 +47,42 @@ async fn the_first_of_many_definitions_is_found() {
         assert_eq!(reader.definition_text(&row, &opened).await.expect("read"), Some(text(number)));
     }
 }
+
+const RIG: &str = "rig_msgs/msg/Grip";
+const FORCE: &str = "float64 force\n";
+
+/// A message of a type of ROS 2 with this hash that names a definition, and the definition's record before it.
+fn pair_of_two(line: &Line, seq: u64, definition: &str, hash: &str) -> [SealedRecord; 2] {
+    let tags = [("encoding", "cdr"), ("mcap.channel.topic_type_hash", hash)];
+    let tags: std::collections::BTreeMap<_, _> = tags.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
+    let of = |body: &[u8]| Head { type_name: RIG.into(), md5sum: "*".into(), tags: tags.clone(), ..head(body) };
+    let of_message = Head { definition: Digest(sm3(&[definition.as_bytes()])), ..of(b"message") };
+    let text = (&of(definition.as_bytes()), definition.as_bytes());
+    [
+        sealed_as(RecordKind::Definition, &line.owner, seq, Vec::new(), text, None),
+        sealed_as(RecordKind::Data, &line.owner, seq + 1, Vec::new(), (&of_message, b"message"), None),
+    ]
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_definition_that_comes_later_serves_the_messages_before_it() {
+    let line = Line::new().await;
+    line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+    line.owner.seal_under(line.network.domain, 1).expect("seals");
+    let own = crate::ros::message::type_hash(RIG, FORCE).expect("a definition");
+    let other = crate::ros::message::type_hash(RIG, "float64 power\n").expect("a definition");
+    let (before, foreign, after) =
+        (pair_of_two(&line, 1, "", &own), pair_of_two(&line, 3, "", &other), pair_of_two(&line, 5, FORCE, &own));
+    let messages = [&before, &foreign, &after].map(|[_, message]| message.digest);
+    for sealed in [before, foreign, after].into_iter().flatten() {
+        let row = NewRecord::foreign(sealed, Address([8; 20]));
+        line.plant.keep([row], |row| line.plant.ledger.append(row.into())).expect("taken");
+    }
+    let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
+    for (digest, expected) in messages.into_iter().zip([FORCE, "", FORCE]) {
+        let row = line.plant.ledger.record(digest).expect("read").expect("there");
+        let opened = reader.own_contents(&row).expect("read").expect("opens");
+        assert_eq!(reader.own_definition(&row, &opened).expect("read").as_deref(), Some(expected));
+        assert_eq!(reader.definition_text(&row, &opened).await.expect("read").as_deref(), Some(expected));
+    }
+}

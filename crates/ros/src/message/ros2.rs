@@ -10,6 +10,7 @@ mod schema;
 
 pub(super) use built_in::text_of as interface;
 pub use folder::{Folders, Source};
+pub(in super::super) use schema::plain_text;
 
 use super::definition::{Definition, Field, Kind, Layout, element_size};
 use super::line::Arity;
@@ -42,6 +43,12 @@ impl Definition {
 /// [`RosError::Definition`] if the text is not a definition of `type_name`.
 pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
     Schema::parse(type_name, text).map(|schema| hash::of(&schema))
+}
+
+/// Whether the definition built into this program has this hash.
+pub fn is_built_in(type_name: &str, hash: &str) -> bool {
+    let text = Folders::default().text_of(type_name);
+    text.is_ok_and(|(text, _)| type_hash(type_name, &text).is_ok_and(|found| found == hash))
 }
 
 fn layout(interface: &Interface, known: &[Layout]) -> Layout {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Encoding;
 use crate::ros::RosError;
-use crate::ros::message::{Definition, Folders, Source, built_in_definition, type_hash};
+use crate::ros::message::{Definition, Folders, Source, built_in_definition, plain_text, type_hash};
 
 /// MCAP's name for the hash of a channel's type.
 pub const TYPE_HASH: &str = "topic_type_hash";
@@ -20,7 +20,7 @@ pub struct TypeFacts<'a> {
     pub text: Option<&'a str>,
     /// Its md5sum (ROS 1); `*` or empty if nobody said.
     pub md5sum: &'a str,
-    /// Its hash, as given in the recording.
+    /// Its hash, as given in the recording; an empty one is none.
     pub hash: Option<&'a str>,
 }
 
@@ -36,7 +36,9 @@ pub struct Described {
 impl Described {
     /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`, or built in.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
-        let facts = TypeFacts { text: facts.text.filter(|text| says_something(text, facts)), ..facts };
+        let text = facts.text.filter(|text| says_something(text, facts));
+        let text = text.map(|text| plain_text(facts.name, text));
+        let facts = TypeFacts { text: text.as_deref(), hash: facts.hash.filter(|hash| !hash.is_empty()), ..facts };
         match own(facts).or_else(|error| completed(facts, folders).ok_or(error)) {
             Ok((definition, note)) => {
                 Self { definition: Some(Arc::new(definition)), note: note.or_else(|| differs(facts)) }
@@ -183,6 +185,7 @@ mod tests {
         let said = |encoding, text, hash| described(encoding, text, hash, &none);
         assert_eq!(said(MSG, Some("string data"), Some(STRING)), (true, String::new()));
         assert_eq!(said(MSG, Some("string data"), None), (true, String::new()));
+        assert_eq!(said(MSG, Some("string<=9 data"), Some("")), (true, String::new()), "no hash");
         let (found, note) = said(MSG, Some("string<=9 data"), Some(STRING));
         assert!(found && note.contains("values may be wrong") && note.contains(STRING), "{note}");
         let (found, note) = own_kind(IDL, Some("module a {};"));
@@ -242,6 +245,26 @@ mod tests {
         }
         let (known, note) = described(MSG, Some(""), None, &Folders::default());
         assert!(known && note.contains("built into this program"), "a CDR body without a definition: {note}");
+    }
+
+    #[test]
+    fn the_event_of_a_service_is_read_by_the_service_s_own_text() {
+        const NAME: &str = "rcl_interfaces/srv/SetParameters_Event";
+        // By ROS 2 Jazzy.
+        const HASH: &str = "RIHS01_5060f52369bcff7f9dbd6eca21ee521859e471e71b33a8a8df26d5236fe54a80";
+        const OWN: &str =
+            "# A list.\nParameter[] parameters\n\n---\n# Whether, and why.\nSetParametersResult[] results\n";
+        let rule = "=".repeat(80);
+        let nested =
+            format!("{OWN}\n{rule}\nMSG: rcl_interfaces/SetParametersResult\nbool successful\nstring reason\n");
+        for text in [OWN.to_owned(), format!("{rule}\nSRV: rcl_interfaces/srv/SetParameters\n{OWN}"), nested] {
+            let plain = plain_text(NAME, &text);
+            let (whole, _) = Folders::default().complete(NAME, &plain).expect("all is built in");
+            assert_eq!(type_hash(NAME, &whole).expect("a definition"), HASH);
+            let facts = TypeFacts { name: NAME, encoding: MSG, text: Some(&text), hash: Some(HASH), md5sum: "*" };
+            let described = Described::of(facts, &Folders::default());
+            assert!(described.definition.is_some(), "{:?}", described.note);
+        }
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! Definitions of types that are not built in, requested from the nodes that publish them (`~/get_type_description`). A text
-//! is accepted only if its hash is the one that the publisher announced.
+//! is accepted only if its hash is the one that the publisher announced. A node of ROS 2 gives its texts with characters beyond
+//! ASCII escaped, and cut by as many; what is written from its structured description counts then.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use crate::model::clean;
 use crate::pipe::read::{Wish, Writer};
-use crate::ros::message::{Folders, type_hash};
+use crate::ros::message::{is_built_in, type_hash};
 
 /// The most types that are asked for.
 const MOST_TYPES: usize = 4096;
@@ -29,11 +30,6 @@ pub struct Descriptions(HashMap<(String, String), Description>);
 
 fn key(writer: &Writer) -> Option<(String, String)> {
     Some((writer.type_name.clone(), writer.type_hash.clone()?))
-}
-
-fn is_built_in(type_name: &str, hash: &str) -> bool {
-    let text = Folders::default().text_of(type_name);
-    text.is_ok_and(|(text, _)| type_hash(type_name, &text).is_ok_and(|found| found == hash))
 }
 
 impl Descriptions {
@@ -61,33 +57,50 @@ impl Descriptions {
         }
     }
 
-    /// Takes a node's answer; whether a text is known now that was not before.
+    /// Takes a node's answer, of which the first text that has the hash counts; whether one is known now that was not before.
     ///
     /// # Errors
-    /// What is wrong with the text, in words.
-    pub fn take(&mut self, node: &str, (type_name, hash): (String, String), text: Vec<u8>) -> Result<bool, String> {
+    /// What is wrong with the texts, in words.
+    pub fn take(
+        &mut self,
+        node: &str,
+        (type_name, hash): (String, String),
+        texts: [Vec<u8>; 2],
+    ) -> Result<bool, String> {
         let Some(Description::Asked(asked)) = self.0.get(&(type_name.clone(), hash.clone())) else { return Ok(false) };
         if !asked.values().any(|known| known == node) {
             return Ok(false);
         }
-        let text = String::from_utf8(text).map_err(|_| "the definition it gave is no text".to_owned())?;
-        match type_hash(&type_name, &text) {
-            Ok(found) if found == hash => {
-                self.0.insert((type_name, hash), Description::Known(text.into()));
-                Ok(true)
+        let mut wrong = None;
+        for text in texts.into_iter().filter(|text| !text.is_empty()) {
+            match fitting(&type_name, &hash, text) {
+                Ok(text) => {
+                    self.0.insert((type_name, hash), Description::Known(text.into()));
+                    return Ok(true);
+                }
+                Err(reason) => drop(wrong.get_or_insert(reason)),
             }
-            Ok(found) => Err(format!(
-                "the definition it gave of {} has the hash {found}, its messages have {}; it is not used",
-                clean(&type_name, 255),
-                clean(&hash, 80)
-            )),
-            Err(error) => Err(format!("the definition it gave is not used: {}", clean(&error.to_string(), 300))),
         }
+        Err(wrong.unwrap_or_else(|| "the definition it gave is empty".to_owned()))
     }
 
     /// The program that asks was started anew: who has not answered is asked again.
     pub fn ask_again(&mut self) {
         self.0.retain(|_, known| !matches!(known, Description::Asked(_)));
+    }
+}
+
+/// A text, if it has the hash.
+fn fitting(type_name: &str, hash: &str, text: Vec<u8>) -> Result<String, String> {
+    let text = String::from_utf8(text).map_err(|_| "the definition it gave is no text".to_owned())?;
+    match type_hash(type_name, &text) {
+        Ok(found) if found == hash => Ok(text),
+        Ok(found) => Err(format!(
+            "the definition it gave of {} has the hash {found}, its messages have {}; it is not used",
+            clean(type_name, 255),
+            clean(hash, 80)
+        )),
+        Err(error) => Err(format!("the definition it gave is not used: {}", clean(&error.to_string(), 300))),
     }
 }
 
@@ -126,19 +139,23 @@ mod tests {
         let mut descriptions = Descriptions::default();
         let grip = writer("/hand", "rig_msgs/msg/Grip", Some(GRIP));
         let asked = || ("rig_msgs/msg/Grip".to_owned(), GRIP.to_owned());
-        assert_eq!(descriptions.take("/hand", asked(), whole().into_bytes()), Ok(false), "nobody asked");
+        let own = |text: Vec<u8>| [text, Vec::new()];
+        assert_eq!(descriptions.take("/hand", asked(), own(whole().into_bytes())), Ok(false), "nobody asked");
         let (type_name, type_hash) = asked();
         let wish = Wish::Describe { node: "/hand".into(), type_name, type_hash };
         assert_eq!((descriptions.wanted(&grip), descriptions.wanted(&grip)), (Some(wish), None), "once");
-        assert_eq!(descriptions.take("/other", asked(), whole().into_bytes()), Ok(false), "another was asked");
+        assert_eq!(descriptions.take("/other", asked(), own(whole().into_bytes())), Ok(false), "another was asked");
         let lie = whole().replace("float64 force", "float64 power");
-        let refused = descriptions.take("/hand", asked(), lie.into_bytes()).expect_err("a lie");
+        let refused = descriptions.take("/hand", asked(), own(lie.clone().into_bytes())).expect_err("a lie");
         assert!(refused.contains("not used") && refused.contains(GRIP), "{refused}");
-        assert!(descriptions.take("/hand", asked(), vec![0xff]).is_err());
-        assert!(descriptions.take("/hand", asked(), b"no text at all".to_vec()).is_err());
+        assert!(descriptions.take("/hand", asked(), own(vec![0xff])).is_err());
+        assert!(descriptions.take("/hand", asked(), own(b"no text at all".to_vec())).is_err());
         assert_eq!(&*descriptions.text_of(&grip), "");
         assert!(descriptions.wanted(&writer("/other", "rig_msgs/msg/Grip", Some(GRIP))).is_some(), "the next is asked");
-        assert_eq!(descriptions.take("/other", asked(), whole().into_bytes()), Ok(true));
+        // As rclpy gives it: escaped, and cut.
+        let cut = whole().replace("force\n", "force # 10\\xc2\\xb0\n").into_bytes();
+        let cut = cut.get(..cut.len() - 12).expect("long").to_vec();
+        assert_eq!(descriptions.take("/other", asked(), [cut, whole().into_bytes()]), Ok(true));
         assert_eq!(&*descriptions.text_of(&grip), whole());
         assert_eq!(descriptions.wanted(&writer("/third", "rig_msgs/msg/Grip", Some(GRIP))), None);
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::model::{Timestamp, clean};
-use crate::pipe::read::{Quality, Writer};
+use crate::pipe::read::{Liveliness, Quality, Writer};
 use crate::ros::capture::next_number;
 use crate::ros::recording::{TYPE_HASH, tags};
 use crate::ros::ros2::identity::{Held, Pulse};
@@ -202,7 +202,8 @@ fn low(number: i64) -> u32 {
     u32::try_from(number & i64::from(u32::MAX)).unwrap_or(0)
 }
 
-/// A QoS profile in the words of `ros2 bag`. Publishers do not announce history and depth.
+/// A QoS profile in the words of `ros2 bag`, which cannot read one that lacks an entry: what it has no word for is `unknown`.
+/// Publishers do not announce history and depth.
 fn profile(quality: Quality) -> String {
     const ENDLESS: u64 = i64::MAX as u64;
     let word = |yes, one: &'static str, other| if yes { one } else { other };
@@ -212,12 +213,17 @@ fn profile(quality: Quality) -> String {
     };
     format!(
         "- history: unknown\n  depth: 0\n  reliability: {}\n  durability: {}\n  deadline:{}\n  lifespan:{}\n  \
-         liveliness: automatic\n  liveliness_lease_duration:{}\n  avoid_ros_namespace_conventions: false",
+         liveliness: {}\n  liveliness_lease_duration:{}\n  avoid_ros_namespace_conventions: false",
         word(quality.reliable, "reliable", "best_effort"),
         word(quality.latched, "transient_local", "volatile"),
         time(quality.deadline),
         time(quality.lifespan),
-        time(None),
+        match quality.liveliness {
+            Liveliness::Automatic => "automatic",
+            Liveliness::ManualByParticipant => "unknown",
+            Liveliness::ManualByTopic => "manual_by_topic",
+        },
+        time(quality.lease),
     )
 }
 
@@ -231,7 +237,13 @@ mod tests {
             topic: "/robot1/odom".into(),
             type_name: "nav_msgs/msg/Odometry".into(),
             type_hash: Some(format!("RIHS01_{}", "ab".repeat(32))),
-            quality: Quality { reliable: false, latched: true, deadline: None, lifespan: Some(1_500_000_000) },
+            quality: Quality {
+                latched: true,
+                lifespan: Some(1_500_000_000),
+                liveliness: Liveliness::ManualByTopic,
+                lease: Some(2_000_000_000),
+                ..Quality::default()
+            },
             node: None,
             naming: false,
             vendor: "cyclonedds".into(),
@@ -251,6 +263,8 @@ mod tests {
         let profile = tag("mcap.channel.offered_qos_profiles").expect("a profile");
         assert!(profile.contains("reliability: best_effort\n  durability: transient_local\n"), "{profile}");
         assert!(profile.contains("lifespan:\n    sec: 1\n    nsec: 500000000\n"), "{profile}");
+        let lively = "liveliness: manual_by_topic\n  liveliness_lease_duration:\n    sec: 2\n    nsec: 0\n";
+        assert!(profile.contains(lively), "{profile}");
         assert!(profile.contains("deadline:\n    sec: 9223372036\n    nsec: 854775807\n"), "{profile}");
         assert_eq!((&*message.caller_id, message.latching), ("/unnamed_cyclonedds", true));
         assert_eq!((publisher.origin.host.as_str(), publisher.origin.md5sum.len()), ("domain7", 64));

@@ -105,8 +105,10 @@ impl State {
                 publisher: format!("ROS 2 domain {}", self.domain),
                 reason: clean(&reason, LONGEST_REASON),
             }),
-            Told::Described { node, type_name, type_hash, reason: None } => {
-                self.described(&node, (type_name, type_hash), payload, &mut outcome);
+            Told::Described { node, type_name, type_hash, structured, reason: None } => {
+                let own = payload.get(structured as usize..).unwrap_or_default().to_vec();
+                let structure = payload.get(..structured as usize).unwrap_or_default().to_vec();
+                self.described(&node, (type_name, type_hash), [own, structure], &mut outcome);
             }
             // Opening a message tells why it has no fields.
             Told::Described { .. } => {}
@@ -220,10 +222,10 @@ impl State {
     }
 
     /// From now on messages of the type come with the text.
-    fn described(&mut self, node: &str, kind: (String, String), text: Vec<u8>, outcome: &mut Outcome) {
+    fn described(&mut self, node: &str, kind: (String, String), texts: [Vec<u8>; 2], outcome: &mut Outcome) {
         let of_kind = |writer: &Writer| writer.type_name == kind.0 && writer.type_hash.as_ref() == Some(&kind.1);
         let of_node = |writer: &Writer| of_kind(writer) && writer.node.as_deref() == Some(node);
-        match self.descriptions.take(node, kind.clone(), text) {
+        match self.descriptions.take(node, kind.clone(), texts) {
             Ok(false) => {}
             Ok(true) => {
                 for publisher in self.publishers.values_mut().filter(|known| of_kind(&known.writer)) {
@@ -451,7 +453,7 @@ mod tests {
         take(&mut state, hello(), &[]);
         assert!(asked(&take(&mut state, grip, &[]).wishes));
         let (node, type_name) = ("/talker".to_owned(), "rig_msgs/msg/Grip".to_owned());
-        let described = Told::Described { node, type_name, type_hash: HASH.into(), reason: None };
+        let described = Told::Described { node, type_name, type_hash: HASH.into(), structured: 0, reason: None };
         let lie = take(&mut state, described.clone(), b"float64 force\n");
         assert!(matches!(lie.notices[..], [CaptureNotice::Contradiction { .. }]), "{lie:?}");
         assert!(take(&mut state, described, TEXT.as_bytes()).notices.is_empty());

@@ -53,6 +53,7 @@ pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
 pub use devices::enrolling::EnrolWishes;
+pub use evidence::definition_of;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
 

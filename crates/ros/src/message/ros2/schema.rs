@@ -1,6 +1,8 @@
 //! A ROS 2 definition with every nested type resolved. A definition that parses has no cycles and bounded depth and
 //! size.
 
+use std::borrow::Cow;
+
 use super::super::definition::{LONGEST_DEFINITION, MOST_TYPES};
 use super::super::line::Primitive;
 use super::super::nesting::{Nesting, Texts};
@@ -85,6 +87,25 @@ pub(super) fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, 
         texts.entry(name).or_insert(lines);
     }
     Ok(texts)
+}
+
+/// The text of a type in MCAP's form. rosbag2 describes the event of a service (`package/srv/Type_Event`) by the service's own
+/// text, in which a line of dashes divides request and response.
+pub(in super::super::super) fn plain_text<'a>(type_name: &str, text: &'a str) -> Cow<'a, str> {
+    const RULE: &str = "================================================================================";
+    let service = type_name.strip_suffix("_Event").filter(|name| name.contains("/srv/"));
+    let headless = || text.strip_prefix(RULE)?.trim_start().strip_prefix("SRV: ")?.split_once('\n');
+    let content = headless().map_or(text, |(_, rest)| rest);
+    let (own, others) = content.find("\n====").map_or((content, ""), |end| content.split_at(end));
+    let is_divider = |line: &str| line.trim_end() == "---";
+    let Some(service) = service.filter(|_| own.lines().any(is_divider)) else { return text.into() };
+    let lines: Vec<&str> = own.lines().collect();
+    let request = lines.split(|line| is_divider(line)).next().unwrap_or_default();
+    let response = lines.get(request.len() + 1..).unwrap_or_default();
+    let part = |name: &str, lines: &[&str]| format!("{RULE}\nMSG: {service}_{name}\n{}\n", lines.join("\n"));
+    let members = ["Request", "Response"].map(|name| format!("{service}_{name}[<=1] {}\n", name.to_lowercase()));
+    let (members, request, response) = (members.concat(), part("Request", request), part("Response", response));
+    format!("service_msgs/ServiceEventInfo info\n{members}{request}{response}{}", others.trim_start()).into()
 }
 
 /// `package/msg/Type` from any way of writing the name; a bare name belongs to the package it occurs in.

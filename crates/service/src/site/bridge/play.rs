@@ -17,8 +17,8 @@ use super::names::Names;
 use super::pacer::{Pacer, TICK};
 use super::target::{Form, Target};
 use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{Address, Digest, ErrorKind, Hash, Scope, Timestamp, clean};
-use crate::pipeline::reader::{Reader, is_held};
+use crate::model::{Address, ErrorKind, Hash, Scope, Timestamp, clean};
+use crate::pipeline::reader::{Definitions, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::event::NoticeLevel;
@@ -45,9 +45,8 @@ const FAREWELL: Duration = Duration::from_secs(5);
 /// Interval between registrations at the master, and between looks at the child process.
 const REGISTERING: Duration = Duration::from_secs(5);
 
-/// The most reasons of refusals reported, and the most definitions kept in memory.
+/// The most reasons of refusals reported.
 const MOST_REASONS: usize = 20;
-const MOST_DEFINITIONS: usize = 1024;
 
 const NO_RIGHT: &str = "no active grant covers it, or no key of this profile opens it";
 
@@ -103,7 +102,7 @@ pub(super) struct Play<'a> {
     ends: Ends,
     pacer: Pacer,
     clock: Option<String>,
-    definitions: HashMap<(Address, Digest), Arc<str>>,
+    definitions: Definitions,
     rights_at: Instant,
     keys: Keys,
     registered_at: Instant,
@@ -142,7 +141,7 @@ impl<'a> Play<'a> {
             ends,
             pacer: Pacer::new(wishes.pace),
             clock: None,
-            definitions: HashMap::new(),
+            definitions: Definitions::default(),
             rights_at: now,
             keys: Keys::default(),
             registered_at: now,

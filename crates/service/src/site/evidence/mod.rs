@@ -7,6 +7,7 @@ mod proofs;
 mod tests;
 mod time;
 
+pub use self::page::definition_of;
 pub(in crate::site) use self::proofs::ChainProofs;
 pub(in crate::site) use self::time::TimeStamps;
 

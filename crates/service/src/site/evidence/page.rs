@@ -3,12 +3,16 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::sync::Arc;
 
 use authros_evidence::{Bundle, RecordReport, Report};
 
 use super::figure::{data_uri, plot};
-use crate::model::clean;
+use crate::model::{Head, clean};
+use crate::pipeline::importer;
+use crate::ros::message::{Folders, type_hash};
 use crate::ros::readable::{self, Readable};
+use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::ros::{Definition, Limits};
 use crate::service::reply::IncidentView;
 
@@ -240,11 +244,24 @@ fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport
     out.push_str("</section>\n");
 }
 
+/// The definition of a disclosed message: the one that its head names, or one that has its type's hash, or one built into this
+/// program with that hash.
+pub fn definition_of(bundle: &Bundle, head: &Head) -> Option<Arc<Definition>> {
+    let about = importer::about(&head.tags);
+    let (hash, encoding) = (about.get(TYPE_HASH).map(|hash| &**hash), importer::encoding(&head.tags));
+    let has_hash = |text: &&String| hash.is_some() && type_hash(&head.type_name, text).ok().as_deref() == hash;
+    let named = bundle.definitions.get(&head.definition).filter(|text| !text.is_empty());
+    let text = named.or_else(|| bundle.definitions.values().find(has_hash)).map(String::as_str);
+    // Nothing would show that a built-in one is the message's.
+    text.or(hash)?;
+    let facts = TypeFacts { name: &head.type_name, encoding, text, hash, md5sum: &head.md5sum };
+    Described::of(facts, &Folders::default()).definition
+}
+
 /// The message's values: in readable form for a known type, otherwise field by field.
 fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
     let Some(revealed) = report.messages.get(&record.digest) else { return };
-    let text = bundle.definitions.get(&revealed.head.definition);
-    let Some(definition) = text.and_then(|text| Definition::parse(&revealed.head.type_name, text).ok()) else {
+    let Some(definition) = definition_of(bundle, &revealed.head) else {
         out.push_str("<p>Its fields are not shown: its definition is not in the file.</p>\n");
         return;
     };

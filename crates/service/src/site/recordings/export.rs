@@ -8,8 +8,8 @@ use tokio::task::block_in_place;
 use super::writing::Draft;
 use super::{Recordings, Run};
 use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
-use crate::pipeline::reader::{Reader, is_held};
+use crate::model::{Address, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
+use crate::pipeline::reader::{Definitions, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
 use crate::service::command::ExportWishes;
@@ -24,15 +24,12 @@ const PAGE: usize = 500;
 /// The most suspicious records that are named.
 const MOST_NAMED: usize = 100;
 
-/// The most definitions kept in memory.
-const MOST_DEFINITIONS: usize = 1024;
-
 /// An export under way.
 struct Export<'a> {
     wishes: &'a ExportWishes,
     writer: RecordingWriter,
     channels: HashMap<Channel, Arc<Channel>>,
-    definitions: HashMap<(Address, Digest), Option<Arc<str>>>,
+    definitions: Definitions,
     topics: BTreeMap<(String, String), u64>,
     /// Topics whose definitions a node gave.
     given: BTreeSet<String>,
@@ -149,7 +146,7 @@ impl<'a> Export<'a> {
             given: Vec::new(),
             topics: Vec::new(),
         };
-        let (channels, definitions) = (HashMap::new(), HashMap::new());
+        let (channels, definitions) = (HashMap::new(), Definitions::default());
         let (topics, given) = (BTreeMap::new(), BTreeSet::new());
         Self { wishes, writer, channels, definitions, topics, given, view }
     }
@@ -188,7 +185,7 @@ impl<'a> Export<'a> {
             *if is_message { &mut refused.unsuitable } else { &mut refused.attachments } += 1;
             return Ok(());
         }
-        let definition = if is_message { self.definition(reader, row, &opened).await? } else { Some("".into()) };
+        let definition = if is_message { self.definitions.text(reader, row, &opened).await? } else { Some("".into()) };
         let Some(definition) = definition else {
             self.view.refused.no_definition += 1;
             return Ok(());
@@ -238,27 +235,6 @@ impl<'a> Export<'a> {
             self.view.suspicious.push(row.id.clone());
         }
         Ok(())
-    }
-
-    async fn definition(
-        &mut self,
-        reader: &Reader<'_>,
-        row: &RecordRow,
-        opened: &OpenedRecord,
-    ) -> Result<Option<Arc<str>>, Failure> {
-        let key = (row.owner, opened.head.definition);
-        if let Some(known) = self.definitions.get(&key) {
-            return Ok(known.clone());
-        }
-        let text: Option<Arc<str>> = reader.definition_text(row, opened).await?.map(Arc::from);
-        if self.definitions.len() >= MOST_DEFINITIONS {
-            self.definitions.clear();
-        }
-        // Another epoch's record may hold what is not readable in this one, so only what was found is kept.
-        if text.is_some() {
-            self.definitions.insert(key, text.clone());
-        }
-        Ok(text)
     }
 
     fn finish(mut self, draft: Draft) -> Result<ExportView, Failure> {

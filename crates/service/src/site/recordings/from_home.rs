@@ -1,7 +1,7 @@
 //! Every message of another home sealed anew: its records are opened with the same keys and without its chain, and
 //! become records of this home, with their own capture times. Nothing in the other home changes.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use super::{Recordings, Run};
 use crate::chain::SEAL_ANEW;
 use crate::config::Config;
 use crate::crypto::OpenedRecord;
-use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicId, clean};
+use crate::model::{RecordKind, RecordState, Timestamp, clean};
 use crate::paths::Home;
 use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
-use crate::pipeline::reader::Reader;
+use crate::pipeline::reader::{Definitions, Reader};
 use crate::pipeline::{CaptureSession, Network, Owner, Plant};
 use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
 use crate::service::command::HomeWishes;
@@ -25,9 +25,6 @@ use crate::store::{Ledger, RecordQuery, RecordRow, SiteLock, open_vault};
 
 /// Records requested from the other ledger at a time.
 const PAGE: usize = 500;
-
-/// The most definitions kept in memory.
-const MOST_DEFINITIONS: usize = 1024;
 
 /// Another home, open for reading.
 struct OldHome {
@@ -119,7 +116,7 @@ impl Recordings {
         let mut moving = Moving {
             there: Reader { plant: &old.plant, network: &old.network, reader: owner },
             here: Reader { plant: &self.plant, network, reader: owner },
-            definitions: HashMap::new(),
+            definitions: Definitions::default(),
         };
         let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, Vec::new());
         let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
@@ -220,7 +217,7 @@ enum Found {
 struct Moving<'a> {
     there: Reader<'a>,
     here: Reader<'a>,
-    definitions: HashMap<(TopicId, Digest), Arc<str>>,
+    definitions: Definitions,
 }
 
 impl Moving<'_> {
@@ -241,7 +238,7 @@ impl Moving<'_> {
             return Ok(Found::Here(opened.head.topic));
         }
         let definition = match opened.header.kind {
-            RecordKind::Data => self.definition(row, &opened)?,
+            RecordKind::Data => self.definitions.own_text(&self.there, row, &opened)?.unwrap_or_default(),
             _ => "".into(),
         };
         let OpenedRecord { header, head, body, digest, .. } = opened;
@@ -289,18 +286,5 @@ impl Moving<'_> {
                 return Ok(false);
             }
         }
-    }
-
-    fn definition(&mut self, row: &RecordRow, opened: &OpenedRecord) -> Result<Arc<str>, Failure> {
-        let key = (row.topic_id, opened.head.definition);
-        if let Some(known) = self.definitions.get(&key) {
-            return Ok(Arc::clone(known));
-        }
-        let text: Arc<str> = self.there.own_definition(row, opened)?.unwrap_or_default().into();
-        if self.definitions.len() >= MOST_DEFINITIONS {
-            self.definitions.clear();
-        }
-        self.definitions.insert(key, Arc::clone(&text));
-        Ok(text)
     }
 }

@@ -1,11 +1,10 @@
 //! How a record is played, or why it is not.
 
-use std::sync::Arc;
-
-use super::{Checked, MOST_DEFINITIONS, Play};
+use super::{Checked, Play};
 use crate::crypto::OpenedRecord;
 use crate::model::{Verdict, clean};
 use crate::pipeline::importer;
+use crate::pipeline::reader::Reader;
 use crate::ros::Advertised;
 use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
@@ -55,26 +54,12 @@ impl Play<'_> {
         topic: String,
         latching: bool,
     ) -> Result<Result<Form, String>, Failure> {
-        let Some(definition) = self.definition(item, record).await? else {
+        let reader = Reader { plant: &self.bridge.plant, network: &self.network, reader: self.owner };
+        let Some(definition) = self.definitions.text(&reader, &item.row, record).await? else {
             return Ok(Err("no readable record contains the definition of its type".to_owned()));
         };
         let (type_name, md5sum) = (record.head.type_name.clone(), record.head.md5sum.clone());
         Ok(Ok(Form::One(Advertised { topic, type_name, md5sum, definition: definition.to_string(), latching })))
-    }
-
-    async fn definition(&mut self, item: &Item, record: &OpenedRecord) -> Result<Option<Arc<str>>, Failure> {
-        let key = (item.row.owner, record.head.definition);
-        if let Some(known) = self.definitions.get(&key) {
-            return Ok(Some(Arc::clone(known)));
-        }
-        let text: Option<Arc<str>> = self.reader().definition_text(&item.row, record).await?.map(Arc::from);
-        if self.definitions.len() >= MOST_DEFINITIONS {
-            self.definitions.clear();
-        }
-        if let Some(text) = &text {
-            self.definitions.insert(key, Arc::clone(text));
-        }
-        Ok(text)
     }
 }
 
