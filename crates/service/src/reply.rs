@@ -39,7 +39,7 @@ pub use self::parties::{
 };
 pub use self::playing::{PlayEnd, PlayedView};
 pub use self::recordings::{
-    ExportView, ExportedTopic, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView, ProgressView, RecordingReply,
+    ExportView, ExportedTopic, FollowView, FollowedFile, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView, ProgressView, RecordingReply,
     Refused,
 };
 pub use self::records::{
