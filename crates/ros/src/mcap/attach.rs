@@ -185,7 +185,7 @@ mod tests {
         });
         let mut writer = McapWriter::begin(Cursor::new(Vec::new()), ChunkCompression::Lz4).expect("begun");
         for number in 0..messages {
-            writer.write(&channel, Timestamp(1_000 + number), &[7; 300_000]).expect("written");
+            writer.write(&channel, Timestamp(1_000 + number), &vec![7; 300_000]).expect("written");
         }
         writer.finish().expect("finished").into_inner()
     }
@@ -215,12 +215,14 @@ mod tests {
         let (last, proof) = (found.pop().expect("attached"), found.pop().expect("attached"));
         assert_eq!(found, messages);
         for (attached, data) in [(proof, &b"proof"[..]), (last, b"another")] {
-            let Some(BesideContent::File(attached)) = Beside::Attachment.parse(&attached.body) else { panic!("a file") };
+            let Some(BesideContent::File(attached)) = Beside::Attachment.parse(&attached.body) else {
+                panic!("a file")
+            };
             assert_eq!((&*attached.name, attached.data, attached.logged_at.0), ("run.mcap.authros", data, 5));
             assert_ne!(attached.checksum, 0);
         }
-        let data_end = before.len() - TAIL as usize;
-        assert!(once.len() > before.len() && once[..data_end / 2] == before[..data_end / 2]);
+        let some = before.len() / 2;
+        assert!(once.len() > before.len() && once[..some] == before[..some]);
     }
 
     #[test]

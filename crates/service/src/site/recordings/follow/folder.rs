@@ -80,7 +80,7 @@ fn gather(folder: &Path, deeper: usize, left: &mut usize, files: &mut Vec<PathBu
 }
 
 fn is_recording(name: &str) -> bool {
-    name.ends_with(".mcap") && !name.ends_with(ATTACHED) && !name.starts_with('.')
+    Path::new(name).extension().is_some_and(|end| end == "mcap") && !name.ends_with(ATTACHED) && !name.starts_with('.')
 }
 
 /// Compares names so that numbers in them count as numbers: `run_9` is before `run_10`.
@@ -107,8 +107,7 @@ fn parts(name: &str) -> Vec<(&str, usize, &str)> {
 pub(super) fn is_followed_by(path: &Path, files: &[PathBuf]) -> bool {
     let Some(folder) = path.parent() else { return false };
     let is_later = |other: &PathBuf| {
-        other.parent() == Some(folder)
-            && in_order(&path.to_string_lossy(), &other.to_string_lossy()) == Ordering::Less
+        other.parent() == Some(folder) && in_order(&path.to_string_lossy(), &other.to_string_lossy()) == Ordering::Less
     };
     has_description(path) || files.iter().any(is_later)
 }

@@ -150,8 +150,7 @@ impl Recordings {
         let (sender, mut due) = mpsc::unbounded_channel();
         let (author, run, stop) = (Arc::clone(owner), Arc::clone(run), Arc::clone(control));
         let reading = blocking(self, move |recordings| {
-            let follower =
-                Follower { recordings, owner: &author, network: &network, wishes: &wishes, control: &stop };
+            let follower = Follower { recordings, owner: &author, network: &network, wishes: &wishes, control: &stop };
             Ok(follow_folder(&follower, &run, &sender))
         });
         tokio::pin!(reading);
@@ -266,9 +265,8 @@ fn open<'a>(
     entries: &mut BTreeMap<PathBuf, Entry<'a>>,
     due: &mpsc::UnboundedSender<Due>,
 ) -> bool {
-    let is_held = |key: &place::FileKey| {
-        entries.values().any(|entry| matches!(entry, Entry::Open(tape) if tape.key == *key))
-    };
+    let is_held =
+        |key: &place::FileKey| entries.values().any(|entry| matches!(entry, Entry::Open(tape) if tape.key == *key));
     let name = follower.name_of(path);
     let entry = match Tape::open(follower, path, files, &is_held) {
         Ok(Opened::NotYet) => return false,

@@ -9,9 +9,9 @@ use authros_evidence::recorded::TAG;
 
 use super::super::Recordings;
 use super::super::import::RECORDING;
+use super::Follower;
 use super::folder::ATTACHED;
 use super::place::{self, FileKey, Place, Standing};
-use super::Follower;
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
@@ -138,8 +138,8 @@ impl Recordings {
 
     /// Looks that the bundle is the file's, attaches it, and keeps that this is done.
     fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<Option<PathBuf>, Failure> {
-        let is_its_own = Bundle::read(target, self.plant.provider)
-            .is_ok_and(|bundle| bundle.records.contains_key(&record));
+        let is_its_own =
+            Bundle::read(target, self.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
         if !is_its_own {
             return Err(input(format!(
                 "{} is there and is not the proof of this file; move it away and follow the folder again",
@@ -173,14 +173,18 @@ fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Fa
     let (draft, out) = super::super::writing::Draft::begin(&copy)?;
     let title = proof.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let source = std::fs::File::open(path).map_err(failed)?;
-    mcap::attach(source, out, &mcap::AttachedFile {
-        logged_at,
-        created_at: Timestamp::now().0,
-        name: title.into(),
-        media_type: MEDIA_TYPE.into(),
-        data: &data,
-        checksum: 0,
-    })?;
+    mcap::attach(
+        source,
+        out,
+        &mcap::AttachedFile {
+            logged_at,
+            created_at: Timestamp::now().0,
+            name: title.into(),
+            media_type: MEDIA_TYPE.into(),
+            data: &data,
+            checksum: 0,
+        },
+    )?;
     draft.place()?;
     Ok(copy)
 }

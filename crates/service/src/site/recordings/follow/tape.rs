@@ -211,9 +211,8 @@ impl<'a> Tape<'a> {
     /// Whether nobody writes it any more, although it was not closed.
     fn is_abandoned(&self, files: &[PathBuf]) -> bool {
         let is_over = self.follower.wishes.until_closed || folder::is_followed_by(&self.path, files);
-        let is_written = || {
-            self.file.metadata().is_ok_and(|metadata| folder::has_writer(metadata.dev(), metadata.ino()))
-        };
+        let is_written =
+            || self.file.metadata().is_ok_and(|metadata| folder::has_writer(metadata.dev(), metadata.ino()));
         is_over && self.grew.elapsed() >= QUIET && !is_written()
     }
 
@@ -325,7 +324,9 @@ impl<'a> Tape<'a> {
         let topic: Arc<str> = BESIDE.into();
         if self.met >= self.doubt || !self.sealed_before.take(&topic, &message)? {
             let mut tags = self.follower.wishes.tags.clone();
-            tags.extend([(RECORDING, self.key.tag.as_str()), TAG].map(|(key, value)| (key.to_owned(), value.to_owned())));
+            tags.extend(
+                [(RECORDING, self.key.tag.as_str()), TAG].map(|(key, value)| (key.to_owned(), value.to_owned())),
+            );
             let mut importer = self.follower.importer(tags);
             let is_taken = importer.take(message, &topic, &|| self.follower.goes_on());
             if !is_taken || !self.is_stored(|_| importer.is_acknowledged()) {
@@ -391,10 +392,7 @@ impl FollowedFile {
         (self.chunks, self.digest, self.is_closed) = (place.chunks, place.digest, place.closed);
         if length != place.at {
             self.is_altered = true;
-            self.notes.push(format!(
-                "it has {length} bytes now, and had {} when its digests were stated",
-                place.at
-            ));
+            self.notes.push(format!("it has {length} bytes now, and had {} when its digests were stated", place.at));
         }
     }
 }
