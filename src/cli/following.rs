@@ -1,12 +1,13 @@
 //! `bag follow`: what is being recorded, sealed while it is recorded.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::Args;
 
 use super::connect::{Context, ProfileNeed};
 use super::parse;
-use super::progress::{LOOK, Teller};
+use super::progress::Teller;
 use super::recordings::absolute;
 use super::serve::Ending;
 use crate::model::ErrorKind;
@@ -15,6 +16,9 @@ use crate::service::event::NoticeLevel;
 use crate::service::reply::{FollowView, FollowedFile};
 use crate::service::{Client, Event, Failure, Needs};
 use authros_output::{Output, table};
+
+/// Between two lines about how far it is: it may go on for days.
+const TELLING: Duration = Duration::from_secs(30);
 
 /// `bag follow …`
 #[derive(Debug, Args)]
@@ -71,7 +75,7 @@ async fn until_ended(client: &Client, wishes: FollowWishes, output: &Output) -> 
     let mut events = client.events();
     let answer = client.ask(wishes);
     tokio::pin!(answer);
-    let (mut asked, mut teller) = (false, Teller::default());
+    let (mut asked, mut teller, mut tick) = (false, Teller::default(), tokio::time::interval(TELLING));
     loop {
         tokio::select! {
             view = &mut answer => return view,
@@ -80,7 +84,7 @@ async fn until_ended(client: &Client, wishes: FollowWishes, output: &Output) -> 
             {
                 output.notice(at, level, about.as_deref(), &text);
             },
-            () = tokio::time::sleep(LOOK) => teller.tell(client, output).await,
+            _ = tick.tick() => teller.tell(client, output).await,
             ending = super::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
                     return Err(Failure::new(ErrorKind::Incomplete, "stopped early; sealed records are stored, repeat \

@@ -180,10 +180,10 @@ pub struct ExportView {
     pub topics: Vec<ExportedTopic>,
 }
 
-/// Progress of long work: an import, an export, an audit, a back-up.
+/// Progress of long work: an import, a folder followed, an export, an audit, a back-up.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgressView {
-    /// What it does now: `hashing`, `importing`, `verifying`, `exporting`, `auditing`, `writing`.
+    /// What it does now: `hashing`, `importing`, `following`, `verifying`, `exporting`, `auditing`, `writing`.
     pub step: String,
     /// The file, or what it is about, cleaned.
     pub file: String,

@@ -23,7 +23,17 @@ pub(super) enum Look {
     /// It cannot be read now.
     Unreadable(String),
     /// Its recordings.
-    Files(Vec<PathBuf>),
+    Files(Found),
+}
+
+/// What is in a folder.
+#[derive(Default)]
+pub(super) struct Found {
+    /// MCAP files, in the order of recording.
+    pub files: Vec<PathBuf>,
+    /// A recording that is a database, which is not opened while somebody may write it.
+    pub database: Option<PathBuf>,
+    entries: usize,
 }
 
 /// A folder, known by its place on the disk once it was there.
@@ -50,30 +60,33 @@ impl Folder {
         if *self.seen.get_or_insert(here) != here {
             return Look::Gone;
         }
-        let (mut files, mut left) = (Vec::new(), MOST_ENTRIES);
-        match gather(&self.path, DEEPEST, &mut left, &mut files) {
+        let mut found = Found::default();
+        match gather(&self.path, DEEPEST, &mut found) {
             Ok(()) => {
-                files.sort_by(|one, other| in_order(&one.to_string_lossy(), &other.to_string_lossy()));
-                Look::Files(files)
+                found.files.sort_by(|one, other| in_order(&one.to_string_lossy(), &other.to_string_lossy()));
+                Look::Files(found)
             }
             Err(error) => Look::Unreadable(error.to_string()),
         }
     }
 }
 
-fn gather(folder: &Path, deeper: usize, left: &mut usize, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
+fn gather(folder: &Path, deeper: usize, found: &mut Found) -> std::io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
-        *left = left.saturating_sub(1);
-        if *left == 0 {
+        found.entries += 1;
+        if found.entries > MOST_ENTRIES {
             return Err(std::io::Error::other(format!("it has more than {MOST_ENTRIES} entries")));
         }
         // What goes away while it is looked at is looked for again.
         let Ok(kind) = entry.file_type() else { continue };
+        let path = entry.path();
         if kind.is_dir() && deeper > 0 {
-            drop(gather(&entry.path(), deeper - 1, left, files));
+            drop(gather(&path, deeper - 1, found));
         } else if kind.is_file() && is_recording(&entry.file_name().to_string_lossy()) {
-            files.push(entry.path());
+            found.files.push(path);
+        } else if path.extension().is_some_and(|end| end == "db3") {
+            found.database = Some(path);
         }
     }
     Ok(())
@@ -156,10 +169,11 @@ mod tests {
         let mut folder = Folder::new(path.clone());
         assert!(matches!(folder.look(), Look::NotYet));
         fs::create_dir_all(path.join("part/deep/deeper")).expect("created");
-        let names = ["run_1.mcap", "run_0.mcap", "run_0.authros.mcap", ".hidden.mcap", "notes.txt", "part/deep/x.mcap"];
+        let names = ["run_1.mcap", "run_0.mcap", "run_0.authros.mcap", ".hidden.mcap", "old.db3", "part/deep/x.mcap"];
         names.iter().for_each(|name| fs::write(path.join(name), "").expect("written"));
         fs::write(path.join("part/deep/deeper/y.mcap"), "").expect("written");
-        let Look::Files(files) = folder.look() else { panic!("no files") };
+        let Look::Files(Found { files, database, .. }) = folder.look() else { panic!("no files") };
+        assert_eq!(database, Some(path.join("old.db3")));
         let found: Vec<_> = files.iter().filter_map(|file| file.strip_prefix(&path).ok()?.to_str()).collect();
         assert_eq!(found, ["part/deep/x.mcap", "run_0.mcap", "run_1.mcap"]);
         assert!(is_followed_by(&path.join("run_0.mcap"), &files) && !is_followed_by(&path.join("run_1.mcap"), &files));

@@ -1,5 +1,4 @@
-//! A folder whose recordings are sealed while a recorder writes them
-//! (decision 090).
+//! A folder whose recordings are sealed while a recorder writes them (decision 090).
 //!
 //! Files are only read. The ledger keeps how far each is sealed, before and after the records of a round: a crash
 //! between leaves a few messages in doubt, which are looked for among the records. A file that has ended is stated: its
@@ -217,7 +216,10 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
             Look::NotYet => follower.tell(NoticeLevel::Info, &format!("waiting for {shown} to appear")),
             Look::Gone => view.is_gone = true,
             Look::Unreadable(why) => follower.tell(NoticeLevel::Warning, &format!("{shown} cannot be read: {why}")),
-            Look::Files(found) => files = found,
+            Look::Files(found) => {
+                files = found.files;
+                found.database.into_iter().for_each(|path| tell_database(follower, &path));
+            }
         }
         for path in &files {
             if !view.is_gone && !entries.contains_key(path) && open(follower, path, &files, &mut entries, due) {
@@ -255,6 +257,17 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
         }
     }
     view
+}
+
+fn tell_database(follower: &Follower<'_>, path: &Path) {
+    let name = follower.name_of(path);
+    follower.tell(
+        NoticeLevel::Warning,
+        &format!(
+            "{name} is not followed: a second program that opens a .db3 can end its recorder; record with \
+             `--storage mcap`, or import it when it is closed"
+        ),
+    );
 }
 
 /// Opens what is new; `true` if something was.

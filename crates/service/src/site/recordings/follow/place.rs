@@ -117,3 +117,78 @@ pub(super) fn put(ledger: &Ledger, key: &FileKey, place: &Place) -> Result<(), F
     let text = serde_json::to_string(place).map_err(|error| internal(error.to_string()))?;
     Ok(ledger.put_setting(&key.key, &text)?)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Seek, SeekFrom, Write};
+
+    use super::*;
+
+    struct Case {
+        _home: tempfile::TempDir,
+        ledger: Ledger,
+        file: File,
+    }
+
+    const OWNER: Address = Address([7; 20]);
+
+    impl Case {
+        fn new() -> Self {
+            let home = tempfile::tempdir().expect("a folder");
+            let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opened");
+            let path = home.path().join("run.mcap");
+            let file = File::options().create_new(true).read(true).write(true).open(path).expect("created");
+            Self { _home: home, ledger, file }
+        }
+
+        fn write(&mut self, bytes: &[u8]) {
+            self.file.seek(SeekFrom::End(0)).and_then(|_| self.file.write_all(bytes)).expect("written");
+        }
+
+        fn here(&self) -> (FileKey, Box<Place>, bool) {
+            match known(&self.ledger, OWNER, &self.file, false).expect("known") {
+                Known::Here(key, place, is_another) => (key, place, is_another),
+                Known::TooShort | Known::Shrank(_) => panic!("it is not here"),
+            }
+        }
+
+        /// Keeps that so many bytes were read.
+        fn keep(&self, key: &FileKey, at: u64) {
+            let mut hashed = super::super::hashed::Hashed::default();
+            hashed.advance(&self.file, at, Vec::new()).expect("read");
+            let place = Place { at, stored: 5, begun: 9, digest: Some(hashed.digest()), ..Place::default() };
+            put(&self.ledger, key, &place).expect("kept");
+        }
+    }
+
+    #[test]
+    fn a_file_goes_on_where_it_was_also_when_it_has_grown() {
+        let mut case = Case::new();
+        case.write(&[1; 1000]);
+        assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::TooShort)));
+        assert!(matches!(known(&case.ledger, OWNER, &case.file, true), Ok(Known::Here(..))), "it is all there is");
+        case.write(&[2; 9000]);
+        let (key, place, is_another) = case.here();
+        assert_eq!((place.stored, is_another, key.tag.len()), (0, false, 16));
+        case.keep(&key, 8000);
+        case.write(&[3; 100]);
+        let (same, place, is_another) = case.here();
+        assert_eq!((same, place.stored, place.begun, is_another), (key, 5, 9, false));
+    }
+
+    #[test]
+    fn what_was_altered_or_cut_off_is_not_taken_for_what_was_sealed() {
+        let mut case = Case::new();
+        case.write(&[1; 10_000]);
+        let (key, ..) = case.here();
+        case.keep(&key, 8000);
+        case.file.write_all_at(&[9], 7999).expect("altered");
+        let (other, place, is_another) = case.here();
+        assert!(other != key && place.stored == 0 && is_another, "{place:?}");
+        case.keep(&other, 9000);
+        case.file.write_all_at(&[1], 7999).expect("as it was");
+        assert_eq!(case.here().0, key);
+        case.file.set_len(7000).expect("shorter");
+        assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000));
+    }
+}
