@@ -76,6 +76,7 @@ async fn until_ended(client: &Client, wishes: FollowWishes, output: &Output) -> 
     let answer = client.ask(wishes);
     tokio::pin!(answer);
     let (mut asked, mut teller, mut tick) = (false, Teller::default(), tokio::time::interval(TELLING));
+    tick.reset();
     loop {
         tokio::select! {
             view = &mut answer => return view,

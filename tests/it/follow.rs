@@ -164,6 +164,7 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
 }
 
 /// Prints the processor's time of following and of importing the same files, a message.
+#[allow(clippy::print_stdout, reason = "a figure of the long run")]
 fn tell_processor(folder: &Path) {
     let some = folder.with_extension("some");
     fs::create_dir(&some).expect("a folder");
@@ -184,7 +185,7 @@ fn tell_processor(folder: &Path) {
         };
         acts.iter().map(spent).sum()
     };
-    let messages = lines(&recordings(&some)).len() as f64;
+    let messages = f64::from(u32::try_from(lines(&recordings(&some)).len()).expect("not that many"));
     let followed = seconds(&[&["bag", "follow", utf8(&some), "--until-closed"]]);
     let files = recordings(&some);
     let imports: Vec<[&str; 3]> = files.iter().map(|file| ["bag", "import", utf8(file)]).collect();
@@ -244,6 +245,7 @@ fn two_followers_a_file_that_shrinks_and_a_folder_that_goes_are_told_and_nothing
 }
 
 #[test]
+#[allow(clippy::print_stdout, reason = "how soon it was")]
 fn a_recording_whose_recorder_was_killed_is_sealed_as_far_as_it_goes() {
     if !others_can_read() {
         skipped!("no mcap of Python in target/peers (tests/run installs it)");

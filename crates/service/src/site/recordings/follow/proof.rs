@@ -160,11 +160,16 @@ pub(super) fn beside(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// The copy of a file that has its proof attached, beside it.
-fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Failure> {
+/// Where the copy of a file is that has its proof attached.
+pub(super) fn copy_of(path: &Path) -> PathBuf {
     let mut name = path.with_extension("").into_os_string();
     name.push(ATTACHED);
-    let copy = PathBuf::from(name);
+    name.into()
+}
+
+/// Makes that copy.
+fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Failure> {
+    let copy = copy_of(path);
     if copy.exists() {
         return Ok(copy);
     }

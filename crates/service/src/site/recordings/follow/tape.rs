@@ -122,11 +122,15 @@ impl<'a> Tape<'a> {
             }
         };
         if place.standing != Standing::Open {
-            let due = Due::of(follower, &key, &place, path).filter(|_| place.standing == Standing::Stated);
+            let (proof, copy) = (proof::beside(path), proof::copy_of(path));
+            let is_missing = place.standing == Standing::Stated || follower.wishes.attach && !copy.exists();
             view.settled(&place, length);
-            if place.standing == Standing::Proven {
-                view.proof = Some(clean(&proof::beside(path).display().to_string(), 300));
+            if !is_missing {
+                let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
+                view.proof = shown(proof);
+                view.attached = shown(copy).filter(|_| follower.wishes.attach);
             }
+            let due = Due::of(follower, &key, &place, path).filter(|_| is_missing);
             return Ok(Opened::Done(Box::new((view, due))));
         }
         let reader = McapReader::follow(BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?))?;
