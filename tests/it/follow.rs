@@ -295,6 +295,7 @@ fn a_full_disk_of_the_home_is_waited_for_and_nothing_is_lost() {
     // The end of the recording is on the disk, and not in the home.
     std::thread::sleep(Duration::from_secs(3));
     following.expect_running();
+    assert!(following.stderr().contains("is full") && following.stderr().contains("goes on by itself"));
     fs::remove_file(&full).expect("space again");
     let view = following.wait(240).expect_code(0).document();
     let messages = count(&recorded, "messages");

@@ -28,7 +28,7 @@ use crate::pipeline::reader::Reader;
 use crate::pipeline::{CaptureSession, Network, Owner};
 use crate::service::command::FollowWishes;
 use crate::service::event::NoticeLevel;
-use crate::service::failure::{input, refused};
+use crate::service::failure::{AGAIN, input, refused};
 use crate::service::reply::{Failure, FollowView, FollowedFile};
 use crate::site::blocking;
 
@@ -332,8 +332,8 @@ fn go_round(
                 *entry = Entry::Ended(Box::new(file));
             }
             Err(failure) => {
-                let name = follower.name_of(&path);
-                follower.tell(NoticeLevel::Warning, &format!("{name}: {}; it is tried again", failure.message));
+                let (name, why) = (follower.name_of(&path), failure.message.trim_end_matches(AGAIN));
+                follower.tell(NoticeLevel::Warning, &format!("{name}: {why}; it goes on by itself when it can"));
             }
         }
     }
