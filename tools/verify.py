@@ -1158,18 +1158,26 @@ def recorded_file(body):
         at += 4
         if struct.unpack_from("<I", body, at - 4)[0] != len(body) - at:
             return None
-        own, chunks, after = {}, [], 0
+        own, chunks, after = [], [], 0
         while at < len(body):
             name, value = text(), text()
-            if name.startswith("chunk "):
-                length, digest = value.split(" ")
-                chunks.append((int(name[6:]), int(length), unhex(digest)))
-                if chunks[-1][0] < after:
-                    return None
-                after = sum(chunks[-1][:2])
-            else:
-                own[name] = value
-        return {"name": own["name"], "length": int(own["length"]), "sm3": unhex(own["sm3"]), "chunks": chunks}
+            if not name.startswith("chunk "):
+                own.append((name, value))
+                continue
+            length, digest = value.split(" ")
+            chunks.append((int(name[6:]), int(length), bytes.fromhex(digest)))
+            begins, after = after, sum(chunks[-1][:2])
+            if chunks[-1][0] < begins or after >= 1 << 64 or len(chunks) > 1 << 19:
+                return None
+        found = dict(own)
+        name, length, digest, closed = found["name"], int(found["length"]), bytes.fromhex(found["sm3"]), found["closed"]
+        # There is one way to write it.
+        spelled = [("name", name), ("length", str(length)), ("sm3", digest.hex()), ("closed", closed)]
+        spelled += [(f"chunk {begins}", f"{size} {sm3.hex()}") for begins, size, sm3 in chunks]
+        spelled = b"".join(struct.pack("<I", len(one.encode())) + one.encode() for pair in spelled for one in pair)
+        if body[25:] != spelled or closed not in ("yes", "no") or length >= 1 << 64 or any(len(one) != 32 for one in [digest, *(one[2] for one in chunks)]):
+            return None
+        return {"name": name, "length": length, "sm3": digest, "chunks": chunks}
     except (ValueError, KeyError, struct.error):
         return None
 

@@ -98,23 +98,27 @@ impl RecordedFile {
         out
     }
 
-    /// Parses the message of a record; `None` if it is no statement.
-    pub fn parse(mut bytes: &[u8]) -> Option<Self> {
+    /// Parses the message of a record; `None` if it is no statement, or is not spelled as this one is.
+    pub fn parse(bytes: &[u8]) -> Option<Self> {
+        Self::read(bytes).filter(|stated| stated.to_bytes() == bytes)
+    }
+
+    fn read(mut bytes: &[u8]) -> Option<Self> {
         if text(&mut bytes)? != NAME {
             return None;
         }
         let mut map = take(&mut bytes).filter(|_| bytes.is_empty())?;
-        let (mut own, mut chunks) = (BTreeMap::new(), Vec::new());
+        let (mut own, mut chunks, mut after) = (BTreeMap::new(), Vec::new(), 0);
         while !map.is_empty() {
             let (name, value) = (text(&mut map)?, text(&mut map)?);
             match name.strip_prefix(CHUNK) {
                 Some(at) if chunks.len() < MOST_CHUNKS => {
                     let (length, digest) = value.split_once(' ')?;
-                    let (at, length) = (at.parse().ok()?, length.parse().ok()?);
-                    let after = chunks.last().map_or(0, |last: &RecordedChunk| last.at.saturating_add(last.length));
+                    let (at, length): (u64, u64) = (at.parse().ok()?, length.parse().ok()?);
                     if at < after {
                         return None;
                     }
+                    after = at.checked_add(length)?;
                     chunks.push(RecordedChunk { at, length, digest: digest.parse().ok()? });
                 }
                 Some(_) => return None,
@@ -220,6 +224,12 @@ mod tests {
         let mut longer = whole.clone();
         longer.push(0);
         assert_eq!(RecordedFile::parse(&longer), None);
+        for (one, other) in [(b"yes", b"YES"), (b"100", b"+10"), (b"100", b"0x9")] {
+            let mut changed = whole.clone();
+            let at = changed.windows(3).position(|found| found == one).expect("it is said");
+            changed[at..at + 3].copy_from_slice(other);
+            assert_eq!(RecordedFile::parse(&changed), None, "{other:?}");
+        }
         let mut twice = stated(&[7; 100]);
         twice.chunks[1].at = 12;
         assert_eq!(RecordedFile::parse(&twice.to_bytes()), None, "chunks overlap");
