@@ -302,3 +302,19 @@ fn a_full_disk_of_the_home_is_waited_for_and_nothing_is_lost() {
     assert_eq!(sum(&view, "found"), messages + count(&recorded, "files") + 1, "{view}");
     expect_all_once(&authros, &folder, messages);
 }
+
+#[test]
+fn the_package_of_ros_2_starts_the_program_without_what_ros_adds() {
+    let Some(python) = support::system_program("python3") else { skipped!("no python3") };
+    let package = concat!(env!("CARGO_MANIFEST_DIR"), "/packaging/ros2/authros_follow");
+    let started = |program: &str| {
+        let mut command = Command::new(&python);
+        command.args(["-B", "-m", "authros_follow.follow", "--help", "--ros-args", "-r", "__node:=follow"]);
+        command.env_clear().env("PYTHONPATH", package).env("AUTHROS_PROGRAM", program);
+        Running::start(command).wait(60)
+    };
+    let told = started(env!("CARGO_BIN_EXE_authros")).expect_code(0);
+    assert!(told.stdout.contains("--until-closed"), "{told}");
+    let told = started("/nowhere/authros").expect_code(3);
+    assert!(told.stderr.contains("AUTHROS_PROGRAM"), "{told}");
+}
