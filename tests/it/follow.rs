@@ -40,7 +40,8 @@ fn recordings(folder: &Path) -> Vec<PathBuf> {
         path.extension().is_some_and(|end| end == "mcap") && !name.ends_with(".authros.mcap")
     };
     let mut found: Vec<PathBuf> = entries.filter(is_recording).collect();
-    found.sort();
+    // `run_9` is before `run_10`.
+    found.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
     found
 }
 
