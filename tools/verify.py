@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """A second verifier of evidence bundles, written from docs/format.md, section 11, with nothing but Python's standard library.
 
-    verify.py NAME.authros [--trust trust.toml]
+    verify.py NAME.authros [--trust trust.toml] [--recording FILE]
 
 It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, and of each topic
 what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned and the exporter's key is that
 of their owner or pinned, 8 where something is not proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
-slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
+slow, on purpose: it can be read in one sitting. A recorded file is compared with what an opened record states of it. Bodies packed by the matrix code are opened and not unpacked, and it says so.
 """
 import base64
 import functools
@@ -1140,6 +1140,99 @@ def exporter(bundle, trust, records):
     return "proven" if "proven" in tied else "own_chain" if "own_chain" in tied else "unproven"
 
 
+def recorded_file(body):
+    """What a follower states of a recorded file: length, digest, and its chunks; None if it is no such statement."""
+    at = 0
+
+    def text():
+        nonlocal at
+        length = struct.unpack_from("<I", body, at)[0]
+        at += 4 + length
+        if at > len(body):
+            raise ValueError("a text is longer than the statement")
+        return body[at - length:at].decode()
+
+    try:
+        if text() != "authros.recording":
+            return None
+        at += 4
+        if struct.unpack_from("<I", body, at - 4)[0] != len(body) - at:
+            return None
+        own, chunks, after = [], [], 0
+        while at < len(body):
+            name, value = text(), text()
+            if not name.startswith("chunk "):
+                own.append((name, value))
+                continue
+            length, digest = value.split(" ")
+            chunks.append((int(name[6:]), int(length), bytes.fromhex(digest)))
+            begins, after = after, sum(chunks[-1][:2])
+            if chunks[-1][0] < begins or after >= 1 << 64 or len(chunks) > 1 << 19:
+                return None
+        found = dict(own)
+        name, length, digest, closed = found["name"], int(found["length"]), bytes.fromhex(found["sm3"]), found["closed"]
+        # There is one way to write it.
+        spelled = [("name", name), ("length", str(length)), ("sm3", digest.hex()), ("closed", closed)]
+        spelled += [(f"chunk {begins}", f"{size} {sm3.hex()}") for begins, size, sm3 in chunks]
+        spelled = b"".join(struct.pack("<I", len(one.encode())) + one.encode() for pair in spelled for one in pair)
+        if body[25:] != spelled or closed not in ("yes", "no") or length >= 1 << 64 or any(len(one) != 32 for one in [digest, *(one[2] for one in chunks)]):
+            return None
+        return {"name": name, "length": length, "sm3": digest, "chunks": chunks}
+    except (ValueError, KeyError, struct.error):
+        return None
+
+
+def running_sm3():
+    """A running hash: OpenSSL's where Python has it, for recordings are large; else the one above, of all bytes at once."""
+    class Gathered(bytearray):
+        update = bytearray.extend
+        digest = sm3
+    return hashlib.new("sm3") if "sm3" in hashlib.algorithms_available else Gathered()
+
+
+def compare(stated, path):
+    """Where a file differs from what is stated of it."""
+    whole, differing, length = running_sm3(), [], 0
+    with open(path, "rb") as file:
+        def feed(left, hashes):
+            done = 0
+            while left is None or done < left:
+                block = file.read(1 << 18 if left is None else min(left - done, 1 << 18))
+                if not block:
+                    break
+                done += len(block)
+                for one in hashes:
+                    one.update(block)
+            return done
+
+        for at, size, digest in stated["chunks"]:
+            length += feed(max(0, at - length), [whole])
+            own = running_sm3()
+            read = feed(size, [whole, own])
+            length += read
+            if read != size or own.digest() != digest:
+                differing.append(at)
+        length += feed(None, [whole])
+    return length == stated["length"] and whole.digest() == stated["sm3"], length, differing
+
+
+def recording(path, records):
+    """How a recorded file compares with the statements that are opened in the bundle."""
+    worst = None
+    for record, found in records:
+        opened = found["opened"] in ("proven", "own_chain", "unproven") and found["bytes"] == "proven" and hasattr(record, "body")
+        is_named = opened and (record.head["topic"], record.head["type"]) == ("authros/attachments", "authros/Metadata")
+        stated = recorded_file(record.body) if is_named and record.head["tags"].get("recorded") == "file" else None
+        if stated:
+            whole, length, differing = compare(stated, path)
+            one = {"standing": "proven" if whole else "refused", "record": record.digest.hex(), "name": stated["name"],
+                   "bytes": length, "chunks": len(stated["chunks"]), "differing": differing[:100]}
+            if whole:
+                return one
+            worst = worst or one
+    return worst or {"standing": "absent", "record": None, "name": None, "bytes": pathlib.Path(path).stat().st_size, "chunks": 0, "differing": []}
+
+
 # SHA-256 of the text that bundles have as VERIFY.txt.
 READ_ME = "ed828cfed0894d4fb07c442c2d43030b168aa981b68dd39c920d052e103d539e"
 
@@ -1157,8 +1250,14 @@ def notes(bundle, tied):
 
 
 def main(arguments):
-    trust = None
+    trust = recorded = None
     try:
+        if "--recording" in arguments:
+            at = arguments.index("--recording")
+            recorded = arguments[at + 1]
+            arguments = arguments[:at] + arguments[at + 2:]
+            if not pathlib.Path(recorded).is_file():
+                raise OSError(recorded + " is not a file")
         if "--trust" in arguments:
             at = arguments.index("--trust")
             trust = read_trust(arguments[at + 1])
@@ -1166,7 +1265,7 @@ def main(arguments):
         if not pathlib.Path(arguments[0]).is_file():
             raise OSError(arguments[0] + " is not a file")
     except IndexError:
-        print("usage: verify.py NAME.authros [--trust trust.toml]", file=sys.stderr)
+        print("usage: verify.py NAME.authros [--trust trust.toml] [--recording FILE]", file=sys.stderr)
         return 2
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as why:
         print(f"verify.py: {why}", file=sys.stderr)
@@ -1190,8 +1289,14 @@ def main(arguments):
     refused = any(one["standing"] == "refused" for one in complete) or any(standing == "refused" for _, standing in standings)
     outcome = "refused" if refused else "holds" if trust and records and good and tied == "proven" else "incomplete"
     told = {"outcome": outcome, "exporter": tied, "notes": notes(bundle, tied), "records": records, "complete": complete}
+    compared = "proven"
+    if recorded:
+        told["recording"] = recording(recorded, list(zip(all_, records)))
+        compared = told["recording"]["standing"]
     print(json.dumps(told, indent=1))
-    return {"holds": 0, "incomplete": 8, "refused": 6}[outcome]
+    if "refused" in (outcome, compared):
+        return 6
+    return 8 if "incomplete" == outcome or compared == "absent" else 0
 
 
 if __name__ == "__main__":

@@ -145,6 +145,9 @@ pub enum Verb {
         /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
         #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
         trust: Option<PathBuf>,
+        /// For the proof of a followed recording: the recorded file, to compare with the digests that are stated of it
+        #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
+        recording: Option<PathBuf>,
         /// Hash of the chain's block 0, from a source other than the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,

@@ -8,6 +8,7 @@ use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
 use super::parse;
+use super::recorded::Recording;
 use super::verbs::CHAIN;
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
@@ -118,7 +119,12 @@ pub fn is_bundle(path: &Path) -> bool {
 ///
 /// # Errors
 /// Where it is no bundle, or the trust file is none.
-pub fn run_verify(path: &Path, trust: Option<&Path>, verbose: bool, output: &Output) -> Result<u8, Failure> {
+pub fn run_verify(
+    (path, recording): (&Path, Option<&Path>),
+    trust: Option<&Path>,
+    verbose: bool,
+    output: &Output,
+) -> Result<u8, Failure> {
     if !path.exists() {
         let text = format!(
             "{} does not exist; give a bundle (NAME.authros) or a folder from `uploads export`",
@@ -134,11 +140,16 @@ pub fn run_verify(path: &Path, trust: Option<&Path>, verbose: bool, output: &Out
     };
     let bundle = Bundle::read(path, provider).map_err(failed)?;
     let report = authros_evidence::verify(&bundle, trust.as_ref(), provider);
-    output.result(&Shown { bundle: &bundle, report: &report }, || text(&bundle, &report, verbose));
-    Ok(match report.outcome {
-        Outcome::Holds => 0,
-        Outcome::Incomplete => ErrorKind::Incomplete.exit_code(),
-        Outcome::Refused => ErrorKind::Tampered.exit_code(),
+    let recording = recording.map(|file| Recording::compare(&report, file)).transpose()?;
+    output.result(&Shown { bundle: &bundle, report: &report, recording: recording.as_ref() }, || {
+        let told = recording.as_ref().map_or_else(String::new, |recording| format!("\n{}", recording.text));
+        text(&bundle, &report, verbose) + &told
+    });
+    let compared = recording.map_or(Standing::Proven, |recording| recording.standing);
+    Ok(match (report.outcome, compared) {
+        (Outcome::Refused, _) | (_, Standing::Refused) => ErrorKind::Tampered.exit_code(),
+        (Outcome::Incomplete, _) | (_, Standing::Absent) => ErrorKind::Incomplete.exit_code(),
+        (Outcome::Holds, _) => 0,
     })
 }
 
@@ -164,11 +175,16 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
 struct Shown<'a> {
     bundle: &'a Bundle,
     report: &'a Report,
+    recording: Option<&'a Recording>,
 }
 
 impl serde::Serialize for Shown<'_> {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        shown(self.bundle, self.report).serialize(serializer)
+        let mut value = shown(self.bundle, self.report);
+        if let (Some(recording), Some(object)) = (self.recording, value.as_object_mut()) {
+            object.insert("recording".to_owned(), serde_json::to_value(recording).unwrap_or_default());
+        }
+        value.serialize(serializer)
     }
 }
 

@@ -20,6 +20,7 @@ mod detach;
 mod devices;
 mod evidence;
 mod follow;
+mod following;
 mod gateway;
 mod handover;
 mod incidents;
@@ -37,6 +38,7 @@ mod printed;
 mod progress;
 mod quarantine;
 mod reading;
+mod recorded;
 mod recordings;
 mod retention;
 mod robots;
@@ -129,10 +131,12 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         }
         Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
-        Verb::Verify { path, trust, genesis: None, verbose } if trust.is_some() || evidence::is_bundle(&path) => {
-            evidence::run_verify(&path, trust.as_deref(), verbose, output)
+        Verb::Verify { path, trust, recording, genesis: None, verbose }
+            if trust.is_some() || recording.is_some() || evidence::is_bundle(&path) =>
+        {
+            evidence::run_verify((&path, recording.as_deref()), trust.as_deref(), verbose, output)
         }
-        Verb::Verify { path, trust: _, genesis, verbose: _ } => {
+        Verb::Verify { path, trust: _, recording: _, genesis, verbose: _ } => {
             runtime.block_on(check::run_verify(&global, &path, genesis.as_deref(), output))
         }
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
@@ -147,6 +151,9 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Capture(capture) => runtime.block_on(capture::run(Context::new(global, output)?, capture, output)),
         Verb::Bag(recordings::BagVerb::Import(import)) => {
             runtime.block_on(recordings::import(Context::new(global, output)?, import, output))
+        }
+        Verb::Bag(recordings::BagVerb::Follow(follow)) => {
+            runtime.block_on(following::run(Context::new(global, output)?, follow, output))
         }
         Verb::Uploads(verb) => runtime.block_on(verbs::uploads(Context::new(global, output)?, verb, output)),
         Verb::Shared(verb) => runtime.block_on(verbs::shared(Context::new(global, output)?, verb, output)),

@@ -26,6 +26,8 @@ const LONGEST_KEYRING: usize = 1 << 20;
 pub enum BagVerb {
     /// Import a bag or MCAP file as records, keeping its times
     Import(ImportArguments),
+    /// Seal what a recorder writes into a folder, while it writes, and prove its files
+    Follow(super::following::FollowArguments),
 }
 
 /// `bag import …`
@@ -103,7 +105,8 @@ impl ExportArguments {
     }
 }
 
-fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+/// The path from the root.
+pub(super) fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }
 

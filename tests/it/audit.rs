@@ -188,7 +188,7 @@ fn heads_are_anchored_while_the_log_changes_and_find_what_was_cut_off() {
 }
 
 /// A site whose home is a small tmpfs of its own; others reach it through its process.
-fn on_small_disk(home: &Home) -> Option<(Running, Authros)> {
+pub(crate) fn on_small_disk(home: &Home) -> Option<(Running, Authros)> {
     let unshare = support::system_program("unshare")?;
     fs::create_dir(home.path()).expect("a place to mount");
     let mount = "mount -t tmpfs -o size=40m,mode=0700 none \"$0\" 2>/dev/null || exit 99; exec \"$@\"";
@@ -208,7 +208,7 @@ fn on_small_disk(home: &Home) -> Option<(Running, Authros)> {
 }
 
 /// Fills the disk to the last byte.
-fn fill(path: &Path) {
+pub(crate) fn fill(path: &Path) {
     let mut file = fs::File::create(path).expect("a file");
     for piece in [1 << 20, 1 << 12, 1] {
         while file.write_all(&vec![7; piece]).is_ok() {}

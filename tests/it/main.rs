@@ -30,6 +30,7 @@ mod demo;
 mod erasing;
 mod evidence;
 mod faults;
+mod follow;
 mod foreign_proofs;
 mod gateway;
 mod gateway_metrics;

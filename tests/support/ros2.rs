@@ -250,3 +250,12 @@ pub fn odd_mcaps(act: &str, folder: &Path, seconds: u64) -> String {
     command.args(["-B", script, act]).arg(folder);
     Running::start(command).wait(seconds).expect_code(0).stdout
 }
+
+/// A recorder that writes MCAP into a new folder as rosbag2 does: for so many seconds, messages a second, and seconds until
+/// the next file; `how` is the compression of its chunks, or `unchunked`.
+pub fn recorder(folder: &Path, seconds: u64, rate: u64, split: u64, how: &str) -> Running {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_follow.py");
+    let mut command = Command::new(python_with("mcap").expect("asked before"));
+    command.args(["-B", script]).arg(folder).args([seconds, rate, split].map(|number| number.to_string())).arg(how);
+    Running::start(command)
+}

@@ -16,6 +16,7 @@ mod manifest;
 mod packing;
 #[cfg(test)]
 mod readme_tests;
+pub mod recorded;
 mod report;
 mod signing;
 mod stamping;

@@ -103,6 +103,8 @@ pub struct Importer<'a> {
     /// One session per channel: its tags are the channel's, and so are its figures.
     sessions: HashMap<Arc<Channel>, Stream>,
     offered: u64,
+    /// Whether what becomes of its records is waited for.
+    followed: bool,
 }
 
 struct Stream {
@@ -111,9 +113,10 @@ struct Stream {
 }
 
 impl Stream {
-    fn new(channel: &Channel, topic: &Arc<str>, tags: Vec<(String, String)>) -> Self {
+    fn new(channel: &Channel, topic: &Arc<str>, tags: Vec<(String, String)>, followed: bool) -> Self {
+        let begin = if followed { CaptureSession::new } else { CaptureSession::unfollowed };
         Self {
-            session: Arc::new(CaptureSession::new(&[topic.to_string()], None, tags)),
+            session: Arc::new(begin(&[topic.to_string()], None, tags)),
             origin: Arc::new(Origin {
                 number: 0,
                 caller_id: Arc::clone(&channel.caller_id),
@@ -155,14 +158,20 @@ impl<'a> Importer<'a> {
         rules: &'a TopicRules,
         tags: Vec<(String, String)>,
     ) -> Self {
-        Self { rings, author, rules, tags, sessions: HashMap::new(), offered: 0 }
+        Self { rings, author, rules, tags, sessions: HashMap::new(), offered: 0, followed: true }
+    }
+
+    /// One that may last for days, and waits for no chain: [`Self::is_acknowledged`] says when all is stored.
+    pub fn unfollowed(self) -> Self {
+        Self { followed: false, ..self }
     }
 
     /// Imports one recorded message under a graph name, as soon as there is room. `false` if the import is to end.
     pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
         if !self.sessions.contains_key(&message.channel) {
             let tags = [self.tags.clone(), channel_tags(&message.channel, topic)].concat();
-            self.sessions.insert(Arc::clone(&message.channel), Stream::new(&message.channel, topic, tags));
+            self.sessions
+                .insert(Arc::clone(&message.channel), Stream::new(&message.channel, topic, tags, self.followed));
         }
         let tags = message.sent.map(|sent| tags_of(sent, message.time)).unwrap_or_default();
         let has_rule = kind_of(message.channel.encoding) == RecordKind::Data;
@@ -179,7 +188,7 @@ impl<'a> Importer<'a> {
     ) -> bool {
         let topic = Arc::clone(&message.channel.topic);
         if !self.sessions.contains_key(&message.channel) {
-            let stream = Stream::new(&message.channel, &topic, self.tags.clone());
+            let stream = Stream::new(&message.channel, &topic, self.tags.clone(), self.followed);
             self.sessions.insert(Arc::clone(&message.channel), stream);
         }
         self.offer(message, &topic, (tags, None), goes_on)
@@ -192,7 +201,7 @@ impl<'a> Importer<'a> {
         (tags, rule): (Vec<(String, String)>, Option<Arc<TopicRule>>),
         goes_on: &dyn Fn() -> bool,
     ) -> bool {
-        if self.offered.is_multiple_of(1024) && !self.wait_for_the_chain(goes_on) {
+        if self.followed && self.offered.is_multiple_of(1024) && !self.wait_for_the_chain(goes_on) {
             return false;
         }
         let RecordedMessage { channel, time, body, .. } = message;
@@ -256,6 +265,16 @@ impl<'a> Importer<'a> {
     /// Messages passed to the sealer.
     pub fn offered(&self) -> u64 {
         self.offered
+    }
+
+    /// Whether every message passed to the sealer is stored and acknowledged, or lost and counted.
+    pub fn is_acknowledged(&self) -> bool {
+        self.sessions.values().all(|stream| stream.session.is_acknowledged())
+    }
+
+    /// Messages given up, because their profile has no keys in force.
+    pub fn lost(&self) -> u64 {
+        self.figures().iter().map(|topic| topic.lost).sum()
     }
 
     fn figures(&self) -> Vec<TopicFigures> {

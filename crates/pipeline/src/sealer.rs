@@ -246,15 +246,19 @@ impl Sealer {
 
     fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<(), PipelineError> {
         let (rows, holds): (Vec<_>, Vec<_>) = ready.into_iter().map(|one| (one.row, one.hold)).unzip();
+        let sound = |task: &&Task<'_>| task.is_message() && task.item.doubt.is_none();
         let kept = self.plant.keep(rows, |rows| {
             // Sessions wait from before the append: verification may be faster than this thread.
-            let sound = |task: &Task<'_>| task.is_message() && task.item.doubt.is_none();
             for (task, row) in tasks.iter().zip(&rows).filter(|(task, _)| sound(task)) {
                 self.sessions.wait(row.digest, &task.item.message.topic, &task.item.sessions);
             }
             self.plant.ledger.append_held(rows, holds.into_iter().flatten().collect())
         });
-        Ok(kept?)
+        kept?;
+        for task in tasks.iter().filter(sound) {
+            task.item.sessions.iter().for_each(|session| session.acknowledge(1));
+        }
+        Ok(())
     }
 }
 

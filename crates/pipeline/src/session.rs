@@ -49,6 +49,8 @@ pub struct CaptureSession {
     tags: Vec<(String, String)>,
     /// Whether the outcome of its records is followed.
     followed: bool,
+    /// How many of its messages are stored and acknowledged.
+    acknowledged: AtomicU64,
     closed: AtomicBool,
     changed: Notify,
 }
@@ -58,7 +60,8 @@ impl CaptureSession {
     pub fn new(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
         let topics = topics.iter().map(|topic| (topic.clone(), TopicTally::default())).collect();
         let closed = AtomicBool::new(limit == Some(0));
-        Self { topics, limit, tags, followed: true, closed, changed: Notify::new() }
+        let acknowledged = AtomicU64::new(0);
+        Self { topics, limit, tags, followed: true, acknowledged, closed, changed: Notify::new() }
     }
 
     /// One that may last for months: the outcome of its records is read from the ledger, not kept in memory.
@@ -125,6 +128,18 @@ impl CaptureSession {
             counter.fetch_add(1, Ordering::AcqRel);
         }
         self.changed.notify_waiters();
+    }
+
+    /// So many more of its messages are stored and acknowledged.
+    pub(crate) fn acknowledge(&self, messages: u64) {
+        self.acknowledged.fetch_add(messages, Ordering::AcqRel);
+        self.changed.notify_waiters();
+    }
+
+    /// Whether every captured message is stored and acknowledged.
+    pub fn is_acknowledged(&self) -> bool {
+        let acknowledged = self.acknowledged.load(Ordering::Acquire);
+        self.figures().iter().map(|topic| topic.captured).sum::<u64>() <= acknowledged
     }
 
     fn is_full(&self) -> bool {

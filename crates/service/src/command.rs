@@ -34,7 +34,7 @@ pub use self::operate::{
 };
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{
-    ExportWishes, HomeWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress,
+    ExportWishes, FollowWishes, HomeWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress,
 };
 pub use self::right::{Kind, Needed};
 pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};

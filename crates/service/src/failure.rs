@@ -21,10 +21,13 @@ macro_rules! failure_from {
 }
 failure_from!(ChainError, ConfigError, CryptoError, GatewayError, RosError);
 
+/// Ends the text about a full disk: whoever was refused has to repeat it.
+pub const AGAIN: &str = ", then do it again";
+
 impl From<StoreError> for Failure {
     /// A refused command does not continue when there is space again: it has to be repeated.
     fn from(error: StoreError) -> Self {
-        let again = if matches!(error, StoreError::DiskFull { .. }) { ", then do it again" } else { "" };
+        let again = if matches!(error, StoreError::DiskFull { .. }) { AGAIN } else { "" };
         Self::new(error.kind(), clean(&format!("{error}{again}"), 600))
     }
 }

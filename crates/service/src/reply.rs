@@ -39,8 +39,8 @@ pub use self::parties::{
 };
 pub use self::playing::{PlayEnd, PlayedView};
 pub use self::recordings::{
-    ExportView, ExportedTopic, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView, ProgressView, RecordingReply,
-    Refused,
+    ExportView, ExportedTopic, FollowView, FollowedFile, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView,
+    ProgressView, RecordingReply, Refused,
 };
 pub use self::records::{
     Caveat, CheckView, ContractAnswer, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView,

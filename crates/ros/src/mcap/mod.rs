@@ -3,14 +3,16 @@
 //! The profile `ros1` is fully read and written; ROS 2 messages are taken as raw CDR with their schema. The content of
 //! a file is untrusted.
 
+mod attach;
 mod beside;
 mod reader;
 mod record;
 mod writer;
 
+pub use attach::attach;
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE};
 pub use reader::McapReader;
 pub use writer::McapWriter;
 
 /// The start and end of every file.
-pub(super) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";

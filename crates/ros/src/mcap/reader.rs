@@ -1,9 +1,13 @@
 //! Reads MCAP chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
 //! messages is returned; a damaged one is skipped as a whole.
 
+mod growing;
+
 use std::collections::{BTreeSet, HashMap};
 use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
+
+use self::growing::Growing;
 
 use super::MAGIC;
 use super::beside::{Beside, BesideContent, TOPIC};
@@ -21,6 +25,9 @@ const LONGEST_RECORD: u64 = 2 << 20;
 
 /// Bytes of a record's code and length.
 const LEAD: u64 = 9;
+
+/// Bytes of the footer and of the magic behind it.
+const TAIL: u64 = LEAD + 20 + 8;
 
 /// The longest head of a chunk (times, sizes, checksum, the name of a compression), bytes.
 const LONGEST_CHUNK_HEAD: u64 = 128;
@@ -109,6 +116,8 @@ pub struct McapReader<R> {
     ended: bool,
     /// Whether the file's last bytes are its footer, by which a summary is found.
     has_footer: bool,
+    /// What is known of a file that somebody is writing.
+    growing: Growing,
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
@@ -116,7 +125,13 @@ impl<R: BufRead + Seek> McapReader<R> {
     ///
     /// # Errors
     /// [`RosError::Recording`] if it cannot be read or is not MCAP.
-    pub fn open(mut file: R) -> Result<Self, RosError> {
+    pub fn open(file: R) -> Result<Self, RosError> {
+        let mut reader = Self::begin(file)?;
+        reader.read_summary().map_err(|error| RosError::unreadable(&error))?;
+        Ok(reader)
+    }
+
+    fn begin(mut file: R) -> Result<Self, RosError> {
         let unreadable = |error: std::io::Error| RosError::unreadable(&error);
         let length = file.seek(SeekFrom::End(0)).map_err(unreadable)?;
         let position = MAGIC.len() as u64;
@@ -135,11 +150,11 @@ impl<R: BufRead + Seek> McapReader<R> {
             latest: Timestamp(0),
             ended: false,
             has_footer: false,
+            growing: Growing::default(),
         };
         if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like MCAP"));
         }
-        reader.read_summary().map_err(unreadable)?;
         Ok(reader)
     }
 
@@ -166,6 +181,9 @@ impl<R: BufRead + Seek> McapReader<R> {
                 self.compare();
                 return Ok(None);
             }
+            if !self.may_go_on().map_err(|error| RosError::unreadable(&error))? {
+                return Ok(None);
+            }
             if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
                 return Ok(Some(message));
             }
@@ -188,7 +206,6 @@ impl<R: BufRead + Seek> McapReader<R> {
 
     /// Schemas, channels and positions of chunks from the summary at the end, if there is one.
     fn read_summary(&mut self) -> std::io::Result<()> {
-        const TAIL: u64 = LEAD + 20 + 8;
         let Some(footer) = self.length.checked_sub(TAIL).filter(|footer| *footer >= MAGIC.len() as u64) else {
             return Ok(());
         };
@@ -368,7 +385,10 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
         self.position = end.unwrap_or(self.length).min(self.length);
         match code {
-            Some(Code::Chunk) => self.read_chunk(start, missing)?,
+            Some(Code::Chunk) => {
+                self.growing.note_chunk(start..self.position);
+                self.read_chunk(start, missing)?;
+            }
             Some(Code::DataEnd) => self.end_data(start, length)?,
             Some(Code::Footer) => self.ended = true,
             Some(Code::Message) if length <= LONGEST_MESSAGE as u64 + 64 => {

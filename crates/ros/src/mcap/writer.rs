@@ -159,19 +159,7 @@ impl<W: Write + Seek> McapWriter<W> {
         let mut record = Vec::with_capacity(body.len() + 16);
         put_record(&mut record, kind.code(), |out| out.extend_from_slice(body));
         self.put(&record)?;
-        let mut line = Vec::new();
-        line.extend_from_slice(&position.to_le_bytes());
-        line.extend_from_slice(&(record.len() as u64).to_le_bytes());
-        match content {
-            BesideContent::File(file) => {
-                for number in [file.logged_at.0, file.created_at, file.data.len() as u64] {
-                    line.extend_from_slice(&number.to_le_bytes());
-                }
-                put_text(&mut line, &file.name);
-                put_text(&mut line, &file.media_type);
-            }
-            BesideContent::Metadata { name, .. } => put_text(&mut line, &name),
-        }
+        let line = beside_line(&content, position, record.len() as u64);
         self.besides.push(BesideIndex { kind, line });
         Ok(())
     }
@@ -257,25 +245,7 @@ impl<W: Write + Seek> McapWriter<W> {
             self.put_group(&mut summary, code);
             groups.push((code, start + at as u64, (summary.len() - at) as u64));
         }
-        let offsets = start + summary.len() as u64;
-        for (code, at, length) in groups.into_iter().filter(|(_, _, length)| *length > 0) {
-            put_record(&mut summary, Code::SummaryOffset, |out| {
-                out.push(code as u8);
-                out.extend_from_slice(&at.to_le_bytes());
-                out.extend_from_slice(&length.to_le_bytes());
-            });
-        }
-        put_record(&mut summary, Code::Footer, |out| {
-            out.extend_from_slice(&start.to_le_bytes());
-            out.extend_from_slice(&offsets.to_le_bytes());
-        });
-        // The checksum also covers the footer, whose length is known only now and includes the checksum's own bytes.
-        let footer = summary.len() - 24;
-        if let Some(place) = summary.get_mut(footer..footer + 8) {
-            place.copy_from_slice(&20_u64.to_le_bytes());
-        }
-        let checksum = crc32fast::hash(&summary);
-        summary.extend_from_slice(&checksum.to_le_bytes());
+        end_summary(&mut summary, start, &groups);
         self.put(&summary)?;
         self.put(MAGIC)?;
         self.out.flush().map_err(|error| RosError::unwritable(&error))?;
@@ -332,6 +302,47 @@ impl<W: Write + Seek> McapWriter<W> {
             }
         });
     }
+}
+
+/// Writes where the groups of a summary are, which begins at `start` of the file, and the footer.
+pub(super) fn end_summary(summary: &mut Vec<u8>, start: u64, groups: &[(Code, u64, u64)]) {
+    let offsets = start + summary.len() as u64;
+    for (code, at, length) in groups.iter().filter(|(_, _, length)| *length > 0) {
+        put_record(summary, Code::SummaryOffset, |out| {
+            out.push(*code as u8);
+            out.extend_from_slice(&at.to_le_bytes());
+            out.extend_from_slice(&length.to_le_bytes());
+        });
+    }
+    put_record(summary, Code::Footer, |out| {
+        out.extend_from_slice(&start.to_le_bytes());
+        out.extend_from_slice(&offsets.to_le_bytes());
+    });
+    // The checksum also covers the footer, whose length is known only now and includes the checksum's own bytes.
+    let footer = summary.len() - 24;
+    if let Some(place) = summary.get_mut(footer..footer + 8) {
+        place.copy_from_slice(&20_u64.to_le_bytes());
+    }
+    let checksum = crc32fast::hash(summary);
+    summary.extend_from_slice(&checksum.to_le_bytes());
+}
+
+/// The content of an index record: of what is beside the messages, at a position, with the record's length.
+pub(super) fn beside_line(content: &BesideContent<'_>, position: u64, length: u64) -> Vec<u8> {
+    let mut line = Vec::new();
+    line.extend_from_slice(&position.to_le_bytes());
+    line.extend_from_slice(&length.to_le_bytes());
+    match content {
+        BesideContent::File(file) => {
+            for number in [file.logged_at.0, file.created_at, file.data.len() as u64] {
+                line.extend_from_slice(&number.to_le_bytes());
+            }
+            put_text(&mut line, &file.name);
+            put_text(&mut line, &file.media_type);
+        }
+        BesideContent::Metadata { name, .. } => put_text(&mut line, name),
+    }
+    line
 }
 
 fn put_chunk_index(out: &mut Vec<u8>, chunk: &ChunkIndex, compression: &str) {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{Ask, Command};
 use crate::model::{Party, Timestamp, TopicPattern};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::reply::{ExportView, ImportView, ProgressView};
+use crate::service::reply::{ExportView, FollowView, ImportView, ProgressView};
 
 /// A recording to import.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,6 +20,21 @@ pub struct ImportWishes {
     pub tags: Vec<(String, String)>,
     /// Import again what was imported before.
     pub again: bool,
+}
+
+/// A folder whose recordings are sealed while a recorder writes them.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FollowWishes {
+    /// The folder, absolute; it need not be there yet. Read by the site, which runs as the same user.
+    pub folder: PathBuf,
+    /// Only topics that match any of these patterns; empty = all.
+    pub topics: Vec<TopicPattern>,
+    /// Tags for the sealed heads.
+    pub tags: Vec<(String, String)>,
+    /// End when the recording is closed and its proofs are written.
+    pub until_closed: bool,
+    /// Also write a copy of each file with its proof as an attachment.
+    pub attach: bool,
 }
 
 /// Another home whose messages are sealed anew in this one.
@@ -56,6 +71,8 @@ pub struct ExportWishes {
 pub enum RecordingCommand {
     /// Seal the messages of a recording as records; answered when all are verified.
     Import(ImportWishes),
+    /// Seal what is recorded into a folder, until it is closed or this is ended.
+    Follow(FollowWishes),
     /// Seal every message of another home of the same owner; answered when all are verified.
     ImportHome(HomeWishes),
     /// Write records that this profile may read as a recording.
@@ -76,6 +93,16 @@ impl From<ImportWishes> for Command {
 
 impl Ask for ImportWishes {
     type Answer = ImportView;
+}
+
+impl From<FollowWishes> for Command {
+    fn from(wishes: FollowWishes) -> Self {
+        Self::Recording { with: RecordingCommand::Follow(wishes) }
+    }
+}
+
+impl Ask for FollowWishes {
+    type Answer = FollowView;
 }
 
 impl From<HomeWishes> for Command {

@@ -154,7 +154,10 @@ fn of_recording(command: &RecordingCommand) -> Needed {
     match command {
         RecordingCommand::Progress => LOOK,
         // They read and write files as the site's user.
-        RecordingCommand::Import(_) | RecordingCommand::ImportHome(_) | RecordingCommand::Export(_) => Needed::Owner,
+        RecordingCommand::Import(_)
+        | RecordingCommand::Follow(_)
+        | RecordingCommand::ImportHome(_)
+        | RecordingCommand::Export(_) => Needed::Owner,
     }
 }
 

@@ -67,6 +67,60 @@ pub struct ImportView {
     pub topics: Vec<ImportedTopic>,
 }
 
+/// One file of a followed folder.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct FollowedFile {
+    /// Its name in the folder, cleaned.
+    pub file: String,
+    /// Bytes read of it.
+    pub bytes: u64,
+    /// Messages, attachments and metadata records found in it, wanted or not.
+    pub found: u64,
+    /// Of these, sealed in this run.
+    pub sealed: u64,
+    /// Of these, sealed in an earlier run.
+    pub already: u64,
+    /// Given up because their profile has no keys in force.
+    pub lost: u64,
+    /// Unusable messages.
+    pub skipped: u64,
+    /// These by topic, with the reason.
+    pub left_out: Vec<LeftOut>,
+    /// What could not be read, and why.
+    pub damages: Vec<Damage>,
+    /// Further places of damage.
+    pub more_damages: u64,
+    /// Chunks of it; a file may have none.
+    pub chunks: u64,
+    /// SM3 of the whole file, once it has ended.
+    pub digest: Option<Digest>,
+    /// Whether its recorder closed it.
+    pub is_closed: bool,
+    /// Whether it is no longer what was sealed of it: shorter, or altered.
+    pub is_altered: bool,
+    /// The record that states its digests, by id, once it is verified.
+    pub record: Option<String>,
+    /// The bundle beside it, once it is written.
+    pub proof: Option<String>,
+    /// The copy of it with its proof attached.
+    pub attached: Option<String>,
+    /// What went wrong or is still missing, in words.
+    pub notes: Vec<String>,
+}
+
+/// The result of following a folder.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct FollowView {
+    /// The folder, cleaned.
+    pub folder: String,
+    /// Whether the folder was gone at the end.
+    pub is_gone: bool,
+    /// Whether it was ended before the recording was closed.
+    pub ended_early: bool,
+    /// Its files, in the order of recording.
+    pub files: Vec<FollowedFile>,
+}
+
 /// Figures of one topic of an export.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ExportedTopic {
@@ -126,10 +180,10 @@ pub struct ExportView {
     pub topics: Vec<ExportedTopic>,
 }
 
-/// Progress of long work: an import, an export, an audit, a back-up.
+/// Progress of long work: an import, a folder followed, an export, an audit, a back-up.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgressView {
-    /// What it does now: `hashing`, `importing`, `verifying`, `exporting`, `auditing`, `writing`.
+    /// What it does now: `hashing`, `importing`, `following`, `verifying`, `exporting`, `auditing`, `writing`.
     pub step: String,
     /// The file, or what it is about, cleaned.
     pub file: String,
@@ -149,6 +203,8 @@ pub struct ProgressView {
 pub enum RecordingReply {
     /// To `Import` and `ImportHome`.
     Imported(ImportView),
+    /// To `Follow`.
+    Followed(FollowView),
     /// To `Export`.
     Exported(ExportView),
     /// To `Progress`.
@@ -168,6 +224,16 @@ impl Answer for ImportView {
 
     fn from_reply(reply: Reply) -> Option<Self> {
         if let RecordingReply::Imported(view) = RecordingReply::of(reply)? { Some(view) } else { None }
+    }
+}
+
+impl Answer for FollowView {
+    fn into_reply(self) -> Reply {
+        Reply::Recording(RecordingReply::Followed(self))
+    }
+
+    fn from_reply(reply: Reply) -> Option<Self> {
+        if let RecordingReply::Followed(view) = RecordingReply::of(reply)? { Some(view) } else { None }
     }
 }
 

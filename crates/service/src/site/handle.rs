@@ -99,7 +99,7 @@ impl Site {
             Command::Recording { with: RecordingCommand::Progress } => {
                 Ok(RecordingProgress::told(self.parts.runs.of(&profile)))
             }
-            Command::Recording { with } => self.recordings.answer(&owner()?, with).await,
+            Command::Recording { with } => self.recordings.answer(&owner()?, with, until_released(claims)).await,
             Command::ListUploads(query) => self.reading.list_own(&profile, query).await.map(ask::ListUploads::told),
             Command::ShowUpload { id } => self.reading.provenance(&profile, &id).await.map(ask::ShowUpload::told),
             Command::ExportUpload { id, addresses } => {

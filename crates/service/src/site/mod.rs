@@ -249,6 +249,7 @@ impl Site {
         let (profiles, devices) =
             (Arc::new(Profiles::new(of, &asked)), Arc::new(Devices::new(of, &sharing, &enrolments)));
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
+        let evidence = Arc::new(Evidence::new(of, &reading, &stamps));
         let asked = recordings::Asked {
             contacts: &contacts,
             reading: &reading,
@@ -257,6 +258,7 @@ impl Site {
             joined: &joined,
             sealer: &sealer,
             rings: &rings,
+            evidence: &evidence,
         };
         Ok(Self {
             recordings: Arc::new(Recordings::new(of, &asked)),
@@ -264,7 +266,7 @@ impl Site {
             administering: Arc::new(Administering::new(of, &contacts)),
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),
-            evidence: Arc::new(Evidence::new(of, &reading, &stamps)),
+            evidence,
             incidents: Arc::new(Incidents::new(of)),
             stamps,
             chain_proofs: Arc::new(ChainProofs::new(of)),

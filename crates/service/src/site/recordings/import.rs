@@ -11,13 +11,13 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::choosing::Choosing;
 use super::sealed_before::SealedBefore;
 use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
-use crate::model::{Address, Digest, ErrorKind, RecordKind, TopicPattern, clean};
-use crate::pipeline::importer::{Importer, fault, kind_of};
+use crate::model::{Address, Digest, ErrorKind, clean};
+use crate::pipeline::importer::Importer;
 use crate::pipeline::reader::Reader;
-use crate::pipeline::recorded_names::RecordedNames;
 use crate::pipeline::{CaptureSession, Network, Owner};
 use crate::ros::recording::{BESIDE, Recording};
 use crate::service::command::ImportWishes;
@@ -27,7 +27,7 @@ use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
 use crate::site::blocking;
 
 /// The most tags that a person may give: with the importer's own they stay far below the limit of a head.
-const MOST_TAGS: usize = 24;
+pub(super) const MOST_TAGS: usize = 24;
 
 /// The tag that names the file by the beginning of its digest.
 pub(in crate::site) const RECORDING: &str = "recording";
@@ -142,12 +142,12 @@ impl Recordings {
         Ok(view)
     }
 
-    fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
+    pub(super) fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
         let text = self.plant.ledger.setting(&key(owner, digest))?;
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
     }
 
-    fn put_standings(&self, owner: Address, digest: Digest, standings: &Standings) -> Result<(), Failure> {
+    pub(super) fn put_standings(&self, owner: Address, digest: Digest, standings: &Standings) -> Result<(), Failure> {
         let text = serde_json::to_string(standings).unwrap_or_default();
         Ok(self.plant.ledger.put_setting(&key(owner, digest), &text)?)
     }
@@ -174,26 +174,11 @@ impl Recordings {
         let mut sealed = SealedBefore::new(reader, &file);
         run.step("importing");
         let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, tags);
-        let (mut names, mut left_out) = (RecordedNames::default(), BTreeMap::new());
+        let mut choosing = Choosing::new(&wishes.topics);
         let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
         while let Some(message) = recording.next_message()? {
             view.found += 1;
-            let recorded = &message.channel.topic;
-            let is_message = kind_of(message.channel.encoding) == RecordKind::Data;
-            let named = if is_message { names.resolve(recorded) } else { Ok(Arc::clone(recorded)) };
-            // Patterns choose topics; what is beside the messages has none, and belongs to the recording as a whole.
-            let names_of = [Some(recorded), named.as_ref().ok()];
-            let is_chosen = || is_message && names_of.into_iter().flatten().any(|name| is_wanted(&wishes.topics, name));
-            if !wishes.topics.is_empty() && !is_chosen() {
-                continue;
-            }
-            let topic = match (named, fault(&message)) {
-                (Ok(topic), None) => topic,
-                (Err(why), _) | (_, Some(why)) => {
-                    *left_out.entry((Arc::clone(recorded), why)).or_default() += 1;
-                    continue;
-                }
-            };
+            let Some(topic) = choosing.topic(&message) else { continue };
             let known = match before.get(&*topic) {
                 Some(Standing::Whole) => true,
                 Some(Standing::Begun) => sealed.take(&topic, &message)?,
@@ -219,12 +204,7 @@ impl Recordings {
         let findings = recording.findings();
         view.file = clean(&wishes.path.display().to_string(), 300);
         view.digest = Some(digest);
-        view.left_out = left_out_list(left_out);
-        view.left_out.extend(findings.unusable.iter().map(|row| LeftOut {
-            topic: row.topic.clone(),
-            why: row.why.clone(),
-            messages: row.messages,
-        }));
+        view.left_out = choosing.left_out(findings);
         view.skipped = view.left_out.iter().map(|topic| topic.messages).sum::<u64>();
         view.found += findings.messages_skipped();
         view.unguarded = findings.unguarded;
@@ -250,10 +230,6 @@ pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> 
         messages,
     });
     list.collect()
-}
-
-fn is_wanted(patterns: &[TopicPattern], topic: &str) -> bool {
-    patterns.iter().any(|pattern| pattern.matches(topic))
 }
 
 fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Digest, Failure> {

@@ -1,11 +1,14 @@
 //! Recordings and other homes: imported as records, exported from records; and their progress.
 
+mod choosing;
 mod export;
+mod follow;
 mod from_home;
 mod import;
 mod sealed_before;
 mod writing;
 
+use self::follow::Follows;
 pub(in crate::site) use self::import::RECORDING;
 use crate::config::Config;
 use crate::paths::Home;
@@ -18,6 +21,7 @@ use crate::site::capture::Capture;
 use crate::site::capture::sealer_thread::SealerThread;
 use crate::site::chain::link::Link;
 use crate::site::contacts::Contacts;
+use crate::site::evidence::Evidence;
 use crate::site::identity::Profiles;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::Joined;
@@ -27,9 +31,13 @@ use crate::site::reading::Reading;
 use std::path::Path;
 use std::sync::Arc;
 
+use tokio::sync::oneshot;
+
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
-use crate::service::command::{Ask, ExportWishes, HomeWishes, ImportWishes, RecordingCommand, RecordingProgress};
+use crate::service::command::{
+    Ask, ExportWishes, FollowWishes, HomeWishes, ImportWishes, RecordingCommand, RecordingProgress,
+};
 use crate::service::reply::{Failure, Reply};
 
 /// Imports and exports of recordings.
@@ -48,6 +56,8 @@ pub(in crate::site) struct Recordings {
     joined: Arc<Joined>,
     sealer: Arc<SealerThread>,
     rings: Arc<Rings<CapturedMessage>>,
+    evidence: Arc<Evidence>,
+    follows: Arc<Follows>,
     runs: Runs,
 }
 
@@ -60,12 +70,13 @@ pub(in crate::site) struct Asked<'a> {
     pub joined: &'a Arc<Joined>,
     pub sealer: &'a Arc<SealerThread>,
     pub rings: &'a Arc<Rings<CapturedMessage>>,
+    pub evidence: &'a Arc<Evidence>,
 }
 
 impl Recordings {
     /// From the shared parts.
     pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
-        let Asked { contacts, reading, capture, profiles, joined, sealer, rings } = asked;
+        let Asked { contacts, reading, capture, profiles, joined, sealer, rings, evidence } = asked;
         let Parts { home, config, plant, hub, log, link, life, runs, .. } = parts.clone();
         Self {
             home,
@@ -82,6 +93,8 @@ impl Recordings {
             joined: Arc::clone(joined),
             sealer: Arc::clone(sealer),
             rings: Arc::clone(rings),
+            evidence: Arc::clone(evidence),
+            follows: Arc::default(),
             runs,
         }
     }
@@ -97,9 +110,11 @@ impl Recordings {
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         command: RecordingCommand,
+        gone: oneshot::Receiver<()>,
     ) -> Result<Reply, Failure> {
         match command {
             RecordingCommand::Import(wishes) => self.import_recording(owner, wishes).await.map(ImportWishes::told),
+            RecordingCommand::Follow(wishes) => self.follow(owner, wishes, gone).await.map(FollowWishes::told),
             RecordingCommand::ImportHome(wishes) => self.import_home(owner, wishes).await.map(HomeWishes::told),
             RecordingCommand::Export(wishes) => {
                 self.joined.caught_up(&owner.profile).await?;

@@ -23,7 +23,7 @@ type Contents = HashMap<[u8; 32], u64>;
 pub(super) struct SealedBefore<'a> {
     reader: Reader<'a>,
     /// The value of the tag that names the file.
-    file: &'a str,
+    file: String,
     /// For each topic and time met: what was sealed there and not met yet. Two recordings may have the same topics and
     /// times, so only records that name this file count, and only by their content.
     met: HashMap<(Arc<str>, Timestamp), Contents>,
@@ -31,8 +31,8 @@ pub(super) struct SealedBefore<'a> {
 
 impl<'a> SealedBefore<'a> {
     /// For the owner who reads, and the file of this tag.
-    pub fn new(reader: Reader<'a>, file: &'a str) -> Self {
-        Self { reader, file, met: HashMap::new() }
+    pub fn new(reader: Reader<'a>, file: &str) -> Self {
+        Self { reader, file: file.to_owned(), met: HashMap::new() }
     }
 
     /// Whether this message is sealed; each sealed record stands for one message.
@@ -65,7 +65,7 @@ impl<'a> SealedBefore<'a> {
             let page = self.reader.plant.ledger.list(&query)?;
             for row in &page.rows {
                 let Some(opened) = self.reader.own_contents(row)? else { continue };
-                if opened.head.tags.get(RECORDING).is_some_and(|file| file == self.file) {
+                if opened.head.tags.get(RECORDING).is_some_and(|file| *file == self.file) {
                     *contents.entry(sm3(&[&opened.body])).or_default() += 1;
                 }
             }

@@ -1,0 +1,341 @@
+//! A folder whose recordings are sealed while a recorder writes them (decision 090).
+//!
+//! Files are only read. The ledger keeps how far each is sealed, before and after the records of a round: a crash
+//! between leaves a few messages in doubt, which are looked for among the records. A file that has ended is stated: its
+//! length and digests become a record, and the bundle of that record, opened, is written beside the file.
+
+mod folder;
+mod hashed;
+mod place;
+mod proof;
+mod tape;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{mpsc, oneshot};
+
+use self::folder::{Folder, Look};
+use self::proof::{Due, Proven};
+use self::tape::{Opened, QUIET, Round, Tape};
+use super::import::MOST_TAGS;
+use super::{Recordings, Run};
+use crate::model::{Address, clean};
+use crate::pipeline::importer::Importer;
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{CaptureSession, Network, Owner};
+use crate::service::command::FollowWishes;
+use crate::service::event::NoticeLevel;
+use crate::service::failure::{AGAIN, input, refused};
+use crate::service::reply::{Failure, FollowView, FollowedFile};
+use crate::site::blocking;
+
+/// Between two looks at the folder.
+const LOOK: Duration = Duration::from_millis(250);
+
+/// Between two looks whether proofs can be written.
+const PROVING: Duration = Duration::from_millis(500);
+
+/// Folders that are followed now, each with its owner. There is one site of a home, so this holds for the home.
+#[derive(Default)]
+pub(super) struct Follows(Mutex<Vec<(Address, PathBuf)>>);
+
+/// One folder of them.
+struct Claim(Arc<Follows>, (Address, PathBuf));
+
+impl Follows {
+    fn claim(self: &Arc<Self>, owner: Address, folder: &Path) -> Result<Claim, Failure> {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let overlaps = |other: &Path| other.starts_with(folder) || folder.starts_with(other);
+        if let Some((_, other)) = all.iter().find(|(of, other)| *of == owner && overlaps(other)) {
+            return Err(refused(format!(
+                "{} is already being followed; end that first, or leave it to it",
+                clean(&other.display().to_string(), 300)
+            )));
+        }
+        let of = (owner, folder.to_owned());
+        all.push(of.clone());
+        Ok(Claim(Arc::clone(self), of))
+    }
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        self.0.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|of| *of != self.1);
+    }
+}
+
+/// What all files of a folder need.
+struct Follower<'a> {
+    recordings: &'a Recordings,
+    owner: &'a Arc<Owner>,
+    network: &'a Network,
+    wishes: &'a FollowWishes,
+    control: &'a CaptureSession,
+}
+
+impl<'a> Follower<'a> {
+    fn goes_on(&self) -> bool {
+        !self.control.is_closed() && !self.recordings.life.is_stopping()
+    }
+
+    fn reader(&self) -> Reader<'a> {
+        Reader { plant: &self.recordings.plant, network: self.network, reader: self.owner }
+    }
+
+    fn importer(&self, tags: Vec<(String, String)>) -> Importer<'a> {
+        let (author, rules) = (Arc::clone(&self.owner.author), &self.recordings.config.topic_rules);
+        Importer::new(&self.recordings.rings, author, rules, tags).unfollowed()
+    }
+
+    /// The name of a file in the folder.
+    fn name_of(&self, path: &Path) -> String {
+        clean(&path.strip_prefix(&self.wishes.folder).unwrap_or(path).display().to_string(), 300)
+    }
+
+    fn tell(&self, level: NoticeLevel, text: &str) {
+        self.recordings.hub.notice(level, text);
+    }
+}
+
+/// What is known of a path.
+enum Entry<'a> {
+    Open(Box<Tape<'a>>),
+    /// Another name of a file that is followed.
+    Same,
+    Ended(Box<FollowedFile>),
+}
+
+impl Recordings {
+    /// Seals what is recorded into a folder, until it is closed, this is ended, or whoever asked has gone.
+    pub(super) async fn follow(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: FollowWishes,
+        gone: oneshot::Receiver<()>,
+    ) -> Result<FollowView, Failure> {
+        if wishes.tags.len() > MOST_TAGS - 1 {
+            return Err(input(format!("what is followed can have at most {} tags", MOST_TAGS - 1)));
+        }
+        if owner.sealing().is_none() {
+            self.profiles.register(owner).await?;
+        }
+        let network = self.reading.network_or_kept().await?;
+        self.sealer.begin()?;
+        let folder = resolved(&wishes.folder)?;
+        let wishes = FollowWishes { folder: folder.clone(), ..wishes };
+        let _claim = self.follows.claim(owner.address, &folder)?;
+        let shown = clean(&folder.display().to_string(), 300);
+        self.log.begin(owner, "follow recordings", &shown).await?;
+        let running = self.begin_run(&owner.profile, &folder, "following");
+        // Ends as a capture is ended: by the same command.
+        let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
+        self.capture.note(&owner.profile, &control);
+        let followed = self.follow_and_prove(owner, network, wishes, (&running.run, &control), gone).await;
+        self.capture.forget(&control);
+        self.log.end(owner, "follow recordings", &shown, followed).await
+    }
+
+    async fn follow_and_prove(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: Network,
+        wishes: FollowWishes,
+        (run, control): (&Arc<Run>, &Arc<CaptureSession>),
+        mut gone: oneshot::Receiver<()>,
+    ) -> Result<FollowView, Failure> {
+        let (sender, mut due) = mpsc::unbounded_channel();
+        let (author, run, stop) = (Arc::clone(owner), Arc::clone(run), Arc::clone(control));
+        let reading = blocking(self, move |recordings| {
+            let follower = Follower { recordings, owner: &author, network: &network, wishes: &wishes, control: &stop };
+            Ok(follow_folder(&follower, &run, &sender))
+        });
+        tokio::pin!(reading);
+        let (mut waiting, mut proven, mut view) = (Vec::new(), BTreeMap::new(), None);
+        let (mut is_released, mut tick) = (false, tokio::time::interval(PROVING));
+        loop {
+            tokio::select! {
+                read = &mut reading, if view.is_none() => view = Some(read?),
+                Some(one) = due.recv() => waiting.push(one),
+                _ = &mut gone, if !is_released => {
+                    is_released = true;
+                    control.close();
+                }
+                _ = tick.tick() => self.prove(owner, &mut waiting, &mut proven).await,
+            }
+            while let Ok(one) = due.try_recv() {
+                waiting.push(one);
+            }
+            let is_over = waiting.is_empty() || control.is_closed() || self.life.is_stopping();
+            if let Some(view) = view.take_if(|_| is_over) {
+                return Ok(with_proofs(view, &waiting, &mut proven));
+            }
+        }
+    }
+}
+
+fn with_proofs(mut view: FollowView, waiting: &[Due], proven: &mut BTreeMap<String, Proven>) -> FollowView {
+    for file in &mut view.files {
+        if let Some(Proven { record, proof, attached, notes }) = proven.remove(&file.file) {
+            (file.record, file.proof, file.attached) = (record, proof, attached);
+            file.notes.extend(notes);
+        }
+        if waiting.iter().any(|due| due.name == file.file) {
+            file.notes.push("its proof is not written yet; follow the folder again for it".to_owned());
+        }
+    }
+    view
+}
+
+/// A path without links, as far as it is there.
+fn resolved(path: &Path) -> Result<PathBuf, Failure> {
+    let failed = |error: std::io::Error| input(format!("{} cannot be followed: {error}", path.display()));
+    if path.is_file() {
+        return Err(input(format!("{} is a file; import it with `authros bag import`", path.display())));
+    }
+    let mut there = path;
+    while !there.exists() {
+        there = there.parent().ok_or_else(|| input(format!("{} is no folder", path.display())))?;
+    }
+    let rest = path.strip_prefix(there).unwrap_or(Path::new(""));
+    let resolved = there.canonicalize().map_err(failed)?;
+    Ok(if rest.as_os_str().is_empty() { resolved } else { resolved.join(rest) })
+}
+
+/// The folder's files, round by round.
+fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender<Due>) -> FollowView {
+    let shown = clean(&follower.wishes.folder.display().to_string(), 300);
+    let mut folder = Folder::new(follower.wishes.folder.clone());
+    let (mut entries, mut files) = (BTreeMap::<PathBuf, Entry<'_>>::new(), Vec::new());
+    let mut view = FollowView { folder: shown.clone(), ..FollowView::default() };
+    let mut newest = Instant::now();
+    loop {
+        match folder.look() {
+            Look::NotYet => follower.tell(NoticeLevel::Info, &format!("waiting for {shown} to appear")),
+            Look::Gone => view.is_gone = true,
+            Look::Unreadable(why) => follower.tell(NoticeLevel::Warning, &format!("{shown} cannot be read: {why}")),
+            Look::Files(found) => {
+                files = found.files;
+                found.database.into_iter().for_each(|path| tell_database(follower, &path));
+            }
+        }
+        for path in &files {
+            if !view.is_gone && !entries.contains_key(path) && open(follower, path, &files, &mut entries, due) {
+                newest = Instant::now();
+            }
+        }
+        let moved = go_round(follower, &files, &mut entries, due);
+        let sealed = entries.values().map(|entry| match entry {
+            Entry::Open(tape) => tape.sealed(),
+            Entry::Ended(file) => file.sealed,
+            Entry::Same => 0,
+        });
+        run.at(0, 0, sealed.sum());
+        let is_open = entries.values().any(|entry| matches!(entry, Entry::Open(_)));
+        let is_closed = || files.iter().all(|path| folder::has_description(path)) || newest.elapsed() >= QUIET;
+        let has_ended = follower.wishes.until_closed && !entries.is_empty() && !is_open && is_closed();
+        if !follower.goes_on() || !moved && (has_ended || view.is_gone) {
+            view.ended_early = !has_ended;
+            break;
+        }
+        if !moved {
+            std::thread::sleep(LOOK);
+        }
+    }
+    let mut paths: Vec<PathBuf> = entries.keys().cloned().collect();
+    paths.sort_by(|one, other| folder::in_order(&one.to_string_lossy(), &other.to_string_lossy()));
+    for path in paths {
+        match entries.remove(&path) {
+            Some(Entry::Open(mut tape)) => {
+                tape.leave();
+                view.files.push(tape.report());
+            }
+            Some(Entry::Ended(file)) => view.files.push(*file),
+            Some(Entry::Same) | None => {}
+        }
+    }
+    view
+}
+
+fn tell_database(follower: &Follower<'_>, path: &Path) {
+    let name = follower.name_of(path);
+    follower.tell(
+        NoticeLevel::Warning,
+        &format!(
+            "{name} is not followed: a second program that opens a .db3 can end its recorder; record with \
+             `--storage mcap`, or import it when it is closed"
+        ),
+    );
+}
+
+/// Opens what is new; `true` if something was.
+fn open<'a>(
+    follower: &'a Follower<'a>,
+    path: &Path,
+    files: &[PathBuf],
+    entries: &mut BTreeMap<PathBuf, Entry<'a>>,
+    due: &mpsc::UnboundedSender<Due>,
+) -> bool {
+    let is_held =
+        |key: &place::FileKey| entries.values().any(|entry| matches!(entry, Entry::Open(tape) if tape.key == *key));
+    let name = follower.name_of(path);
+    let entry = match Tape::open(follower, path, files, &is_held) {
+        Ok(Opened::NotYet) => return false,
+        Ok(Opened::Same) => Entry::Same,
+        Ok(Opened::Tape(tape)) => {
+            follower.tell(NoticeLevel::Info, &format!("following {name}"));
+            Entry::Open(tape)
+        }
+        Ok(Opened::Done(done)) => {
+            let (file, proof) = *done;
+            proof.into_iter().for_each(|proof| drop(due.send(proof)));
+            Entry::Ended(Box::new(file))
+        }
+        Err(failure) => {
+            follower.tell(NoticeLevel::Warning, &format!("{name}: {}", failure.message));
+            return false;
+        }
+    };
+    entries.insert(path.to_owned(), entry);
+    true
+}
+
+/// One round of all open files; whether any moved. A failure is told, and tried again.
+fn go_round(
+    follower: &Follower<'_>,
+    files: &[PathBuf],
+    entries: &mut BTreeMap<PathBuf, Entry<'_>>,
+    due: &mpsc::UnboundedSender<Due>,
+) -> bool {
+    let mut moved = false;
+    let mut paths: Vec<PathBuf> = entries.keys().cloned().collect();
+    paths.sort_by(|one, other| folder::in_order(&one.to_string_lossy(), &other.to_string_lossy()));
+    for path in paths {
+        let Some(entry) = entries.get_mut(&path) else { continue };
+        let Entry::Open(tape) = &mut *entry else { continue };
+        match tape.round(files) {
+            Ok(Round::Idle) => {}
+            Ok(Round::Moved) => moved = true,
+            Ok(Round::Ended) => {
+                moved = true;
+                tape.due().into_iter().for_each(|one| drop(due.send(one)));
+                let file = tape.report();
+                let level = if file.is_altered || !file.is_closed { NoticeLevel::Warning } else { NoticeLevel::Info };
+                let how = match &file {
+                    FollowedFile { is_altered: true, notes, .. } => notes.join("; "),
+                    FollowedFile { is_closed: false, .. } => "nobody writes it any more, and it was not closed".into(),
+                    _ => format!("has ended, {} messages sealed", file.sealed + file.already),
+                };
+                follower.tell(level, &format!("{}: {how}", file.file));
+                *entry = Entry::Ended(Box::new(file));
+            }
+            Err(failure) => {
+                let (name, why) = (follower.name_of(&path), failure.message.trim_end_matches(AGAIN));
+                follower.tell(NoticeLevel::Warning, &format!("{name}: {why}; it goes on by itself when it can"));
+            }
+        }
+    }
+    moved
+}

@@ -1,0 +1,222 @@
+//! The proof of a recorded file: the bundle of the record that states its digests, opened, beside the file.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use authros_evidence::Bundle;
+use authros_evidence::recorded::TAG;
+
+use super::super::Recordings;
+use super::super::import::RECORDING;
+use super::Follower;
+use super::folder::ATTACHED;
+use super::place::{self, FileKey, Place, Standing};
+use crate::crypto::sm3::sm3;
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
+use crate::pipeline::Owner;
+use crate::pipeline::reader::Reader;
+use crate::ros::mcap;
+use crate::ros::recording::BESIDE;
+use crate::service::command::EvidenceWishes;
+use crate::service::event::NoticeLevel;
+use crate::service::failure::input;
+use crate::service::reply::Failure;
+use crate::site::blocking;
+use crate::store::{RecordQuery, RecordRow};
+
+/// The end of a proof's name.
+const PROOF: &str = ".authros";
+
+/// Its media type in a copy of the file.
+const MEDIA_TYPE: &str = "application/vnd.authros.evidence+zip";
+
+/// A proof to be written as soon as the statement's record is verified.
+#[derive(Debug, Clone)]
+pub(super) struct Due {
+    /// The file's name in the folder, cleaned.
+    pub name: String,
+    path: PathBuf,
+    key: FileKey,
+    place: Place,
+    stated_at: Timestamp,
+    statement: Digest,
+    attach: bool,
+}
+
+/// What was written.
+#[derive(Debug, Default)]
+pub(super) struct Proven {
+    pub record: Option<String>,
+    pub proof: Option<String>,
+    pub attached: Option<String>,
+    pub notes: Vec<String>,
+}
+
+impl Due {
+    /// Of a file that is stated.
+    pub fn of(follower: &Follower<'_>, key: &FileKey, place: &Place, path: &Path) -> Option<Self> {
+        let (Some(stated_at), Some(statement)) = (place.stated_at, place.statement) else { return None };
+        Some(Self {
+            name: follower.name_of(path),
+            path: path.to_owned(),
+            key: key.clone(),
+            place: place.clone(),
+            stated_at,
+            statement,
+            attach: follower.wishes.attach && place.closed,
+        })
+    }
+}
+
+impl Recordings {
+    /// Writes the proofs that can be written; the others go on waiting.
+    pub(super) async fn prove(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        waiting: &mut Vec<Due>,
+        proven: &mut BTreeMap<String, Proven>,
+    ) {
+        let mut left = Vec::new();
+        for due in std::mem::take(waiting) {
+            match self.prove_one(owner, &due).await {
+                Ok(None) => left.push(due),
+                Ok(Some(one)) => {
+                    let text = one.proof.as_ref().map(|proof| format!("{}: its proof is {proof}", due.name));
+                    text.into_iter().for_each(|text| self.hub.notice(NoticeLevel::Info, &text));
+                    proven.insert(due.name, one);
+                }
+                Err(failure) => {
+                    let text = format!("its proof was not written: {}", failure.message);
+                    self.hub.notice(NoticeLevel::Warning, &format!("{}: {text}", due.name));
+                    proven.insert(due.name, Proven { notes: vec![text], ..Proven::default() });
+                }
+            }
+        }
+        *waiting = left;
+    }
+
+    async fn prove_one(self: &Arc<Self>, owner: &Arc<Owner>, due: &Due) -> Result<Option<Proven>, Failure> {
+        let (network, author, wanted) = (self.reading.network_or_kept().await?, Arc::clone(owner), due.clone());
+        let row = blocking(self, move |recordings| {
+            let reader = Reader { plant: &recordings.plant, network: &network, reader: &author };
+            statement(&reader, &wanted)
+        });
+        let Some(row) = row.await? else {
+            return Err(input("the record that states its digests is gone"));
+        };
+        match row.state {
+            RecordState::Verified => {}
+            RecordState::Tampered => {
+                return Err(Failure::new(
+                    crate::model::ErrorKind::Tampered,
+                    format!("record {}, which states its digests, differs from what was anchored", row.id),
+                ));
+            }
+            _ => return Ok(None),
+        }
+        let target = beside(&due.path);
+        let mut one = Proven { record: Some(row.id.clone()), ..Proven::default() };
+        if target.symlink_metadata().is_err() {
+            let wishes = EvidenceWishes {
+                file: target.clone(),
+                records: vec![row.id.clone()],
+                topic: None,
+                incident: None,
+                since: None,
+                until: None,
+                reveal: vec![row.id.clone()],
+            };
+            one.notes = self.evidence.export(owner, wishes).await?.notes;
+        }
+        one.proof = Some(clean(&target.display().to_string(), 300));
+        let due = due.clone();
+        let attached = blocking(self, move |recordings| recordings.finish_proof(&due, &target, row.digest)).await?;
+        one.attached = attached.map(|path| clean(&path.display().to_string(), 300));
+        Ok(Some(one))
+    }
+
+    /// Looks that the bundle is the file's, attaches it, and keeps that this is done.
+    fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<Option<PathBuf>, Failure> {
+        let is_its_own =
+            Bundle::read(target, self.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
+        if !is_its_own {
+            return Err(input(format!(
+                "{} is there and is not the proof of this file; move it away and follow the folder again",
+                target.display()
+            )));
+        }
+        let attached = due.attach.then(|| attach(&due.path, target, due.stated_at)).transpose()?;
+        let done = Place { standing: Standing::Proven, ..due.place.clone() };
+        place::put(&self.plant.ledger, &due.key, &done)?;
+        Ok(attached)
+    }
+}
+
+/// Where the proof of a file is.
+pub(super) fn beside(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(PROOF);
+    name.into()
+}
+
+/// Where the copy of a file is that has its proof attached.
+pub(super) fn copy_of(path: &Path) -> PathBuf {
+    let mut name = path.with_extension("").into_os_string();
+    name.push(ATTACHED);
+    name.into()
+}
+
+/// Makes that copy.
+fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Failure> {
+    let copy = copy_of(path);
+    if copy.exists() {
+        return Ok(copy);
+    }
+    let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", copy.display()));
+    let data = std::fs::read(proof).map_err(failed)?;
+    let (draft, out) = super::super::writing::Draft::begin(&copy)?;
+    let title = proof.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let source = std::fs::File::open(path).map_err(failed)?;
+    mcap::attach(
+        source,
+        out,
+        &mcap::AttachedFile {
+            logged_at,
+            created_at: Timestamp::now().0,
+            name: title.into(),
+            media_type: MEDIA_TYPE.into(),
+            data: &data,
+            checksum: 0,
+        },
+    )?;
+    draft.place()?;
+    Ok(copy)
+}
+
+/// The record of a file's statement.
+fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>, Failure> {
+    let mut query = RecordQuery {
+        owner: Some(reader.reader.address),
+        topic: Some(BESIDE.to_owned()),
+        kind: Some(RecordKind::Attachment),
+        since: Some(due.stated_at),
+        until: Some(Timestamp(due.stated_at.0.saturating_add(1))),
+        ..RecordQuery::default()
+    };
+    loop {
+        let page = reader.plant.ledger.list(&query)?;
+        for row in page.rows {
+            let Some(opened) = reader.own_contents(&row)? else { continue };
+            let has = |key: &str, value: &str| opened.head.tags.get(key).is_some_and(|found| found == value);
+            let is_it = has(RECORDING, &due.key.tag) && has(TAG.0, TAG.1);
+            if is_it && Digest(sm3(&[&opened.body])) == due.statement {
+                return Ok(Some(row));
+            }
+        }
+        query.after = page.next;
+        if query.after.is_none() {
+            return Ok(None);
+        }
+    }
+}

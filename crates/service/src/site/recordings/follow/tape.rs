@@ -1,0 +1,412 @@
+//! One file of a followed folder: read as it grows, sealed in file order, and stated when it has ended.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::fs::File;
+use std::io::BufReader;
+use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use authros_evidence::recorded::{RecordedFile, TAG};
+
+use super::super::choosing::Choosing;
+use super::super::import::{RECORDING, Standing as Imported, Standings};
+use super::super::sealed_before::SealedBefore;
+use super::hashed::Hashed;
+use super::place::{self, FileKey, Known, Place, Standing};
+use super::{Due, Follower, folder, proof};
+use crate::crypto::sm3::sm3;
+use crate::model::{Digest, Timestamp, clean};
+use crate::pipeline::importer::Importer;
+use crate::ros::mcap::McapReader;
+use crate::ros::recording::{BESIDE, Beside, RecordedMessage};
+use crate::service::failure::input;
+use crate::service::reply::{Failure, FollowedFile};
+
+/// The most messages, and about the most bytes of them, that are sealed before it is kept that they are.
+const MOST_MESSAGES: usize = 4_000;
+const MOST_BYTES: usize = 32 << 20;
+
+/// Bytes read ahead.
+const BUFFER: usize = 256 * 1024;
+
+/// Between two looks whether records are stored.
+const TICK: Duration = Duration::from_millis(3);
+
+/// Unchanged for so long, a file that nobody is seen to write is no longer written.
+pub(super) const QUIET: Duration = Duration::from_secs(10);
+
+/// What a look at a file came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Round {
+    /// Nothing was new.
+    Idle,
+    /// Messages were sealed; there may be more.
+    Moved,
+    /// Nothing more is expected of it.
+    Ended,
+}
+
+/// What was found where a file was looked for.
+pub(super) enum Opened<'a> {
+    /// Not enough of it to begin with.
+    NotYet,
+    /// Another tape has it under another name.
+    Same,
+    /// It goes on, or begins.
+    Tape(Box<Tape<'a>>),
+    /// There is nothing to do with it; its proof may still be due.
+    Done(Box<(FollowedFile, Option<Due>)>),
+}
+
+/// A file being followed.
+pub(super) struct Tape<'a> {
+    follower: &'a Follower<'a>,
+    pub key: FileKey,
+    path: PathBuf,
+    file: File,
+    reader: McapReader<BufReader<File>>,
+    hashed: Hashed,
+    place: Place,
+    is_kept: bool,
+    choosing: Choosing,
+    importer: Importer<'a>,
+    sealed_before: SealedBefore<'a>,
+    /// What an import of the whole file has sealed.
+    imported: Standings,
+    /// Messages up to this one were perhaps sealed by an earlier run.
+    doubt: u64,
+    batch: VecDeque<(Option<Arc<str>>, RecordedMessage)>,
+    /// Messages read so far.
+    met: u64,
+    latest: Option<Timestamp>,
+    topics: BTreeSet<String>,
+    length: u64,
+    grew: Instant,
+    view: FollowedFile,
+}
+
+impl<'a> Tape<'a> {
+    /// Opens a file for reading, and finds where it goes on. `is_held` says whether a tape has it already.
+    pub fn open(
+        follower: &'a Follower<'a>,
+        path: &Path,
+        files: &[PathBuf],
+        is_held: &dyn Fn(&FileKey) -> bool,
+    ) -> Result<Opened<'a>, Failure> {
+        let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
+        let (file, ledger) = (File::open(path).map_err(unreadable)?, &follower.recordings.plant.ledger);
+        let length = file.metadata().map_err(unreadable)?.len();
+        let name = follower.name_of(path);
+        let mut view = FollowedFile { file: name.clone(), ..FollowedFile::default() };
+        let is_whole = length >= 8 && folder::is_followed_by(path, files);
+        let (key, place) = match place::known(ledger, follower.owner.address, &file, is_whole)? {
+            Known::TooShort => return Ok(Opened::NotYet),
+            Known::Shrank(place) => {
+                view.is_altered = true;
+                view.notes.push(shrank(length, place.at));
+                return Ok(Opened::Done(Box::new((view, None))));
+            }
+            Known::Here(key, ..) if is_held(&key) => return Ok(Opened::Same),
+            Known::Here(key, place, is_another) => {
+                if is_another {
+                    view.is_altered = true;
+                    view.notes.push(
+                        "its place on the disk held what was sealed before and is altered now, or another file that \
+                         began alike: it is sealed from its beginning"
+                            .to_owned(),
+                    );
+                }
+                (key, *place)
+            }
+        };
+        if place.standing != Standing::Open {
+            let (proof, copy) = (proof::beside(path), proof::copy_of(path));
+            let is_missing = place.standing == Standing::Stated || follower.wishes.attach && !copy.exists();
+            view.settled(&place, length);
+            if !is_missing {
+                let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
+                view.proof = shown(proof);
+                view.attached = shown(copy).filter(|_| follower.wishes.attach);
+            }
+            let due = Due::of(follower, &key, &place, path).filter(|_| is_missing);
+            return Ok(Opened::Done(Box::new((view, due))));
+        }
+        let reader = McapReader::follow(BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?))?;
+        let mut tags = follower.wishes.tags.clone();
+        tags.push((RECORDING.to_owned(), key.tag.clone()));
+        let sealed_before = SealedBefore::new(follower.reader(), &key.tag);
+        let importer = follower.importer(tags);
+        let mut tape = Self {
+            follower,
+            path: path.to_owned(),
+            file,
+            reader,
+            hashed: Hashed::default(),
+            doubt: place.begun,
+            is_kept: true,
+            choosing: Choosing::new(&follower.wishes.topics),
+            importer,
+            sealed_before,
+            imported: Standings::new(),
+            batch: VecDeque::new(),
+            met: 0,
+            latest: None,
+            topics: BTreeSet::new(),
+            length,
+            grew: Instant::now(),
+            view,
+            place: Place { name, ..place },
+            key,
+        };
+        tape.find_import(length)?;
+        Ok(Opened::Tape(Box::new(tape)))
+    }
+
+    /// A file that is closed when it is first met may have been imported as a whole.
+    fn find_import(&mut self, length: u64) -> Result<(), Failure> {
+        let mut tail = [0; 8];
+        let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
+        self.file.read_exact_at(&mut tail, length.saturating_sub(8)).map_err(unreadable)?;
+        if tail != *crate::ros::mcap::MAGIC {
+            return Ok(());
+        }
+        let mut hashed = Hashed::default();
+        hashed.advance(&self.file, length, Vec::new()).map_err(unreadable)?;
+        self.imported = self.follower.recordings.standings(self.follower.owner.address, hashed.digest())?;
+        Ok(())
+    }
+
+    /// Looks whether there is more, and seals it.
+    pub fn round(&mut self, files: &[PathBuf]) -> Result<Round, Failure> {
+        let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", self.view.file));
+        let length = self.file.metadata().map_err(unreadable)?.len();
+        if length < self.length.max(self.hashed.at()) {
+            self.view.is_altered = true;
+            self.view.notes.push(shrank(length, self.hashed.at()));
+            return Ok(Round::Ended);
+        }
+        if length > self.length {
+            (self.length, self.grew) = (length, Instant::now());
+        }
+        self.reader.grown(length);
+        if self.batch.is_empty() {
+            self.fill()?;
+        }
+        if !self.batch.is_empty() {
+            self.seal()?;
+            return Ok(Round::Moved);
+        }
+        if self.reader.is_finished() {
+            self.state()?;
+            return Ok(if self.place.standing == Standing::Open { Round::Idle } else { Round::Ended });
+        }
+        if self.place.at != self.hashed.at() || !self.is_kept {
+            self.keep()?;
+        }
+        if self.is_abandoned(files) {
+            self.reader.close()?;
+            return Ok(Round::Moved);
+        }
+        Ok(Round::Idle)
+    }
+
+    /// Whether nobody writes it any more, although it was not closed.
+    fn is_abandoned(&self, files: &[PathBuf]) -> bool {
+        let is_over = self.follower.wishes.until_closed || folder::is_followed_by(&self.path, files);
+        let is_written =
+            || self.file.metadata().is_ok_and(|metadata| folder::has_writer(metadata.dev(), metadata.ino()));
+        is_over && self.grew.elapsed() >= QUIET && !is_written()
+    }
+
+    /// Reads the next messages; those that are sealed already are passed over.
+    fn fill(&mut self) -> Result<(), Failure> {
+        let mut bytes = 0;
+        while self.batch.len() < MOST_MESSAGES && bytes < MOST_BYTES && self.follower.goes_on() {
+            let Some(message) = self.reader.next_message()? else { break };
+            self.met += 1;
+            self.view.found += 1;
+            self.latest = self.latest.max(Some(message.time));
+            let topic = self.choosing.topic(&message);
+            if let Some(topic) = topic.as_ref().filter(|topic| !self.topics.contains(&***topic)) {
+                self.topics.insert(topic.to_string());
+            }
+            if self.met <= self.place.stored {
+                self.view.already += u64::from(topic.is_some());
+                continue;
+            }
+            bytes += message.body.len();
+            self.batch.push_back((topic, message));
+        }
+        self.hash_to(self.reader.progress().0)
+    }
+
+    fn hash_to(&mut self, at: u64) -> Result<(), Failure> {
+        let spans = self.reader.take_chunks();
+        let failed = |error: std::io::Error| input(format!("{} cannot be read: {error}", self.view.file));
+        self.hashed.advance(&self.file, at, spans).map_err(failed)
+    }
+
+    /// Keeps how far it is, before anything further is sealed: up to `begun` may be sealed when this run dies.
+    fn begin_to(&mut self, begun: u64) -> Result<(), Failure> {
+        self.place.begun = self.place.begun.max(begun);
+        self.keep()
+    }
+
+    fn keep(&mut self) -> Result<(), Failure> {
+        // What is not read again yet says less than what is kept.
+        if self.hashed.at() >= self.place.at {
+            (self.place.at, self.place.digest) = (self.hashed.at(), Some(self.hashed.digest()));
+            self.place.chunks = self.hashed.chunks().len() as u64;
+        }
+        place::put(&self.follower.recordings.plant.ledger, &self.key, &self.place)?;
+        self.is_kept = true;
+        Ok(())
+    }
+
+    fn seal(&mut self) -> Result<(), Failure> {
+        self.begin_to(self.met)?;
+        while let Some((topic, message)) = self.batch.front() {
+            if !self.follower.goes_on() {
+                return Ok(());
+            }
+            let number = self.met - self.batch.len() as u64 + 1;
+            let known = match topic {
+                Some(topic) if self.imported.get(&**topic) == Some(&Imported::Whole) => true,
+                Some(topic) if number <= self.doubt => self.sealed_before.take(topic, message)?,
+                Some(_) | None => false,
+            };
+            match self.batch.pop_front() {
+                Some((Some(_), _)) if known => self.view.already += 1,
+                Some((Some(topic), message)) => {
+                    if !self.importer.take(message, &topic, &|| self.follower.goes_on()) {
+                        return Ok(());
+                    }
+                    self.view.sealed += 1;
+                }
+                Some((None, _)) | None => {}
+            }
+        }
+        if self.is_stored(|tape| tape.importer.is_acknowledged()) {
+            (self.place.stored, self.is_kept) = (self.met, false);
+        }
+        Ok(())
+    }
+
+    /// Waits until it is so; `false` if this is to end first.
+    fn is_stored(&self, is_so: impl Fn(&Self) -> bool) -> bool {
+        while !is_so(self) {
+            if !self.follower.goes_on() {
+                return false;
+            }
+            std::thread::sleep(TICK);
+        }
+        true
+    }
+
+    /// Seals what is to be known of the whole file.
+    fn state(&mut self) -> Result<(), Failure> {
+        // A stopped batch is not the end.
+        if self.place.stored < self.met {
+            return Ok(());
+        }
+        self.hash_to(self.length)?;
+        self.place.closed = self.reader.has_footer();
+        let time = *self.place.stated_at.get_or_insert_with(|| self.latest.unwrap_or_else(Timestamp::now));
+        let stated = RecordedFile {
+            name: self.place.name.clone(),
+            length: self.hashed.at(),
+            digest: self.hashed.digest(),
+            is_closed: self.place.closed,
+            chunks: self.hashed.chunks().to_vec(),
+        };
+        let body = stated.to_bytes();
+        let statement = Digest(sm3(&[&body]));
+        let message = RecordedMessage { channel: Arc::new(Beside::Metadata.channel()), time, sent: None, body };
+        self.begin_to(self.met + 1)?;
+        let topic: Arc<str> = BESIDE.into();
+        if self.met >= self.doubt || !self.sealed_before.take(&topic, &message)? {
+            let mut tags = self.follower.wishes.tags.clone();
+            tags.extend(
+                [(RECORDING, self.key.tag.as_str()), TAG].map(|(key, value)| (key.to_owned(), value.to_owned())),
+            );
+            let mut importer = self.follower.importer(tags);
+            let is_taken = importer.take(message, &topic, &|| self.follower.goes_on());
+            if !is_taken || !self.is_stored(|_| importer.is_acknowledged()) {
+                return Ok(());
+            }
+        }
+        (self.place.stored, self.place.statement) = (self.met + 1, Some(statement));
+        self.place.standing = Standing::Stated;
+        self.keep()?;
+        self.note_as_imported(stated.digest)
+    }
+
+    /// An import of the same file has then nothing left to seal.
+    fn note_as_imported(&self, digest: Digest) -> Result<(), Failure> {
+        if !self.follower.wishes.topics.is_empty() || self.importer.lost() > 0 {
+            return Ok(());
+        }
+        let whole = self.topics.iter().map(|topic| (topic.clone(), Imported::Whole)).collect();
+        self.follower.recordings.put_standings(self.follower.owner.address, digest, &whole)
+    }
+
+    /// The proof that is now to be written.
+    pub fn due(&self) -> Option<Due> {
+        Due::of(self.follower, &self.key, &self.place, &self.path)
+    }
+
+    /// Messages sealed so far.
+    pub fn sealed(&self) -> u64 {
+        self.view.sealed
+    }
+
+    /// Keeps how far it is at the end of a run.
+    pub fn leave(&mut self) {
+        if !self.is_kept && self.batch.is_empty() {
+            // What is not kept is found among the records by the next run.
+            drop(self.keep());
+        }
+    }
+
+    /// What there is to say of it.
+    pub fn report(&self) -> FollowedFile {
+        let (findings, mut view) = (self.reader.findings(), self.view.clone());
+        view.bytes = self.hashed.at();
+        view.found += findings.messages_skipped();
+        view.lost = self.importer.lost();
+        view.left_out = self.choosing.left_out(findings);
+        view.skipped = view.left_out.iter().map(|row| row.messages).sum();
+        view.damages.clone_from(&findings.damages);
+        view.more_damages = findings.more_damages;
+        view.chunks = self.hashed.chunks().len() as u64;
+        let has_ended = self.place.standing != Standing::Open;
+        view.digest = self.place.digest.filter(|_| has_ended);
+        view.is_closed = has_ended && self.place.closed;
+        view
+    }
+}
+
+impl FollowedFile {
+    /// A file that an earlier run is done with.
+    fn settled(&mut self, place: &Place, length: u64) {
+        let messages = place.stored.saturating_sub(1);
+        (self.bytes, self.found, self.already) = (place.at, messages, messages);
+        (self.chunks, self.digest, self.is_closed) = (place.chunks, place.digest, place.closed);
+        if length != place.at {
+            self.is_altered = true;
+            self.notes.push(format!("it has {length} bytes now, and had {} when its digests were stated", place.at));
+        }
+    }
+}
+
+fn shrank(length: u64, sealed: u64) -> String {
+    clean(
+        &format!(
+            "it has only {length} bytes left of the {sealed} that were read: what was sealed stays sealed, and it is \
+             not followed any further"
+        ),
+        300,
+    )
+}

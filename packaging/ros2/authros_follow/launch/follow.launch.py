@@ -1,0 +1,34 @@
+"""Seals what is recorded into a folder, while it is recorded.
+
+    ros2 launch authros_follow follow.launch.py folder:=/data/run1
+    ros2 bag record --storage mcap --all --output /data/run1
+"""
+
+import sys
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+
+OPTIONS = {
+    "until_closed": ("--until-closed", "end when the recording is closed and its proofs are written"),
+    "attach": ("--attach", "also write a copy of each file with its proof attached"),
+}
+
+
+def start(context):
+    def said(name):
+        return LaunchConfiguration(name).perform(context)
+
+    options = [word for name, (word, _) in OPTIONS.items() if said(name).lower() in ("true", "1", "yes")]
+    line = [sys.executable, "-m", "authros_follow.follow", said("folder"), *options]
+    # On its end, what it has read is still stored.
+    return [ExecuteProcess(cmd=line, name="authros_follow", output="screen", sigterm_timeout="20")]
+
+
+def generate_launch_description():
+    folder = DeclareLaunchArgument("folder", description="the folder into which ros2 bag record writes")
+    options = [
+        DeclareLaunchArgument(name, default_value="false", description=text) for name, (_, text) in OPTIONS.items()
+    ]
+    return LaunchDescription([folder, *options, OpaqueFunction(function=start)])
