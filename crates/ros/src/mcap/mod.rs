@@ -9,6 +9,7 @@ mod record;
 mod writer;
 
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE};
+pub(super) use beside::{attachment_record, metadata_record};
 pub use reader::McapReader;
 pub use writer::McapWriter;
 

@@ -36,7 +36,9 @@ pub struct Described {
 impl Described {
     /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`, or built in.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
-        let facts = TypeFacts { text: facts.text.filter(|text| says_something(text, facts)), ..facts };
+        let text = facts.text.filter(|text| says_something(text, facts));
+        // rosbag2 writes an empty hash where it knows none.
+        let facts = TypeFacts { text, hash: facts.hash.filter(|hash| !hash.is_empty()), ..facts };
         match own(facts).or_else(|error| completed(facts, folders).ok_or(error)) {
             Ok((definition, note)) => {
                 Self { definition: Some(Arc::new(definition)), note: note.or_else(|| differs(facts)) }
@@ -75,6 +77,10 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
             no_fields("its publisher sent no definition, or it is in no record that can be read here; write it as .bin")
         }
         (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
+        // So rosbag2 describes what `ros2 bag record --service` records: by the service.
+        (Encoding::Cdr { idl: false }, Some(text)) if text.lines().any(|line| line.trim() == "---") => no_fields(
+            "the recording describes a service, not a message; events of services are kept as bytes, write it as .bin",
+        ),
         (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
         (Encoding::Beside(_), _) => no_fields("it is an attachment to a recording, not a message"),
         (Encoding::Cdr { idl: true }, Some(_)) => no_fields(
@@ -190,6 +196,9 @@ mod tests {
         let (found, note) = own_kind(MSG, None);
         assert!(!found && note.contains("in no record") && note.contains("AMENT_PREFIX_PATH"), "{note}");
         assert!(own_kind(MSG, Some("line")).1.contains("no field name"));
+        let (found, note) = own_kind(MSG, Some("int64 a\n---\nint64 sum"));
+        assert!(!found && note.contains("describes a service"), "{note}");
+        assert_eq!(said(MSG, Some("string data"), Some("")), (true, String::new()), "an empty hash is none");
         assert!(!said(Encoding::Ros1, Some("string data"), None).0, "its name is none of ROS 1");
     }
 

@@ -12,6 +12,7 @@ use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, Top
 use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
+use crate::ros::rosbag2::{METADATA, Tally};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
@@ -31,6 +32,7 @@ const MOST_DEFINITIONS: usize = 1024;
 struct Export<'a> {
     wishes: &'a ExportWishes,
     writer: RecordingWriter,
+    tally: Tally,
     channels: HashMap<Channel, Arc<Channel>>,
     definitions: HashMap<(Address, Digest), Option<Arc<str>>>,
     topics: BTreeMap<(String, String), u64>,
@@ -151,7 +153,7 @@ impl<'a> Export<'a> {
         };
         let (channels, definitions) = (HashMap::new(), HashMap::new());
         let (topics, given) = (BTreeMap::new(), BTreeSet::new());
-        Self { wishes, writer, channels, definitions, topics, given, view }
+        Self { wishes, writer, tally: Tally::default(), channels, definitions, topics, given, view }
     }
 
     fn is_wanted(&self, topic: &str) -> bool {
@@ -211,6 +213,7 @@ impl<'a> Export<'a> {
         let time = opened.header.captured_at;
         let sent = importer::sent(&head.tags, time);
         block_in_place(|| self.writer.write(&channel, time, sent, &opened.body))?;
+        self.tally.count(&channel, time);
         *if is_message { &mut self.view.messages } else { &mut self.view.attachments } += 1;
         self.view.bytes += opened.body.len() as u64;
         *self.topics.entry((head.topic.clone(), head.type_name.clone())).or_default() += 1;
@@ -273,7 +276,10 @@ impl<'a> Export<'a> {
             return Ok(self.view);
         }
         self.writer.finish()?;
-        draft.place()?;
+        match self.wishes.format {
+            RecordingFormat::Bag | RecordingFormat::Mcap => draft.place()?,
+            RecordingFormat::Rosbag2 => draft.place_in_folder(METADATA, |file| self.tally.describe(file))?,
+        }
         self.view.file = Some(clean(&self.wishes.path.display().to_string(), 300));
         Ok(self.view)
     }
@@ -290,5 +296,5 @@ fn is_as_its_kind(encoding: Encoding, opened: &OpenedRecord) -> bool {
 
 /// Whether the format can represent the record's time.
 fn fits(format: RecordingFormat, captured_at: Timestamp) -> bool {
-    format == RecordingFormat::Mcap || u32::try_from(captured_at.seconds()).is_ok()
+    format != RecordingFormat::Bag || u32::try_from(captured_at.seconds()).is_ok()
 }
