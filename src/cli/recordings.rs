@@ -294,7 +294,7 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
         (refused.held, "are quarantined or discarded"),
         (refused.no_definition, "have no readable definition of their type"),
         (refused.unsuitable, "do not fit this format"),
-        (refused.attachments, "are attachments to a recording, which only MCAP has room for (--mcap)"),
+        (refused.attachments, "are attachments to a recording, which only MCAP has room for (--mcap, --rosbag2)"),
     ];
     for (count, why) in words.into_iter().filter(|(count, _)| *count > 0) {
         output.note(&format!("authros: {count} records {why}: not written"));

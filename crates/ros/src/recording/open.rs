@@ -112,7 +112,7 @@ impl Recording {
     }
 
     /// Opens a single file. One that is compressed as a whole is unpacked into a temporary file, which is gone at the end.
-    pub(in crate::ros) fn open_file(path: &Path) -> Result<Self, RosError> {
+    pub(crate) fn open_file(path: &Path) -> Result<Self, RosError> {
         let (file, magic) = begin(path)?;
         if !magic.starts_with(&ZSTD) {
             return Self::of(path, file, &magic);

@@ -26,8 +26,8 @@ use crate::ros::tcpros::LONGEST_MESSAGE;
 /// Messages whose places are read ahead.
 const PAGE: i64 = 512;
 
-/// The most faults that are asked of SQLite; with more, nothing is read.
-const MOST_FAULTS: usize = 200;
+/// The most faults that SQLite tells of a table; with so many, nothing is read.
+const MOST_FAULTS: usize = 100;
 
 /// Fewer bytes no row of messages has.
 const SMALLEST_ROW: u64 = 6;
@@ -111,7 +111,7 @@ impl Db3Reader {
             latest: Timestamp(0),
             ended: false,
         };
-        if reader.check().map_err(failed)? {
+        if reader.check(&columns).map_err(failed)? {
             reader.read_topics(&columns)?;
             reader.read_places().map_err(failed)?;
             reader.read_beside(&columns);
@@ -153,10 +153,10 @@ impl Db3Reader {
     }
 
     /// Lets SQLite look whether its trees are sound; `false` if nothing can be read safely.
-    fn check(&mut self) -> rusqlite::Result<bool> {
+    fn check(&mut self, columns: &BTreeMap<String, Vec<String>>) -> rusqlite::Result<bool> {
         let mut faults = Vec::new();
-        {
-            let mut statement = self.database.prepare(&format!("PRAGMA main.quick_check({MOST_FAULTS})"))?;
+        for table in columns.keys() {
+            let mut statement = self.database.prepare(&format!("PRAGMA main.quick_check('{table}')"))?;
             let mut rows = statement.query([])?;
             loop {
                 match rows.next() {
@@ -484,7 +484,8 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;
-    database.execute_batch("PRAGMA temp_store = FILE; PRAGMA cell_size_check = ON; PRAGMA mmap_size = 0")?;
+    database
+        .execute_batch("PRAGMA temp_store = FILE; PRAGMA cell_size_check = ON; PRAGMA ignore_check_constraints = ON")?;
     Ok(database)
 }
 
@@ -497,11 +498,13 @@ fn columns(database: &Connection) -> rusqlite::Result<BTreeMap<String, Vec<Strin
         if database.query_row(query, [table], |row| row.get::<_, i64>(0))? == 0 {
             continue;
         }
-        // Columns that are computed have another `hidden`.
-        let mut statement =
-            database.prepare("SELECT name FROM pragma_table_xinfo(?1, 'main') WHERE hidden = 0 LIMIT 64")?;
-        let names = statement.query_map([table], |row| row.get(0))?.collect::<rusqlite::Result<Vec<String>>>()?;
-        tables.insert(table.to_owned(), names);
+        let mut statement = database.prepare("SELECT name, hidden FROM pragma_table_xinfo(?1, 'main') LIMIT 64")?;
+        let rows = statement.query_map([table], |row| Ok((row.get(0)?, row.get::<_, i64>(1)?)))?;
+        let rows = rows.collect::<rusqlite::Result<Vec<(String, i64)>>>()?;
+        // A column that is computed would run what the file says.
+        if rows.iter().all(|(_, hidden)| *hidden == 0) {
+            tables.insert(table.to_owned(), rows.into_iter().map(|(name, _)| name).collect());
+        }
     }
     Ok(tables)
 }

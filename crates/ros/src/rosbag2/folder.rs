@@ -110,8 +110,8 @@ impl FolderReader {
         let Ok(entries) = std::fs::read_dir(&self.folder) else { return };
         let names = entries.flatten().take(MOST_ENTRIES).map(|entry| entry.file_name().to_string_lossy().into_owned());
         let is_one = |name: &String| {
-            let name = name.strip_suffix(".zstd").unwrap_or(name);
-            name.ends_with(".db3") || name.ends_with(".mcap")
+            let end = name.strip_suffix(".zstd").unwrap_or(name).rsplit_once('.').map(|(_, end)| end);
+            matches!(end, Some("db3" | "mcap"))
         };
         let mut others: Vec<String> = names.filter(is_one).filter(|name| !self.metadata.files.contains(name)).collect();
         others.sort();

@@ -13,8 +13,18 @@ pub const METADATA: &str = "metadata.yaml";
 /// The versions that are read.
 const VERSIONS: std::ops::RangeInclusive<u64> = 1..=9;
 
-/// The version that is written. QoS is a text in it, so that it comes out as it went in; every reader since Iron takes it.
-const WRITTEN: u64 = 8;
+/// The versions that are written: QoS as a text with numbers, which every reader since Iron takes; or in words, as recorders
+/// since Jazzy have it.
+const WITH_NUMBERS: u64 = 8;
+const WITH_WORDS: u64 = 9;
+
+/// The words of the numbers that stand for a QoS policy, as rmw counts them.
+const POLICIES: [(&str, &[&str]); 4] = [
+    ("history", &["system_default", "keep_last", "keep_all", "unknown"]),
+    ("reliability", &["system_default", "reliable", "best_effort", "unknown", "best_available"]),
+    ("durability", &["system_default", "transient_local", "volatile", "unknown", "best_available"]),
+    ("liveliness", &["system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"]),
+];
 
 /// The most files of a recording.
 const MOST_FILES: usize = 65_536;
@@ -127,13 +137,15 @@ impl Tally {
     pub fn describe(&self, file: &str) -> String {
         let (first, last) = self.span.unwrap_or_default();
         let (file, begins, lasts, messages) = (quote(file), first.0, last.0 - first.0, self.messages);
+        let version = if self.topics.values().any(|row| is_in_words(&row.qos)) { WITH_WORDS } else { WITH_NUMBERS };
         let mut out = format!(
-            "rosbag2_bagfile_information:\n  version: {WRITTEN}\n  storage_identifier: mcap\n  duration:\n    nanoseconds: {lasts}\n  \
+            "rosbag2_bagfile_information:\n  version: {version}\n  storage_identifier: mcap\n  duration:\n    nanoseconds: {lasts}\n  \
              starting_time:\n    nanoseconds_since_epoch: {begins}\n  message_count: {messages}\n  topics_with_message_count:{}\n",
             if self.topics.is_empty() { " []" } else { "" }
         );
         for ((topic, type_name), row) in &self.topics {
-            let [name, kind, qos, hash] = [&**topic, &**type_name, &*row.qos, &*row.hash].map(quote);
+            let [name, kind, hash] = [&**topic, &**type_name, &*row.hash].map(quote);
+            let qos = if version == WITH_WORDS { in_words(&row.qos) } else { quote(&row.qos) };
             out.push_str(&format!(
                 "    - topic_metadata:\n        name: {name}\n        type: {kind}\n        serialization_format: {}\n        \
                  offered_qos_profiles: {qos}\n        type_description_hash: {hash}\n      message_count: {}\n",
@@ -146,6 +158,43 @@ impl Tally {
              message_count: {messages}\n  custom_data: ~\n  ros_distro: \"\"\n"
         ));
         out
+    }
+}
+
+/// The profiles of a QoS text; none if it cannot be read.
+fn profiles(text: &str) -> Vec<Value> {
+    parse(text).map(|value| value.list().to_vec()).unwrap_or_default()
+}
+
+fn is_in_words(text: &str) -> bool {
+    let named = |profile: &Value| {
+        let mut policies = POLICIES.iter().filter_map(|(policy, _)| profile.get(policy)?.text());
+        policies.any(|word| word.parse::<i64>().is_err())
+    };
+    profiles(text).iter().any(named)
+}
+
+/// A QoS text as version 9 has it: a sequence, with words for numbers.
+fn in_words(text: &str) -> String {
+    let profiles: Vec<String> = profiles(text).iter().map(|profile| flow("", profile)).collect();
+    format!("[{}]", profiles.join(", "))
+}
+
+/// A value on one line.
+fn flow(key: &str, value: &Value) -> String {
+    let joined = |members: Vec<String>| members.join(", ");
+    match value {
+        Value::Text(text) => {
+            let words = POLICIES.iter().find(|(policy, _)| *policy == key).map(|(_, words)| *words).unwrap_or_default();
+            let word = text.parse().ok().and_then(|number: usize| words.get(number).copied()).unwrap_or(text);
+            let is_plain = !word.is_empty() && word.chars().all(|char| char.is_ascii_alphanumeric() || char == '_');
+            if is_plain { word.to_owned() } else { quote(word) }
+        }
+        Value::List(members) => format!("[{}]", joined(members.iter().map(|member| flow("", member)).collect())),
+        Value::Map(entries) => {
+            let entry = |(key, value): &(String, Value)| format!("{}: {}", quote(key), flow(key, value));
+            format!("{{{}}}", joined(entries.iter().map(entry).collect()))
+        }
     }
 }
 
@@ -171,6 +220,13 @@ mod tests {
         assert_eq!((read.files, read.messages, read.begins.0), (vec!["run_0.mcap".to_owned()], Some(3), 5));
         assert_eq!(read.topics, BTreeMap::from([("/a \"b\"\n".to_owned(), 3)]));
         assert!(Metadata::parse(&Tally::default().describe("x")).is_ok());
+        assert!(tally.describe("x").contains("version: 8"));
+        let words = "- depth: 1\n  history: keep_last\n  reliability: 2\n  deadline: {sec: 1, nsec: 2}";
+        let about = BTreeMap::from([("offered_qos_profiles".into(), words.into())]);
+        tally.count(&Channel { topic: "/words".into(), about, ..channel }, Timestamp(1));
+        let text = tally.describe("x");
+        assert!(text.contains("version: 9") && text.contains("\"reliability\": best_effort"), "{text}");
+        assert!(parse(&text).is_ok(), "{text}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ const STEP: usize = 16 << 20;
 const RESERVE: u64 = 512 << 20;
 
 /// What comes out of a compressed file.
-pub(in crate::ros) fn unpacked(path: &Path) -> Result<NamedTempFile, RosError> {
+pub(crate) fn unpacked(path: &Path) -> Result<NamedTempFile, RosError> {
     let failed = |why: &str| RosError::recording(&format!("{} cannot be unpacked with zstd: {why}", path.display()));
     let told = |error: std::io::Error| failed(&error.to_string());
     let made = NamedTempFile::new().map_err(told)?;

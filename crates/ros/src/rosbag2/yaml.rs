@@ -411,7 +411,7 @@ mod tests {
     use super::*;
 
     fn at<'a>(value: &'a Value, path: &[&str]) -> &'a str {
-        path.iter().fold(Some(value), |value, key| value?.get(key)).and_then(Value::text).expect("a text")
+        path.iter().try_fold(value, |value, key| value.get(key)).and_then(Value::text).expect("a text")
     }
 
     #[test]
