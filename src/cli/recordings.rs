@@ -24,7 +24,7 @@ const LONGEST_KEYRING: usize = 1 << 20;
 /// `bag …`
 #[derive(Debug, Subcommand)]
 pub enum BagVerb {
-    /// Import a bag or MCAP file as records, keeping its times
+    /// Import a bag, an MCAP or .db3 file or a folder of rosbag2 as records, keeping its times
     Import(ImportArguments),
     /// Seal what a recorder writes into a folder, while it writes, and prove its files
     Follow(super::following::FollowArguments),
@@ -33,7 +33,7 @@ pub enum BagVerb {
 /// `bag import …`
 #[derive(Debug, Args)]
 pub struct ImportArguments {
-    /// A bag (rosbag 2.0) or MCAP file
+    /// A bag (rosbag 2.0), an MCAP or .db3 file, or a folder of rosbag2
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Only topics matching this pattern, such as /robot*/odom; repeatable [default: all topics]
@@ -57,6 +57,9 @@ pub struct ExportArguments {
     /// Write MCAP
     #[arg(long, value_name = "FILE", group = "format")]
     pub mcap: Option<PathBuf>,
+    /// Write a folder of rosbag2: an MCAP file and its metadata.yaml
+    #[arg(long, value_name = "FOLDER", group = "format")]
+    pub rosbag2: Option<PathBuf>,
     /// Only this owner's, by account or name [default: own and shared records]
     #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
@@ -69,7 +72,7 @@ pub struct ExportArguments {
     /// Captured before; same format
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
-    /// none, bz2 (bag), lz4, zstd (MCAP)
+    /// none, bz2 (bag), lz4, zstd (MCAP, rosbag2)
     #[arg(long, value_name = "HOW", default_value = "none")]
     pub compression: String,
     /// Include records that the chain does not confirm yet, or cannot be asked about; all other checks still apply
@@ -87,10 +90,16 @@ impl ImportArguments {
 
 impl ExportArguments {
     fn wishes(&self) -> Result<ExportWishes, Failure> {
-        let (path, format) = match (&self.bag, &self.mcap) {
-            (Some(path), _) => (path, RecordingFormat::Bag),
-            (None, Some(path)) => (path, RecordingFormat::Mcap),
-            (None, None) => return Err(Failure::new(ErrorKind::Usage, "give the file with --bag or --mcap")),
+        let (path, format) = match (&self.bag, &self.mcap, &self.rosbag2) {
+            (Some(path), ..) => (path, RecordingFormat::Bag),
+            (_, Some(path), _) => (path, RecordingFormat::Mcap),
+            (.., Some(path)) => (path, RecordingFormat::Rosbag2),
+            (None, None, None) => {
+                return Err(Failure::new(
+                    ErrorKind::Usage,
+                    "give the file with --bag or --mcap, or a folder with --rosbag2",
+                ));
+            }
         };
         Ok(ExportWishes {
             path: absolute(path)?,
@@ -288,7 +297,7 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
         (refused.held, "are quarantined or discarded"),
         (refused.no_definition, "have no readable definition of their type"),
         (refused.unsuitable, "do not fit this format"),
-        (refused.attachments, "are attachments to a recording, which only MCAP has room for (--mcap)"),
+        (refused.attachments, "are attachments to a recording, which only MCAP has room for (--mcap, --rosbag2)"),
     ];
     for (count, why) in words.into_iter().filter(|(count, _)| *count > 0) {
         output.note(&format!("authros: {count} records {why}: not written"));

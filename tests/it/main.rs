@@ -56,6 +56,7 @@ mod real_redis;
 mod real_ros;
 mod recordings;
 mod recordings_mutated;
+mod recordings_ros2;
 mod remote;
 mod restart;
 mod rights;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use authros::ros::recording::{BESIDE, Findings, Recording};
 use serde::Deserialize;
-use support::ros2::{odd_mcaps, others_can_read};
+use support::ros2::{folders_of_others, odd_mcaps, others_can_read, others_write_folders};
 use support::{Home, hex, long, odd_bags, skipped, system_program};
 
 /// Alterations of each file, and those of the long run.
@@ -258,4 +258,71 @@ fn of_an_altered_mcap_is_sealed_what_mcap_reads_or_damage_is_told() {
     fs::create_dir(&written).expect("created");
     odd_mcaps("write", &written, 60);
     compare(&home, &written, |folder| parsed(&odd_mcaps("read", folder, 3_600)));
+}
+
+/// Two recordings of rosbag2 in the storage, and in the compression of whole files or messages.
+const CHOSEN: [&str; 8] = [
+    "sqlite3_none_4_1",
+    "sqlite3_none_9_1",
+    "sqlite3_message_8_1",
+    "sqlite3_message_5_1",
+    "sqlite3_none_6_3",
+    "sqlite3_file_8_3",
+    "mcap_none_9_3",
+    "mcap_file_8_3",
+];
+
+#[test]
+fn of_an_altered_db3_is_sealed_what_others_read_or_damage_is_told() {
+    if !others_write_folders() {
+        skipped!("no rosbags in target/peers; tests/run installs it");
+    }
+    let home = Home::new();
+    let (all, written) = (home.root().join("all"), home.root().join("written"));
+    [&all, &written].iter().for_each(|folder| fs::create_dir(folder).expect("created"));
+    folders_of_others("write", &all, 300);
+    for name in ["none_4_1", "none_5_1", "none_6_1", "none_7_1", "none_8_1", "none_9_1", "none_8_3", "none_9_3"] {
+        let file = format!("sqlite3_{name}_0.db3");
+        fs::copy(all.join(format!("sqlite3_{name}")).join(&file), written.join(&file)).expect("copied");
+    }
+    compare(&home, &written, |folder| parsed(&folders_of_others("files", folder, 3_600)));
+}
+
+#[test]
+fn of_an_altered_folder_is_sealed_what_was_recorded_or_damage_is_told() {
+    if !others_write_folders() {
+        skipped!("no rosbags in target/peers; tests/run installs it");
+    }
+    let home = Home::new();
+    let written = home.root().join("written");
+    fs::create_dir(&written).expect("created");
+    folders_of_others("write", &written, 300);
+    for name in CHOSEN {
+        let folder = written.join(name);
+        let original = ours(&folder).expect("a sound folder").0;
+        let mut files: Vec<PathBuf> =
+            fs::read_dir(&folder).expect("a folder").map(|file| file.expect("a file").path()).collect();
+        files.sort();
+        let mut chance = Chance(0x9e37_79b9_7f4a_7c15 ^ u64::from(name.bytes().map(u32::from).sum::<u32>()));
+        for _ in 0..if long() { 100 } else { FEW } {
+            // The description as often as all the others.
+            let is_yaml = chance.below(2) == 0;
+            let file = if is_yaml { folder.join("metadata.yaml") } else { files[chance.below(files.len())].clone() };
+            let bytes = fs::read(&file).expect("written");
+            let mut altered = bytes.clone();
+            let done = alter(&mut altered, &mut chance);
+            fs::write(&file, &altered).expect("written");
+            if let Some((sealed, findings)) = ours(&folder)
+                && findings.is_whole()
+            {
+                let is_known = |(topic, messages): (&String, &Vec<(u64, String)>)| {
+                    original.get(topic).is_some_and(|known| is_within(messages, known))
+                };
+                let is_all = sealed == original || file.ends_with("metadata.yaml") && sealed.iter().all(is_known);
+                // SQLite has no checksums: what else reads the file sees the same.
+                assert!(is_all || findings.unguarded > 0, "{name}, {}: {done}", file.display());
+            }
+            fs::write(&file, &bytes).expect("written");
+        }
+    }
 }

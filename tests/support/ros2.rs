@@ -259,3 +259,17 @@ pub fn recorder(folder: &Path, seconds: u64, rate: u64, split: u64, how: &str) -
     command.args(["-B", script]).arg(folder).args([seconds, rate, split].map(|number| number.to_string())).arg(how);
     Running::start(command)
 }
+
+/// Whether there are others who write and read folders of rosbag2 ([`folders_of_others`]).
+pub fn others_write_folders() -> bool {
+    python_with("rosbags").is_some()
+}
+
+/// Runs the script that writes and reads recordings of rosbag2 with rosbags: `write`, `read` or `files`, with its folder and the
+/// seconds it may take.
+pub fn folders_of_others(act: &str, folder: &Path, seconds: u64) -> String {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/rosbags_folders.py");
+    let mut command = Command::new(python_with("rosbags").expect("asked before"));
+    command.args(["-B", script, act]).arg(folder);
+    Running::start(command).wait(seconds).expect_code(0).stdout
+}

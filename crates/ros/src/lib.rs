@@ -23,6 +23,7 @@ pub mod readable;
 pub mod recording;
 pub mod robot;
 pub mod ros2;
+pub mod rosbag2;
 mod rosrust;
 mod slave;
 mod tcpros;

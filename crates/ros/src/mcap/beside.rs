@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::record::{Code, Fields};
+use super::record::{Code, Fields, put_length, put_text};
 use crate::model::Timestamp;
 use crate::ros::recording::{Channel, Encoding};
 
@@ -155,4 +155,30 @@ impl Beside {
             Self::Metadata => "metadata record",
         }
     }
+}
+
+/// Metadata in MCAP's own bytes.
+pub fn metadata_record(name: &str, entries: &[(&str, &str)]) -> Vec<u8> {
+    let mut out = Vec::new();
+    put_text(&mut out, name);
+    put_length(&mut out, entries.iter().map(|(key, value)| 8 + key.len() + value.len()).sum());
+    for (key, value) in entries {
+        put_text(&mut out, key);
+        put_text(&mut out, value);
+    }
+    out
+}
+
+/// A file in MCAP's own bytes of an attachment.
+pub fn attachment_record(logged_at: Timestamp, name: &str, media_type: &str, data: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(data.len() + 128);
+    out.extend_from_slice(&logged_at.0.to_le_bytes());
+    out.extend_from_slice(&0_u64.to_le_bytes());
+    put_text(&mut out, name);
+    put_text(&mut out, media_type);
+    out.extend_from_slice(&(data.len() as u64).to_le_bytes());
+    out.extend_from_slice(data);
+    let checksum = crc32fast::hash(&out);
+    out.extend_from_slice(&checksum.to_le_bytes());
+    out
 }

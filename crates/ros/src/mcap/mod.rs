@@ -11,6 +11,7 @@ mod writer;
 
 pub use attach::attach;
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE};
+pub(super) use beside::{attachment_record, metadata_record};
 pub use reader::McapReader;
 pub use writer::McapWriter;
 

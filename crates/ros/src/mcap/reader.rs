@@ -16,7 +16,7 @@ use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, Sent,
-    TOO_LARGE, go_to, read_at, unpack,
+    TOO_LARGE, go_to, read_at, unpack, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -486,10 +486,17 @@ impl<R: BufRead + Seek> McapReader<R> {
             self.findings.leave_out(&channel.topic, "its time lies after the year 2262");
             return None;
         }
+        let body = match unpacked_body(channel.encoding, fields.0.to_vec()) {
+            Ok(body) => body,
+            Err(why) => {
+                self.findings.leave_out(&channel.topic, &why);
+                return None;
+            }
+        };
         self.findings.unguarded += u64::from(!guarded);
         self.latest = Timestamp(logged);
         let sent = Some(Sent { time: Timestamp(sent), sequence });
-        Some(RecordedMessage { channel, time: Timestamp(logged), sent, body: fields.0.to_vec() })
+        Some(RecordedMessage { channel, time: Timestamp(logged), sent, body })
     }
 
     /// Continues at the next chunk listed in the summary; what lies between is reported as skipped.

@@ -4,6 +4,9 @@ use std::fmt;
 use std::io::{BufRead, Read, Write};
 use std::str::FromStr;
 
+use super::Encoding;
+use crate::ros::tcpros::LONGEST_MESSAGE;
+
 /// How the chunks of a recording are compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -92,6 +95,23 @@ fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<
         Some(_) => Err(String::from("the unpacked data does not match its zstd checksum")),
         None => Ok(false),
     }
+}
+
+/// What every zstd frame begins with; no message in CDR does.
+pub(crate) const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// The body of a message: rosbag2 with `compression_mode: MESSAGE` makes a zstd frame of each. What is sealed is the message.
+///
+/// # Errors
+/// Why the frame cannot be unpacked.
+pub(crate) fn unpacked_body(encoding: Encoding, body: Vec<u8>) -> Result<Vec<u8>, String> {
+    if !matches!(encoding, Encoding::Cdr { .. }) || !body.starts_with(&ZSTD) {
+        return Ok(body);
+    }
+    let mut unpacked = Vec::new();
+    unpack(ChunkCompression::Zstd, body.as_slice(), LONGEST_MESSAGE, &mut unpacked)
+        .map_err(|error| format!("it is compressed with zstd and cannot be unpacked: {error}"))?;
+    Ok(unpacked)
 }
 
 fn drain(source: impl Read, limit: usize, out: &mut Vec<u8>) -> Result<(), String> {

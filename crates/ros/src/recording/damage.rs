@@ -57,15 +57,32 @@ impl Findings {
 
     /// Counts a message that is present but unusable.
     pub(crate) fn leave_out(&mut self, topic: &str, why: &str) {
+        self.leave_out_many(topic, why, 1);
+    }
+
+    fn leave_out_many(&mut self, topic: &str, why: &str, messages: u64) {
         let (topic, why) = (clean(topic, 255), clean(why, 200));
         if let Some(row) = self.unusable.iter_mut().find(|row| row.topic == topic && row.why == why) {
-            row.messages += 1;
+            row.messages += messages;
         } else if self.unusable.len() < MOST_UNUSABLE {
-            self.unusable.push(Unusable { topic, why, messages: 1 });
+            self.unusable.push(Unusable { topic, why, messages });
         } else if let Some(row) = self.unusable.last_mut() {
             let why = String::from("there are too many topics and reasons to list");
-            *row = Unusable { topic: String::new(), why, messages: row.messages + 1 };
+            *row = Unusable { topic: String::new(), why, messages: row.messages + messages };
         }
+    }
+
+    /// Adds what was skipped of one file of several.
+    pub(crate) fn add(&mut self, name: &str, of_file: &Self) {
+        for damage in &of_file.damages {
+            self.note(damage.position, &format!("{name}: {}", damage.text));
+        }
+        self.more_damages += of_file.more_damages;
+        for row in &of_file.unusable {
+            self.leave_out_many(&row.topic, &row.why, row.messages);
+        }
+        self.unguarded += of_file.unguarded;
+        self.unfinished |= of_file.unfinished;
     }
 
     /// How many messages are present but unusable.

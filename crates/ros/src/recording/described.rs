@@ -77,6 +77,10 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
             no_fields("its publisher sent no definition, or it is in no record that can be read here; write it as .bin")
         }
         (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
+        // So rosbag2 describes what `ros2 bag record --service` records: by the service.
+        (Encoding::Cdr { idl: false }, Some(text)) if text.lines().any(|line| line.trim() == "---") => no_fields(
+            "the recording describes a service, not a message; events of services are kept as bytes, write it as .bin",
+        ),
         (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
         (Encoding::Beside(_), _) => no_fields("it is an attachment to a recording, not a message"),
         (Encoding::Cdr { idl: true }, Some(_)) => no_fields(
@@ -193,6 +197,9 @@ mod tests {
         let (found, note) = own_kind(MSG, None);
         assert!(!found && note.contains("in no record") && note.contains("AMENT_PREFIX_PATH"), "{note}");
         assert!(own_kind(MSG, Some("line")).1.contains("no field name"));
+        let (found, note) = own_kind(MSG, Some("int64 a\n---\nint64 sum"));
+        assert!(!found && note.contains("describes a service"), "{note}");
+        assert_eq!(said(MSG, Some("string data"), Some("")), (true, String::new()), "an empty hash is none");
         assert!(!said(Encoding::Ros1, Some("string data"), None).0, "its name is none of ROS 1");
     }
 

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 pub use compression::ChunkCompression;
-pub(super) use compression::{pack, unpack};
+pub(super) use compression::{ZSTD, pack, unpack, unpacked_body};
 pub use damage::{Damage, Findings, Unusable};
 pub use described::{Described, TYPE_HASH, TypeFacts};
 pub use open::{Recording, RecordingFormat, RecordingWriter};

@@ -7,14 +7,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Channel, ChunkCompression, Encoding, Findings, RecordedMessage, Sent};
+use super::{Channel, ChunkCompression, Encoding, Findings, RecordedMessage, Sent, ZSTD};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::bag::{self, BagReader, BagWriter};
 use crate::ros::mcap::{self, McapReader, McapWriter};
-
-/// The most entries of a folder that are looked at.
-const MOST_ENTRIES: usize = 4096;
+use crate::ros::rosbag2::{Db3Reader, FolderReader, SQLITE, unpacked};
 
 /// Bytes read ahead.
 const BUFFER: usize = 256 * 1024;
@@ -27,6 +25,8 @@ pub enum RecordingFormat {
     Bag,
     /// MCAP.
     Mcap,
+    /// A folder of rosbag2 with one MCAP file.
+    Rosbag2,
 }
 
 impl RecordingFormat {
@@ -35,6 +35,7 @@ impl RecordingFormat {
         match self {
             Self::Bag => "bag",
             Self::Mcap => "mcap",
+            Self::Rosbag2 => "rosbag2",
         }
     }
 
@@ -42,13 +43,17 @@ impl RecordingFormat {
     pub fn takes(self, compression: ChunkCompression) -> bool {
         match self {
             Self::Bag => compression != ChunkCompression::Zstd,
-            Self::Mcap => compression != ChunkCompression::Bz2,
+            Self::Mcap | Self::Rosbag2 => compression != ChunkCompression::Bz2,
         }
     }
 
     /// Whether messages of this encoding can be written in this format.
     pub fn holds(self, encoding: Encoding) -> bool {
-        self == Self::Mcap || encoding == Encoding::Ros1
+        match self {
+            Self::Mcap => true,
+            Self::Bag => encoding == Encoding::Ros1,
+            Self::Rosbag2 => encoding != Encoding::Ros1,
+        }
     }
 }
 
@@ -62,39 +67,27 @@ fn other_than_a_recording(magic: &[u8]) -> String {
             format!("a bag of version {version}; only 2.0 is supported, convert it with `rosbag fix` of ROS 1")
         }
         None if magic.is_empty() => "an empty file".to_owned(),
-        None if magic.starts_with(b"SQLite format 3\0") => format!("an SQLite file: {CONVERT}"),
-        None if magic.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) => unpacked("zstd", "zstd -d"),
-        None if magic.starts_with(&[0x1f, 0x8b]) => unpacked("gzip", "gunzip -k"),
-        None if magic.starts_with(b"BZh") => unpacked("bzip2", "bunzip2 -k"),
+        None if magic.starts_with(&[0x1f, 0x8b]) => packed("gzip", "gunzip -k"),
+        None if magic.starts_with(b"BZh") => packed("bzip2", "bunzip2 -k"),
         None if magic.starts_with(b"rosbag2_bagfile_") => {
-            "the description of a folder of rosbag2; import the .mcap files beside it one by one, in the order of their \
-             numbers"
-                .to_owned()
+            "the description of a folder of rosbag2; import the folder".to_owned()
         }
-        None => "neither a bag nor MCAP".to_owned(),
+        None => "no recording: neither a bag, MCAP nor .db3".to_owned(),
     }
 }
 
-/// What helps with rosbag2's own files.
-const CONVERT: &str = "if rosbag2 wrote it, make an MCAP of its folder (`ros2 bag convert -i FOLDER -o OPTIONS.yaml` with \
-                       `storage_id: mcap`) and import that";
-
-fn unpacked(format: &str, command: &str) -> String {
+fn packed(format: &str, command: &str) -> String {
     format!("compressed with {format}; unpack it with `{command}` and import what comes out")
 }
 
-/// What a folder is, if a person gave one for a recording.
-fn folder(path: &Path) -> String {
-    let Ok(entries) = std::fs::read_dir(path) else { return "a folder that cannot be read".to_owned() };
-    let names: Vec<_> = entries.flatten().take(MOST_ENTRIES).map(|entry| entry.file_name()).collect();
-    let ends = |end: &str| names.iter().any(|name| name.to_string_lossy().ends_with(end));
-    if !ends("metadata.yaml") {
-        return "a folder; give the recording itself".to_owned();
-    }
-    if ends(".mcap") {
-        return "a folder of rosbag2; import its .mcap files one by one, in the order of their numbers".to_owned();
-    }
-    format!("a folder of rosbag2 without an MCAP file: {CONVERT}")
+/// A file at its beginning, and what it begins with.
+fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
+    let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
+    let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
+    let mut magic = Vec::new();
+    file.by_ref().take(16).read_to_end(&mut magic).map_err(unreadable)?;
+    file.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+    Ok((file, magic))
 }
 
 /// A recording being read, message by message in file order.
@@ -103,37 +96,45 @@ pub enum Recording {
     Bag(BagReader<BufReader<File>>),
     /// MCAP.
     Mcap(McapReader<BufReader<File>>),
+    /// A closed `.db3` file of rosbag2.
+    Db3(Box<Db3Reader>),
+    /// A folder of rosbag2.
+    Folder(Box<FolderReader>),
 }
 
 impl Recording {
-    /// Opens a file of either format.
+    /// Opens a file of any format, or a folder of rosbag2.
     ///
     /// # Errors
     /// [`RosError::Recording`] if it cannot be read or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RosError> {
-        let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
-        if path.is_dir() {
-            return Err(RosError::recording(&format!("{} is {}", path.display(), folder(path))));
+        if path.is_dir() { FolderReader::open(path).map(Box::new).map(Self::Folder) } else { Self::open_file(path) }
+    }
+
+    /// Opens a single file. One that is compressed as a whole is unpacked into a temporary file, which is gone at the end.
+    pub(crate) fn open_file(path: &Path) -> Result<Self, RosError> {
+        let (file, magic) = begin(path)?;
+        if !magic.starts_with(&ZSTD) {
+            return Self::of(path, file, &magic);
         }
-        let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
-        let mut magic = Vec::new();
-        file.by_ref().take(16).read_to_end(&mut magic).map_err(unreadable)?;
-        file.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+        drop(file);
+        let whole = unpacked(path)?;
+        let (file, magic) = begin(whole.path())?;
+        // Whoever reads it has opened it: the name is no longer needed.
+        Self::of(whole.path(), file, &magic)
+    }
+
+    fn of(path: &Path, file: BufReader<File>, magic: &[u8]) -> Result<Self, RosError> {
         if magic.starts_with(mcap::MAGIC) {
             return McapReader::open(file).map(Self::Mcap);
         }
         if magic.starts_with(bag::MAGIC) {
             return BagReader::open(file).map(Self::Bag);
         }
-        Err(RosError::recording(&format!("{} is {}", path.display(), other_than_a_recording(&magic))))
-    }
-
-    /// Its format.
-    pub fn format(&self) -> RecordingFormat {
-        match self {
-            Self::Bag(_) => RecordingFormat::Bag,
-            Self::Mcap(_) => RecordingFormat::Mcap,
+        if magic.starts_with(SQLITE) {
+            return Db3Reader::open(path).map(Box::new).map(Self::Db3);
         }
+        Err(RosError::recording(&format!("{} is {}", path.display(), other_than_a_recording(magic))))
     }
 
     /// The next readable message; `None` at the end. Damage is not an error: see [`Self::findings`].
@@ -144,6 +145,8 @@ impl Recording {
         match self {
             Self::Bag(reader) => reader.next_message(),
             Self::Mcap(reader) => reader.next_message(),
+            Self::Db3(reader) => reader.next_message(),
+            Self::Folder(reader) => reader.next_message(),
         }
     }
 
@@ -152,6 +155,8 @@ impl Recording {
         match self {
             Self::Bag(reader) => reader.findings(),
             Self::Mcap(reader) => reader.findings(),
+            Self::Db3(reader) => reader.findings(),
+            Self::Folder(reader) => reader.findings(),
         }
     }
 
@@ -160,6 +165,8 @@ impl Recording {
         match self {
             Self::Bag(reader) => reader.progress(),
             Self::Mcap(reader) => reader.progress(),
+            Self::Db3(reader) => reader.progress(),
+            Self::Folder(reader) => reader.progress(),
         }
     }
 }
@@ -181,7 +188,9 @@ impl RecordingWriter {
         let out = BufWriter::with_capacity(BUFFER, file);
         Ok(match format {
             RecordingFormat::Bag => Self::Bag(Box::new(BagWriter::begin(out, compression)?)),
-            RecordingFormat::Mcap => Self::Mcap(Box::new(McapWriter::begin(out, compression)?)),
+            RecordingFormat::Mcap | RecordingFormat::Rosbag2 => {
+                Self::Mcap(Box::new(McapWriter::begin(out, compression)?))
+            }
         })
     }
 
@@ -227,23 +236,27 @@ mod tests {
         assert!(said.contains("version 1.2") && said.contains("rosbag fix"), "{said}");
         assert!(other_than_a_recording(b"#ROSBAG V1.1\n").contains("version 1.1"));
         assert_eq!(other_than_a_recording(b""), "an empty file");
-        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "neither a bag nor MCAP");
-        assert!(other_than_a_recording(b"SQLite format 3\0").contains("ros2 bag convert"));
-        assert!(other_than_a_recording(&[0x28, 0xb5, 0x2f, 0xfd, 0]).contains("zstd -d"));
+        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "no recording: neither a bag, MCAP nor .db3");
         assert!(other_than_a_recording(&[0x1f, 0x8b, 8]).contains("gunzip"));
         assert!(other_than_a_recording(b"BZh91AY&SY").contains("bunzip2"));
-        assert!(other_than_a_recording(b"rosbag2_bagfile_information:").contains("one by one"));
+        assert!(other_than_a_recording(b"rosbag2_bagfile_information:").contains("import the folder"));
     }
 
     #[test]
-    fn a_folder_is_named_as_what_it_is() {
+    fn a_folder_is_a_recording_only_with_its_description_and_what_it_lacks_is_said() {
         let directory = tempfile::tempdir().expect("temporary directory");
         let said = || Recording::open(directory.path()).err().map(|error| error.to_string()).unwrap_or_default();
-        assert!(said().contains("give the recording itself"), "{}", said());
-        std::fs::write(directory.path().join("metadata.yaml"), "").expect("written");
-        std::fs::write(directory.path().join("run_0.db3"), "").expect("written");
-        assert!(said().contains("ros2 bag convert"), "{}", said());
-        std::fs::write(directory.path().join("run_0.mcap"), "").expect("written");
-        assert!(said().contains("one by one"), "{}", said());
+        assert!(said().contains("without metadata.yaml") && said().contains("reindex"), "{}", said());
+        std::fs::write(directory.path().join("metadata.yaml"), "a: 1").expect("written");
+        assert!(said().contains("does not describe a recording"), "{}", said());
+        let text = "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  relative_file_paths:\n  - a.mcap\n  \
+                    message_count: 7\n  files:\n  - path: a.mcap\n    message_count: 7\n";
+        std::fs::write(directory.path().join("metadata.yaml"), text).expect("written");
+        std::fs::write(directory.path().join("b.db3"), "").expect("written");
+        let mut recording = Recording::open(directory.path()).expect("opened");
+        while recording.next_message().expect("read").is_some() {}
+        let told: Vec<_> = recording.findings().damages.iter().map(|damage| damage.text.clone()).collect();
+        assert!(told.iter().any(|text| text.contains("b.db3 is in the folder")), "{told:?}");
+        assert!(told.iter().any(|text| text.contains("a.mcap was left out (7 messages)")), "{told:?}");
     }
 }

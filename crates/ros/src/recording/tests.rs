@@ -40,7 +40,7 @@ pub(super) fn write(format: RecordingFormat, compression: ChunkCompression, mess
             each(&mut |message| writer.write(&message.channel, message.time, &message.body));
             writer.finish().expect("finished").into_inner()
         }
-        RecordingFormat::Mcap => {
+        RecordingFormat::Mcap | RecordingFormat::Rosbag2 => {
             let mut writer = McapWriter::begin(out, compression).expect("begun");
             each(&mut |message| writer.write(&message.channel, message.time, &message.body));
             writer.finish().expect("finished").into_inner()
@@ -59,7 +59,7 @@ pub(super) fn read(format: RecordingFormat, bytes: &[u8]) -> Result<(Vec<Recorde
             }
             Ok((messages, reader.findings().clone()))
         }
-        RecordingFormat::Mcap => {
+        RecordingFormat::Mcap | RecordingFormat::Rosbag2 => {
             let mut reader = McapReader::open(file)?;
             while let Some(message) = reader.next_message()? {
                 messages.push(RecordedMessage { sent: None, ..message });

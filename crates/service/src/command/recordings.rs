@@ -12,7 +12,7 @@ use crate::service::reply::{ExportView, FollowView, ImportView, ProgressView};
 /// A recording to import.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImportWishes {
-    /// The file, absolute; read by the site, which runs as the same user.
+    /// The file or folder, absolute; read by the site, which runs as the same user.
     pub path: PathBuf,
     /// Only topics that match any of these patterns; empty = all.
     pub topics: Vec<TopicPattern>,

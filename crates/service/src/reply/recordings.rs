@@ -35,7 +35,7 @@ pub struct LeftOut {
 pub struct ImportView {
     /// The file, or the other home, cleaned.
     pub file: String,
-    /// SM3 of the file.
+    /// SM3 of the file; of a folder that of its files, each behind its name and length.
     pub digest: Option<Digest>,
     /// Messages, attachments and metadata records that the file or home holds, wanted or not.
     pub found: u64,

@@ -12,6 +12,7 @@ use crate::model::{Address, ErrorKind, RecordKind, Scope, Timestamp, TopicPatter
 use crate::pipeline::reader::{Definitions, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
+use crate::ros::rosbag2::{METADATA, Tally};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
@@ -28,6 +29,7 @@ const MOST_NAMED: usize = 100;
 struct Export<'a> {
     wishes: &'a ExportWishes,
     writer: RecordingWriter,
+    tally: Tally,
     channels: HashMap<Channel, Arc<Channel>>,
     definitions: Definitions,
     topics: BTreeMap<(String, String), u64>,
@@ -148,7 +150,7 @@ impl<'a> Export<'a> {
         };
         let (channels, definitions) = (HashMap::new(), Definitions::default());
         let (topics, given) = (BTreeMap::new(), BTreeSet::new());
-        Self { wishes, writer, channels, definitions, topics, given, view }
+        Self { wishes, writer, tally: Tally::default(), channels, definitions, topics, given, view }
     }
 
     fn is_wanted(&self, topic: &str) -> bool {
@@ -208,6 +210,7 @@ impl<'a> Export<'a> {
         let time = opened.header.captured_at;
         let sent = importer::sent(&head.tags, time);
         block_in_place(|| self.writer.write(&channel, time, sent, &opened.body))?;
+        self.tally.count(&channel, time);
         *if is_message { &mut self.view.messages } else { &mut self.view.attachments } += 1;
         self.view.bytes += opened.body.len() as u64;
         *self.topics.entry((head.topic.clone(), head.type_name.clone())).or_default() += 1;
@@ -249,7 +252,10 @@ impl<'a> Export<'a> {
             return Ok(self.view);
         }
         self.writer.finish()?;
-        draft.place()?;
+        match self.wishes.format {
+            RecordingFormat::Bag | RecordingFormat::Mcap => draft.place()?,
+            RecordingFormat::Rosbag2 => draft.place_in_folder(METADATA, |file| self.tally.describe(file))?,
+        }
         self.view.file = Some(clean(&self.wishes.path.display().to_string(), 300));
         Ok(self.view)
     }
@@ -266,5 +272,5 @@ fn is_as_its_kind(encoding: Encoding, opened: &OpenedRecord) -> bool {
 
 /// Whether the format can represent the record's time.
 fn fits(format: RecordingFormat, captured_at: Timestamp) -> bool {
-    format == RecordingFormat::Mcap || u32::try_from(captured_at.seconds()).is_ok()
+    format != RecordingFormat::Bag || u32::try_from(captured_at.seconds()).is_ok()
 }

@@ -20,6 +20,7 @@ use crate::pipeline::importer::Importer;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{CaptureSession, Network, Owner};
 use crate::ros::recording::{BESIDE, Recording};
+use crate::ros::rosbag2::files_of;
 use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
@@ -232,25 +233,40 @@ pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> 
     list.collect()
 }
 
+/// SM3 of a file; of a folder that of its files, each behind its name and length.
 fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Digest, Failure> {
     let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", path.display()));
-    let mut file = File::open(path).map_err(unreadable)?;
-    let of = file.metadata().map_err(unreadable)?.len();
-    let (mut hasher, mut buffer, mut done) = (Sm3Hasher::new(), vec![0; 256 * 1024], 0);
-    loop {
-        let read = file.read(&mut buffer).map_err(unreadable)?;
-        let bytes = buffer.get(..read).unwrap_or_default();
-        if bytes.is_empty() {
-            return Ok(Digest(hasher.finish()));
-        }
-        if !goes_on() {
-            return Err(Failure::new(
-                ErrorKind::Incomplete,
-                "stopped before anything was imported; repeat the command",
-            ));
-        }
-        hasher.update(bytes);
-        done += read as u64;
-        run.at(done, of, 0);
+    let mut opened = Vec::new();
+    for file in files_of(path)? {
+        let size = std::fs::metadata(&file).map_err(unreadable)?.len();
+        opened.push((file, size));
     }
+    let of = opened.iter().map(|(_, size)| size).sum();
+    let (mut hasher, mut buffer, mut done) = (Sm3Hasher::new(), vec![0; 256 * 1024], 0);
+    for (name, size) in opened {
+        let mut file = File::open(&name).map_err(unreadable)?;
+        if name != path {
+            let name = name.file_name().unwrap_or_default().as_encoded_bytes();
+            hasher.update(&(name.len() as u64).to_le_bytes());
+            hasher.update(name);
+            hasher.update(&size.to_le_bytes());
+        }
+        loop {
+            let read = file.read(&mut buffer).map_err(unreadable)?;
+            let bytes = buffer.get(..read).unwrap_or_default();
+            if bytes.is_empty() {
+                break;
+            }
+            if !goes_on() {
+                return Err(Failure::new(
+                    ErrorKind::Incomplete,
+                    "stopped before anything was imported; repeat the command",
+                ));
+            }
+            hasher.update(bytes);
+            done += read as u64;
+            run.at(done, of, 0);
+        }
+    }
+    Ok(Digest(hasher.finish()))
 }

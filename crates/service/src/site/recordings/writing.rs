@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
-use crate::crypto::unfinished;
+use crate::crypto::{private_file, unfinished};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
@@ -44,5 +44,20 @@ impl Draft {
             }
             Err(error) => Err(failed(error)),
         }
+    }
+
+    /// Moves the file into a new folder at its destination, with a description beside it that is made from the file's name
+    /// there. The folder appears whole.
+    pub fn place_in_folder(self, description: &str, describe: impl FnOnce(&str) -> String) -> Result<(), Failure> {
+        let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
+        let parent = self.target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = unfinished::UnfinishedFolder::new(parent).map_err(failed)?;
+        let name = format!("{}_0.mcap", self.target.file_name().unwrap_or_default().to_string_lossy());
+        std::fs::rename(self.file.path(), folder.path().join(&name)).map_err(failed)?;
+        private_file::create_private(&folder.path().join(description), describe(&name).as_bytes())?;
+        if self.target.symlink_metadata().is_ok() {
+            return Err(input(format!("{} already exists; choose a new folder", self.target.display())));
+        }
+        std::fs::rename(folder.path(), &self.target).map_err(failed)
     }
 }
