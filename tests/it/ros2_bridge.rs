@@ -139,7 +139,7 @@ fn real_nodes_get_what_is_counted_from_the_first_message_on_and_see_who_publishe
 }
 
 #[test]
-fn pictures_of_eight_megabytes_reach_a_real_node() {
+fn pictures_of_eight_megabytes_reach_a_real_node_and_cyclone_dds() {
     let _alone = heavy();
     let network = match ready() {
         Ok(network) => network,
@@ -149,9 +149,11 @@ fn pictures_of_eight_megabytes_reach_a_real_node() {
     let plant = plant(&network, &[("/camera", "image", pictures, "5", "8000000", "")]);
     let number: usize = pictures.parse().expect("a number");
     let node = Node::start(&network, "kilted", &["/camera:image:reliable"]);
+    let cyclone = Listener::start(&network, OUT, &["/camera", "image"]);
     let played = plant.bob.run(&["--json", "shared", "play", "--as-captured", "--ros2", OUT]).expect_code(0).document();
     assert_eq!(figures(&played), [number as u64, 0, 0, 0], "{played}");
-    assert!(node.hears("/camera", number, 20) == plant.originals[0].hears(number, 20));
+    let expected = plant.originals[0].hears(number, 20);
+    assert!(node.hears("/camera", number, 20) == expected && cyclone.hears(number, 20) == expected);
 }
 
 #[test]

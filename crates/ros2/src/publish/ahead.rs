@@ -32,9 +32,9 @@ const MOST_ADDRESSES: usize = 16;
 /// The network code's vendor id.
 const VENDOR: [u8; 2] = [1, 18];
 
-/// Where subscribers of a topic are, and how many fragments a datagram to them may have.
+/// The addresses of each subscriber of a topic.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Addresses(Vec<(SocketAddr, usize)>);
+pub struct Addresses(Vec<Vec<SocketAddr>>);
 
 impl Addresses {
     /// Whether there are none.
@@ -42,17 +42,27 @@ impl Addresses {
         self.0.is_empty()
     }
 
-    /// Adds those of one subscriber: one on this machine, if there is one, since all lead to the same socket; or else all.
+    /// Adds those of one subscriber.
     pub fn add(&mut self, of_one: impl Iterator<Item = SocketAddr>) {
-        let mut own: Vec<(SocketAddr, usize)> = of_one.filter(SocketAddr::is_ipv4).map(|to| (to, FAR)).collect();
-        if let Some(near) = own.iter().map(|(to, _)| *to).find(|to| is_here(*to)) {
-            own = vec![(near, NEAR)];
+        let own: Vec<SocketAddr> = of_one.filter(SocketAddr::is_ipv4).take(MOST_ADDRESSES).collect();
+        if !own.is_empty() && self.0.len() < MOST_ADDRESSES {
+            self.0.push(own);
         }
-        for found in own {
-            if self.0.len() < MOST_ADDRESSES && !self.0.contains(&found) {
-                self.0.push(found);
+    }
+
+    /// Where a message is sent to, and how many fragments a datagram may have: of each subscriber one address on this machine,
+    /// since all lead to the same socket; or else all.
+    fn ways(&self) -> Vec<(SocketAddr, usize)> {
+        let mut ways = Vec::new();
+        for own in &self.0 {
+            let near = own.iter().find(|to| is_here(**to)).map(|to| vec![(*to, NEAR)]);
+            for way in near.unwrap_or_else(|| own.iter().map(|to| (*to, FAR)).collect()) {
+                if ways.len() < MOST_ADDRESSES && !ways.contains(&way) {
+                    ways.push(way);
+                }
             }
         }
+        ways
     }
 }
 
@@ -99,8 +109,8 @@ pub struct Ahead {
     head: Vec<u8>,
     writer: [u8; 4],
     number: i64,
-    to: Addresses,
-    /// The place among the addresses, and the fragment that is next, from 0.
+    ways: Vec<(SocketAddr, usize)>,
+    /// The place among the ways, and the fragment that is next, from 0.
     place: usize,
     fragment: usize,
     due: Instant,
@@ -108,18 +118,18 @@ pub struct Ahead {
 
 impl Ahead {
     /// A message, with its header of four bytes, that gets this number from its writer.
-    pub fn new(message: Bytes, (writer, number): (GUID, i64), to: Addresses) -> Self {
+    pub fn new(message: Bytes, (writer, number): (GUID, i64), to: &Addresses) -> Self {
         let id = writer.to_bytes();
         let mut head = [b"RTPS".as_slice(), &[2, 4], &VENDOR, &id[..12]].concat();
         head.extend(time_of_writing());
         let writer = [id[12], id[13], id[14], id[15]];
-        Self { message, head, writer, number, to, place: 0, fragment: 0, due: Instant::now() }
+        Self { message, head, writer, number, ways: to.ways(), place: 0, fragment: 0, due: Instant::now() }
     }
 
     /// Sends for a moment; true when all is sent.
     pub fn advance(&mut self, socket: &UdpSocket, rate: &Rate) -> bool {
         let begun = Instant::now();
-        while let Some((to, most)) = self.to.0.get(self.place).copied() {
+        while let Some((to, most)) = self.ways.get(self.place).copied() {
             if begun.elapsed() >= SLICE {
                 return false;
             }
@@ -200,10 +210,10 @@ mod tests {
             to.add([SocketAddr::from(([192, 0, 2, 1], 9)), local].into_iter());
             to.add([local].into_iter());
         }
-        assert_eq!(to.0.len(), 2, "one address of this machine each, once");
+        assert_eq!(to.ways().len(), 2, "one address of this machine each, once");
         let message: Bytes = (0..70_001_u32).map(|at| u8::try_from(at % 251).expect("small")).collect();
         let writer = GUID::GUID_UNKNOWN;
-        let mut ahead = Ahead::new(message.clone(), (writer, (7 << 32) + 9), to);
+        let mut ahead = Ahead::new(message.clone(), (writer, (7 << 32) + 9), &to);
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         while !ahead.advance(&socket, &Rate::default()) {}
         for receiver in &receivers {

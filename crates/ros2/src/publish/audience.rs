@@ -62,7 +62,10 @@ impl Audience {
 
     fn meet(&mut self, (writer, reader): (GUID, GUID), is_served: bool) {
         if self.met.len() < MOST {
-            self.met.entry(writer).or_default().insert(reader, is_served);
+            let met = self.met.entry(writer).or_default();
+            if met.len() < MOST {
+                met.insert(reader, is_served);
+            }
         }
     }
 

@@ -167,6 +167,7 @@ impl<'a, W: Write> Child<'a, W> {
                 if !threads::run() {
                     return Err(Ros2Error::Threads);
                 }
+                self.tell();
                 send(self.out, &Report::Alive { participants: self.audience.participants() }, &[])?;
                 alive = Some(Instant::now());
             }
@@ -192,7 +193,7 @@ impl<'a, W: Write> Child<'a, W> {
         u32::try_from(total).unwrap_or(u32::MAX)
     }
 
-    /// Shows each writer its subscribers, and the graph this node.
+    /// Shows each writer its subscribers.
     fn show(&mut self) {
         if self.writings.is_empty() || self.shown.is_some_and(|last| last.elapsed() < SHOWING) {
             return;
@@ -200,8 +201,14 @@ impl<'a, W: Write> Child<'a, W> {
         self.shown = Some(Instant::now());
         let readers = self.participant.discovered_readers();
         self.writings.values_mut().for_each(|writing| self.audience.show(&readers, writing));
-        let own = self.writings.values().map(Writing::id).collect();
-        self.node.tell((&self.participant, &self.publisher), &self.participant.discovered_writers(), own);
+    }
+
+    /// Tells the graph of this node.
+    fn tell(&mut self) {
+        if !self.writings.is_empty() {
+            let own = self.writings.values().map(Writing::id).collect();
+            self.node.tell((&self.participant, &self.publisher), &self.participant.discovered_writers(), own);
+        }
     }
 
     /// Takes all orders that are there; false if there will be no more.

@@ -131,7 +131,8 @@ pub struct Writing {
     /// The type's DDS name.
     pub dds_type: String,
     encoding: [u8; 2],
-    /// Bytes that may be kept of it.
+    /// Messages, and bytes, that may be kept of it.
+    room: usize,
     kept: usize,
     /// Whether lost messages are repeated.
     pub reliable: bool,
@@ -180,6 +181,7 @@ impl Writing {
             dds_topic,
             dds_type,
             encoding: topic.encoding.to_be_bytes(),
+            room,
             kept: room * size,
             reliable: topic.offer.reliable,
             is_outrun: false,
@@ -212,12 +214,14 @@ impl Writing {
         let is_large = message.len() > LARGE && (self.ahead.is_some() || !self.addresses.is_empty());
         if is_large {
             self.settle();
-            // One at a time: a second one would be lost in what the network code sends at once of the first.
-            if self.ahead.is_none() && !self.pending.is_empty() {
+            // One at a time: a second one would be lost in what the network code sends at once of the first. Whoever is no
+            // longer waited for does not keep it from the others while there is room; once begun, it must find some.
+            let most = if self.is_outrun { self.room.saturating_sub(2) } else { 0 };
+            if self.ahead.is_none() && self.pending.len() > most {
                 return Attempt::Full;
             }
             let id = (self.writer.id(), self.next);
-            let ahead = self.ahead.get_or_insert_with(|| Ahead::new(message.clone(), id, self.addresses.clone()));
+            let ahead = self.ahead.get_or_insert_with(|| Ahead::new(message.clone(), id, &self.addresses));
             if !ahead.advance(&self.socket, &self.rate) {
                 return Attempt::Begun;
             }
@@ -255,7 +259,7 @@ impl Writing {
             if first.again.is_none() && first.times < MOST_TIMES && first.sent.elapsed() >= patience {
                 self.rate.slower();
                 let id = (self.writer.id(), *number);
-                first.again = Some(Ahead::new(message.clone(), id, self.addresses.clone()));
+                first.again = Some(Ahead::new(message.clone(), id, &self.addresses));
             }
             if first.again.as_mut().is_some_and(|again| again.advance(&self.socket, &self.rate)) {
                 (first.again, first.sent, first.times) = (None, Instant::now(), first.times + 1);
