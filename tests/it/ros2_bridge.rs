@@ -77,8 +77,8 @@ fn plant(network: &Network, kinds: &[Kind<'_>]) -> Plant {
     alice.enrol();
     let bob_address = bob.enrol();
     let originals =
-        kinds.iter().map(|(topic, kind, .., flag)| Listener::start(network, "0", &[topic, kind, flag])).collect();
-    for (topic, kind, number, hertz, size, flag) in kinds {
+        kinds.iter().map(|&(topic, kind, .., flag)| Listener::start(network, "0", &[topic, kind, flag])).collect();
+    for &(topic, kind, number, hertz, size, flag) in kinds {
         alice.json(&["topics", "watch", topic]);
         let talker = Talker::start(network, &[topic, kind, number, hertz, size, flag, "readers2"]);
         let number: usize = number.parse().expect("a number");
