@@ -136,10 +136,13 @@ fn code(view: &PlayedView, output: &Output) -> u8 {
         output.note(&format!("authros: {count} records not published: {why}"));
     }
     if view.dropped > 0 {
-        output.note(&format!("authros: subscribers were too slow and missed {} messages", view.dropped));
+        let words = "messages: they read too slowly, or did not acknowledge them";
+        output.note(&format!("authros: subscribers missed {} {words}", view.dropped));
     }
-    for warning in &view.warnings {
-        output.note(&format!("authros: {warning}"));
+    if view.unconfirmed > 0 {
+        let words = "messages are unconfirmed: best-effort subscribers do not acknowledge and may have missed some; \
+                     rosbag or rviz can subscribe as reliable";
+        output.note(&format!("authros: {} of the published {words}", view.unconfirmed));
     }
     match view.ended_by {
         PlayEnd::Revoked => output.note("authros: ended: the grant was revoked"),

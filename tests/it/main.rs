@@ -63,6 +63,7 @@ mod rights;
 mod robots;
 mod robots_policy;
 mod ros2;
+mod ros2_bridge;
 mod ros2_capture;
 mod ros2_describing;
 mod ros2_fastdds;

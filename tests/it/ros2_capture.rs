@@ -282,7 +282,7 @@ fn nobody_there_and_no_topics_are_told_apart_in_words() {
     site.stop("TERM", 20).expect_code(0);
     let _other = Talker::start(&network, &["Square", "string", "1", "1", "20", "latched", "foreign"]);
     let check = doctor(&network, &home);
-    assert!(text(&check, "detail").contains("1 participants and"), "{check}");
+    assert!(text(&check, "detail").contains("1 participant and"), "{check}");
     let absent =
         home.authros().with(&["--ros2", "0", "--json"]).with_variable("AUTHROS_ROS2_PROGRAM", "/nowhere/reader");
     let view = absent.run(&["doctor"]).document().to_string();

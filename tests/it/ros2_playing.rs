@@ -154,31 +154,6 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
 }
 
 #[test]
-fn messages_that_fast_dds_mostly_loses_are_told_of_once_and_played_all_the_same() {
-    let _alone = heavy();
-    let network = match network() {
-        Ok(network) => network,
-        Err(reason) => skipped!(reason),
-    };
-    let plant = plant(&network, &[]);
-    let original = Listener::start(&network, "0", &["/camera", "image"]);
-    plant.alice.json(&["topics", "watch", "/camera"]);
-    let talker = Talker::start(&network, &["/camera", "image", "3", "5", "300000", "readers2"]);
-    expect_verified(&plant.alice, "/camera", 3);
-    drop(talker);
-    plant.alice.json(&["grant", &plant.bob_address]);
-    let reader = Listener::start(&network, OUT, &["/camera", "image"]);
-    let outcome = plant.bob.run(&["--json", "shared", "play", "--ros2", OUT]).expect_code(0);
-    let played = outcome.document();
-    assert_eq!(figures(&played), [3, 0, 0, 0], "{played}");
-    let told = played["warnings"].as_array().expect("a list");
-    let [warning] = told.as_slice() else { panic!("one warning: {played}") };
-    let warning = warning.as_str().expect("a text");
-    assert!(warning.contains("/camera") && warning.contains("Fast DDS"), "{warning}");
-    assert!(reader.hears(3, 20) == original.hears(3, 20), "Cyclone DDS has them all the same");
-}
-
-#[test]
 fn records_of_ros_1_are_not_translated_and_a_missing_program_is_told_of() {
     let network = match network() {
         Ok(network) => network,

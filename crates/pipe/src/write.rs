@@ -105,12 +105,16 @@ pub enum Report {
         /// Whether it is that somebody else publishes it.
         occupied: bool,
     },
-    /// The oldest messages that were not confirmed yet have left the queue.
+    /// The oldest messages that were not confirmed yet have left the queue; none, if only the other figures changed.
     Taken {
         /// Their number.
         messages: u32,
         /// Of these the ones that a subscriber did not get because it read too slowly.
         dropped: u32,
+        /// Messages of all reports so far that were sent and that a subscriber has yet to acknowledge.
+        unacknowledged: u32,
+        /// Messages of all reports so far that were sent to subscribers that do not acknowledge.
+        unconfirmed: u64,
     },
     /// Subscribers have everything.
     Left,
@@ -139,9 +143,9 @@ mod tests {
             serde_json::to_string(&order).expect("JSON"),
             r#"{"order":"advertise","writer":3,"topic":{"name":"/a","type_name":"b/msg/C","encoding":1,"offer":{"reliable":true,"latched":false,"depth":5}},"size":9,"alone":true,"patient":false}"#
         );
-        let report =
-            serde_json::from_str::<Report>(r#"{"report":"taken","messages":2,"dropped":1}"#).expect("a report");
-        assert_eq!(report, Report::Taken { messages: 2, dropped: 1 });
+        let taken = r#"{"report":"taken","messages":2,"dropped":1,"unacknowledged":3,"unconfirmed":4}"#;
+        let report = serde_json::from_str::<Report>(taken).expect("a report");
+        assert_eq!(report, Report::Taken { messages: 2, dropped: 1, unacknowledged: 3, unconfirmed: 4 });
         assert_eq!(serde_json::to_string(&Order::<Topic>::Leave).expect("JSON"), r#"{"order":"leave"}"#);
         let topic = Described { name: "/a".into(), type_name: "b/C".into(), md5sum: "9".into(), latched: true };
         let order = Order::Advertise { writer: 3, topic, size: 0, alone: false, patient: true };

@@ -81,7 +81,8 @@ impl<'a, W: Write> Child<'a, W> {
             }
             let taken = self.queue.pump(&mut self.outlets);
             if taken.messages > 0 {
-                send(self.out, &Report::Taken { messages: taken.messages, dropped: taken.dropped }, &[])?;
+                let (messages, dropped) = (taken.messages, taken.dropped);
+                send(self.out, &Report::Taken { messages, dropped, unacknowledged: 0, unconfirmed: 0 }, &[])?;
             }
             self.leave()?;
             if alive.is_none_or(|last| last.elapsed() >= ALIVE) {

@@ -45,6 +45,8 @@ pub struct State {
     unconfirmed: VecDeque<usize>,
     unconfirmed_bytes: usize,
     dropped: u64,
+    unacknowledged: u64,
+    best_effort: u64,
     left: bool,
     reports: u64,
     broken: Option<String>,
@@ -71,12 +73,13 @@ impl State {
             Report::Refused { writer, reason, occupied } => {
                 self.answer(writer, Err(Declined { reason: clean(&reason, LONGEST_REASON), occupied }));
             }
-            Report::Taken { messages, dropped } => {
+            Report::Taken { messages, dropped, unacknowledged, unconfirmed } => {
                 for _ in 0..messages {
                     let Some(size) = self.unconfirmed.pop_front() else { break };
                     self.unconfirmed_bytes -= size;
                 }
                 self.dropped += u64::from(dropped.min(messages));
+                (self.unacknowledged, self.best_effort) = (u64::from(unacknowledged), unconfirmed);
             }
             Report::Left => self.left = true,
             Report::Alive { .. } => {}
@@ -107,9 +110,19 @@ impl State {
         (self.unconfirmed.len(), self.unconfirmed_bytes)
     }
 
-    /// Messages that subscribers missed; if it has ended, also those that it held.
+    /// Messages that were sent and that a subscriber has yet to acknowledge.
+    pub fn unacknowledged(&self) -> u64 {
+        self.unacknowledged
+    }
+
+    /// Messages that were sent to subscribers that do not acknowledge.
+    pub fn best_effort(&self) -> u64 {
+        self.best_effort
+    }
+
+    /// Messages that subscribers missed; if it has ended, also those that it held and those that were not acknowledged.
     pub fn missed(&self) -> u64 {
-        let held = if self.broken.is_some() { self.unconfirmed.len() as u64 } else { 0 };
+        let held = if self.broken.is_some() { self.unconfirmed.len() as u64 + self.unacknowledged } else { 0 };
         self.dropped + held
     }
 }
@@ -299,6 +312,16 @@ impl Run {
     /// Why it has ended, if it has.
     pub fn broken(&self) -> Option<String> {
         self.shared.state().broken.clone()
+    }
+
+    /// See [`State::unacknowledged`].
+    pub fn unacknowledged(&self) -> u64 {
+        self.shared.state().unacknowledged()
+    }
+
+    /// See [`State::best_effort`].
+    pub fn best_effort(&self) -> u64 {
+        self.shared.state().best_effort()
     }
 
     /// See [`State::missed`].

@@ -26,7 +26,7 @@ pub use crate::pipe::read::{Counts, Quality};
 pub use crate::pipe::write::{Offer, Topic as Offered};
 pub use crate::ros::child::Declined;
 pub use publisher::{QUALITY, WRITER};
-pub use publishing::Ros2Publisher;
+pub use publishing::{Delivery, Ros2Publisher};
 pub use standing::{INVISIBLE, Reading, Standing};
 
 /// The program that speaks ROS 2.

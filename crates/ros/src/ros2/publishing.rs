@@ -20,6 +20,15 @@ const ANSWERING: Duration = Duration::from_secs(10);
 /// The most bytes of latched messages kept for a program that has to be started anew.
 const MOST_LATCHED: usize = 128 << 20;
 
+/// What became of the messages handed out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Delivery {
+    /// Messages that a subscriber missed, or did not acknowledge.
+    pub missed: u64,
+    /// Messages that nobody is known to have: some subscribers do not acknowledge, or could not any more.
+    pub unconfirmed: u64,
+}
+
 /// An announced topic.
 struct Announced {
     topic: Offered,
@@ -37,7 +46,7 @@ pub struct Ros2Publisher {
     next: u32,
     latched_bytes: usize,
     /// What earlier runs of the program did not deliver.
-    missed: u64,
+    earlier: Delivery,
 }
 
 impl Ros2Publisher {
@@ -49,7 +58,8 @@ impl Ros2Publisher {
     pub fn start(domain: u16, program: Option<&Path>) -> Result<Self, RosError> {
         let program = find(program)?;
         let run = Run::start(&errand(&program, domain, true), domain)?;
-        let publisher = Self { domain, program, run, announced: BTreeMap::new(), next: 1, latched_bytes: 0, missed: 0 };
+        let (announced, earlier) = (BTreeMap::new(), Delivery::default());
+        let publisher = Self { domain, program, run, announced, next: 1, latched_bytes: 0, earlier };
         publisher.joined().map(|()| publisher)
     }
 
@@ -156,7 +166,7 @@ impl Ros2Publisher {
             return Ok(());
         }
         let run = Run::start(&errand(&self.program, self.domain, true), self.domain)?;
-        self.missed += self.run.missed();
+        self.earlier = self.delivery();
         self.run = run;
         self.joined()?;
         for (writer, announced) in &self.announced {
@@ -180,16 +190,23 @@ impl Ros2Publisher {
         self.run.has_left() || self.run.broken().is_some()
     }
 
-    /// Messages that a subscriber, or every one, missed.
-    pub fn missed(&self) -> u64 {
-        self.missed + self.run.missed()
+    fn delivery(&self) -> Delivery {
+        let Delivery { missed, unconfirmed } = self.earlier;
+        Delivery { missed: missed + self.run.missed(), unconfirmed: unconfirmed + self.run.best_effort() }
     }
 
-    /// Leaves the domain. Returns the total messages that subscribers missed; those still queued are among them, unless a
-    /// right to them has ended.
-    pub fn end(self, by_right: bool) -> u64 {
-        let queued = if by_right || self.run.broken().is_some() { 0 } else { self.run.unconfirmed().0 };
-        self.missed() + queued as u64
+    /// Leaves the domain. What is queued or not acknowledged was missed; if a right to it has ended, nobody knows.
+    pub fn end(self, by_right: bool) -> Delivery {
+        let delivery = self.delivery();
+        if self.run.broken().is_some() {
+            return delivery;
+        }
+        let Delivery { missed, unconfirmed } = delivery;
+        let open = self.run.unacknowledged() + self.run.unconfirmed().0 as u64;
+        if by_right {
+            return Delivery { missed, unconfirmed: unconfirmed + open };
+        }
+        Delivery { missed: missed + open, unconfirmed }
     }
 
     fn order(&self, order: &Order, payload: &[u8]) -> Result<(), RosError> {

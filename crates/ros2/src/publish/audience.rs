@@ -1,10 +1,13 @@
 //! Who is in the domain: subscribers that have found our topics, and others who publish them.
 
 use std::collections::{HashMap, HashSet};
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
 
 use rustdds::discovery::DiscoveredReaderData;
 use rustdds::{DomainParticipant, DomainParticipantStatusEvent, GUID};
 
+use super::ahead::Addresses;
 use super::writing::Writing;
 use crate::names;
 
@@ -15,8 +18,10 @@ const MOST: usize = 20_000;
 pub struct Audience {
     own: [u8; 12],
     participants: HashSet<[u8; 12]>,
-    /// By our writer: the subscribers that it serves, or cannot serve.
-    met: HashMap<GUID, HashSet<GUID>>,
+    /// By our writer: the subscribers that it has met, and whether it serves them.
+    met: HashMap<GUID, HashMap<GUID, bool>>,
+    /// When somebody was found last.
+    found: Instant,
 }
 
 fn prefix(id: GUID) -> [u8; 12] {
@@ -28,7 +33,7 @@ fn prefix(id: GUID) -> [u8; 12] {
 impl Audience {
     /// Nobody is known yet.
     pub fn new(own: GUID) -> Self {
-        Self { own: prefix(own), participants: HashSet::new(), met: HashMap::new() }
+        Self { own: prefix(own), participants: HashSet::new(), met: HashMap::new(), found: Instant::now() }
     }
 
     /// Takes news of the domain.
@@ -36,22 +41,31 @@ impl Audience {
         use DomainParticipantStatusEvent as News;
         match news {
             News::ParticipantDiscovered { dpd } => {
+                self.found = Instant::now();
                 let found = prefix(dpd.guid);
                 if found != self.own && self.participants.len() < MOST {
                     self.participants.insert(found);
                 }
             }
+            News::ReaderDetected { .. } | News::WriterDetected { .. } => self.found = Instant::now(),
             News::ParticipantLost { id, .. } => {
                 let gone: &[u8] = id.as_ref();
                 self.participants.retain(|known| known[..] != *gone);
             }
-            News::RemoteReaderMatched { local_writer, remote_reader }
-            | News::RemoteReaderQosIncompatible { local_writer, remote_reader, .. }
-                if self.met.len() < MOST =>
-            {
-                self.met.entry(local_writer).or_default().insert(remote_reader);
+            News::RemoteReaderMatched { local_writer, remote_reader } => self.meet((local_writer, remote_reader), true),
+            News::RemoteReaderQosIncompatible { local_writer, remote_reader, .. } => {
+                self.meet((local_writer, remote_reader), false);
             }
             _ => {}
+        }
+    }
+
+    fn meet(&mut self, (writer, reader): (GUID, GUID), is_served: bool) {
+        if self.met.len() < MOST {
+            let met = self.met.entry(writer).or_default();
+            if met.len() < MOST {
+                met.insert(reader, is_served);
+            }
         }
     }
 
@@ -60,22 +74,48 @@ impl Audience {
         u32::try_from(self.participants.len()).unwrap_or(u32::MAX)
     }
 
+    /// Whether nobody was found for a while.
+    pub fn is_settled(&self, after: Duration) -> bool {
+        self.found.elapsed() >= after
+    }
+
+    fn of<'a>(
+        &self,
+        readers: &'a [DiscoveredReaderData],
+        writing: &Writing,
+    ) -> impl Iterator<Item = &'a DiscoveredReaderData> {
+        let (topic, kind, own) = (writing.dds_topic.clone(), writing.dds_type.clone(), self.own);
+        readers.iter().filter(move |reader| {
+            let data = &reader.subscription_topic_data;
+            *data.topic_name() == topic && *data.type_name() == kind && prefix(data.key()) != own
+        })
+    }
+
     /// The number of a topic's known subscribers, if all of them have been met.
     pub fn has_found(&self, readers: &[DiscoveredReaderData], writing: &Writing) -> Option<usize> {
         let met = self.met.get(&writing.id());
         let mut known = 0;
-        for reader in readers {
-            let data = &reader.subscription_topic_data;
-            let wants = *data.topic_name() == writing.dds_topic && *data.type_name() == writing.dds_type;
-            if !wants || prefix(data.key()) == self.own {
-                continue;
-            }
+        for reader in self.of(readers, writing) {
             known += 1;
-            if !met.is_some_and(|met| met.contains(&data.key())) {
+            if !met.is_some_and(|met| met.contains_key(&reader.subscription_topic_data.key())) {
                 return None;
             }
         }
         Some(known)
+    }
+
+    /// Tells a writer where the subscribers are that it serves, and whether some of them do not acknowledge.
+    pub fn show(&self, readers: &[DiscoveredReaderData], writing: &mut Writing) {
+        let met = self.met.get(&writing.id());
+        (writing.addresses, writing.has_best_effort) = (Addresses::default(), false);
+        let served: Vec<&DiscoveredReaderData> = self
+            .of(readers, writing)
+            .filter(|reader| met.and_then(|met| met.get(&reader.subscription_topic_data.key())) == Some(&true))
+            .collect();
+        for reader in served {
+            writing.addresses.add(reader.reader_proxy.unicast_locator_list.iter().map(|at| SocketAddr::from(*at)));
+            writing.has_best_effort |= !writing.reliable || !reader.subscription_topic_data.qos().is_reliable();
+        }
     }
 
     /// Somebody else who publishes a topic, as a description.

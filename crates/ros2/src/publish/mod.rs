@@ -1,12 +1,16 @@
 //! Publishing: orders of the site, in their order, to the writers of the domain. A topic that is taken back is gone at
 //! once, with what was queued for it.
 
+mod ahead;
 mod audience;
+mod node;
 mod queue;
 mod writing;
 
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Read, Write};
+use std::net::{Ipv4Addr, UdpSocket};
+use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
@@ -17,6 +21,7 @@ use rustdds::{
 };
 
 use self::audience::Audience;
+use self::node::Node;
 use self::queue::Queue;
 pub use self::writing::Encoded;
 use self::writing::Writing;
@@ -31,10 +36,17 @@ const SHORT_BEAT: Duration = Duration::from_millis(1);
 const ALIVE: Duration = Duration::from_millis(500);
 /// How long is looked around before anything is announced: Fast DDS is found after up to 1.3 s.
 const LOOK_AROUND: Duration = Duration::from_millis(1500);
+/// It goes on while somebody was found so lately, for this long at most: on a busy machine, what a participant has comes late.
+const STILL_FINDING: Duration = Duration::from_millis(500);
+const LONGEST_LOOK: Duration = Duration::from_secs(4);
+/// How often each writer is shown its subscribers.
+const SHOWING: Duration = Duration::from_millis(100);
 /// The longest that a topic waits for its subscribers.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// How long what was written last is given to leave this machine.
 const SENDING: Duration = Duration::from_millis(200);
+/// How long a subscriber that acknowledges nothing is given to find a writer that has found it.
+const MEETING: Duration = Duration::from_millis(500);
 /// The most topics announced at once.
 const MOST_WRITERS: usize = 4096;
 
@@ -84,7 +96,14 @@ struct Child<'a, W: Write> {
     writings: BTreeMap<u32, Writing>,
     publisher: Publisher,
     listener: DomainParticipantStatusListener,
+    node: Node,
     participant: DomainParticipant,
+    socket: Rc<UdpSocket>,
+    /// When writers were shown their subscribers last.
+    shown: Option<Instant>,
+    /// Messages that nobody was asked to acknowledge, or no longer; and what was reported last.
+    unconfirmed: u64,
+    reported: (u32, u64),
     orders: Receiver<Option<(Order, Vec<u8>)>>,
     joined: Instant,
     wanted: Vec<Wanted>,
@@ -104,11 +123,18 @@ impl<'a, W: Write> Child<'a, W> {
         let publisher = participant.create_publisher(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
         let listener = participant.status_listener();
         let audience = Audience::new(participant.guid());
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0));
+        let socket = Rc::new(socket.map_err(|error| Ros2Error::system("open a socket", &error))?);
         Ok(Self {
             writings: BTreeMap::new(),
             publisher,
             listener,
+            node: Node::default(),
             participant,
+            socket,
+            shown: None,
+            unconfirmed: 0,
+            reported: (0, 0),
             orders: listen(from)?,
             joined: Instant::now(),
             wanted: Vec::new(),
@@ -133,25 +159,63 @@ impl<'a, W: Write> Child<'a, W> {
                 self.audience.hear(news);
             }
             self.announce()?;
+            self.show();
             self.welcome()?;
-            let taken = self.queue.pump(&mut self.writings, Instant::now());
-            if taken.messages > 0 {
-                send(self.out, &Report::Taken { messages: taken.messages, dropped: taken.dropped }, &[])?;
-            }
+            self.pump()?;
             self.leave()?;
             if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
                 if !threads::run() {
                     return Err(Ros2Error::Threads);
                 }
+                self.tell();
                 send(self.out, &Report::Alive { participants: self.audience.participants() }, &[])?;
                 alive = Some(Instant::now());
             }
         }
     }
 
+    /// Writes what can be written, and reports what has become of it.
+    fn pump(&mut self) -> Result<(), Ros2Error> {
+        let taken = self.queue.pump(&mut self.writings, Instant::now());
+        self.unconfirmed += u64::from(taken.unconfirmed);
+        self.writings.values_mut().for_each(Writing::settle);
+        let now = (self.unacknowledged(), self.unconfirmed);
+        if taken.messages > 0 || now != self.reported {
+            let (messages, dropped, (unacknowledged, unconfirmed)) = (taken.messages, taken.dropped, now);
+            send(self.out, &Report::Taken { messages, dropped, unacknowledged, unconfirmed }, &[])?;
+            self.reported = now;
+        }
+        Ok(())
+    }
+
+    fn unacknowledged(&self) -> u32 {
+        let total: usize = self.writings.values().map(Writing::unacknowledged).sum();
+        u32::try_from(total).unwrap_or(u32::MAX)
+    }
+
+    /// Shows each writer its subscribers.
+    fn show(&mut self) {
+        if self.writings.is_empty() || self.shown.is_some_and(|last| last.elapsed() < SHOWING) {
+            return;
+        }
+        self.shown = Some(Instant::now());
+        let readers = self.participant.discovered_readers();
+        self.writings.values_mut().for_each(|writing| self.audience.show(&readers, writing));
+    }
+
+    /// Tells the graph of this node.
+    fn tell(&mut self) {
+        if !self.writings.is_empty() {
+            let own = self.writings.values().map(Writing::id).collect();
+            self.node.tell((&self.participant, &self.publisher), &self.participant.discovered_writers(), own);
+        }
+    }
+
     /// Takes all orders that are there; false if there will be no more.
     fn take_orders(&mut self) -> Result<bool, Ros2Error> {
-        let waits = !self.queue.is_empty() || !self.welcomes.is_empty() || self.leaving.is_some() && !self.has_left;
+        let is_behind = self.writings.values().any(|writing| writing.unacknowledged() > 0);
+        let is_busy = !self.queue.is_empty() || !self.welcomes.is_empty() || is_behind;
+        let waits = is_busy || self.leaving.is_some() && !self.has_left;
         let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
             Ok(next) => next,
             Err(RecvTimeoutError::Timeout) => return Ok(true),
@@ -181,7 +245,8 @@ impl<'a, W: Write> Child<'a, W> {
                 self.queue.forget(writer);
                 self.wanted.retain(|wanted| wanted.writer != writer);
                 self.welcomes.retain(|welcome| welcome.writer != writer);
-                self.writings.remove(&writer);
+                // Whether subscribers got the last of it is not known any more.
+                self.unconfirmed += self.writings.remove(&writer).map_or(0, |gone| gone.unacknowledged() as u64);
             }
             Order::Outrun => self.queue.outrun(&mut self.writings),
             Order::Leave => self.leaving = Some(Instant::now()),
@@ -191,9 +256,12 @@ impl<'a, W: Write> Child<'a, W> {
 
     /// Announces what is wanted, once there was time to look around.
     fn announce(&mut self) -> Result<(), Ros2Error> {
-        if self.wanted.is_empty() || self.joined.elapsed() < LOOK_AROUND {
+        let looked = self.joined.elapsed();
+        let is_done = looked >= LOOK_AROUND && self.audience.is_settled(STILL_FINDING) || looked >= LONGEST_LOOK;
+        if self.wanted.is_empty() || !is_done {
             return Ok(());
         }
+        self.shown = None;
         for wanted in std::mem::take(&mut self.wanted) {
             let Wanted { writer, topic, size, alone, patient } = wanted;
             if alone && let Some(other) = self.audience.rival(&self.participant, &topic.name) {
@@ -202,7 +270,7 @@ impl<'a, W: Write> Child<'a, W> {
                 continue;
             }
             let others = self.writings.values().map(Writing::kept).sum();
-            match Writing::begin((&self.participant, &self.publisher), &topic, (size, others)) {
+            match Writing::begin((&self.participant, &self.publisher, &self.socket), &topic, (size, others)) {
                 Ok(writing) => {
                     self.writings.insert(writer, writing);
                     if patient {
@@ -235,11 +303,17 @@ impl<'a, W: Write> Child<'a, W> {
         let is_ready = |welcome: &Welcome| {
             let Some(writing) = writings.get(&welcome.writer) else { return true };
             let found = audience.has_found(&readers, writing);
-            let settled = |known: usize| known == 0 || welcome.latched || welcome.since.elapsed() >= SENDING;
-            found.is_some_and(settled) || welcome.since.elapsed() >= PATIENCE
+            let waited = welcome.since.elapsed();
+            // They acknowledge when they hear of the writer; who does not is given time for it.
+            let hear = || writing.is_acknowledged() && (!writing.has_best_effort || waited >= MEETING);
+            found.is_some_and(|known| known == 0 || welcome.latched || hear()) || waited >= PATIENCE
         };
         let (ready, waiting): (Vec<Welcome>, Vec<Welcome>) = self.welcomes.drain(..).partition(is_ready);
         self.welcomes = waiting;
+        if !ready.is_empty() {
+            self.shown = None;
+            self.show();
+        }
         for Welcome { writer, .. } in ready {
             send(self.out, &Report::Ready { writer }, &[])?;
         }
@@ -250,7 +324,7 @@ impl<'a, W: Write> Child<'a, W> {
     fn leave(&mut self) -> Result<(), Ros2Error> {
         let Some(since) = self.leaving.filter(|_| !self.has_left && self.queue.is_empty()) else { return Ok(()) };
         let last = self.queue.last_written().map_or(since, |last| last.max(since));
-        if last.elapsed() >= SENDING && self.writings.values().all(Writing::is_acknowledged) {
+        if last.elapsed() >= SENDING && self.unacknowledged() == 0 {
             self.has_left = true;
             send(self.out, &Report::Left, &[])?;
         }

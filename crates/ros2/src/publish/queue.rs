@@ -16,6 +16,8 @@ const KEPT_FOR: Duration = Duration::from_secs(7);
 pub trait Outlet {
     /// Tries to write a message.
     fn attempt(&mut self, message: &Bytes) -> Attempt;
+    /// Whether some subscribers acknowledge nothing.
+    fn is_unconfirmed(&self) -> bool;
     /// Whether subscribers have everything.
     fn has_caught_up(&self) -> bool;
     /// Whether its subscribers are no longer waited for.
@@ -25,6 +27,10 @@ pub trait Outlet {
 impl Outlet for Writing {
     fn attempt(&mut self, message: &Bytes) -> Attempt {
         self.write(message)
+    }
+
+    fn is_unconfirmed(&self) -> bool {
+        self.has_best_effort
     }
 
     fn has_caught_up(&self) -> bool {
@@ -43,6 +49,8 @@ pub struct Taken {
     pub messages: u32,
     /// Of these the ones that were not written for a subscriber that is behind.
     pub dropped: u32,
+    /// Of these the ones that best-effort subscribers may have missed without a word, or that were taken back.
+    pub unconfirmed: u32,
 }
 
 /// The queue.
@@ -91,7 +99,10 @@ impl Queue {
         while let Some((writer, message)) = self.waiting.front() {
             let (writer, size) = (*writer, message.len());
             let attempt = match outlets.get_mut(&writer) {
-                None if self.gone.contains(&writer) => Attempt::Written,
+                None if self.gone.contains(&writer) => {
+                    taken.unconfirmed += 1;
+                    Attempt::Written
+                }
                 // It is about to be announced.
                 None => break,
                 Some(_) if self.written_bytes > 0 && self.written_bytes + size > MOST_KEPT => break,
@@ -100,10 +111,11 @@ impl Queue {
                         *outlet.outrun() = false;
                     }
                     let attempt = outlet.attempt(message);
-                    if attempt == Attempt::Full && !*outlet.outrun() {
+                    if attempt == Attempt::Begun || attempt == Attempt::Full && !*outlet.outrun() {
                         break;
                     }
                     if attempt == Attempt::Written {
+                        taken.unconfirmed += u32::from(outlet.is_unconfirmed());
                         self.written.push_back((now, size));
                         self.written_bytes += size;
                         self.last = Some(now);
@@ -150,6 +162,10 @@ mod tests {
             Attempt::Written
         }
 
+        fn is_unconfirmed(&self) -> bool {
+            false
+        }
+
         fn has_caught_up(&self) -> bool {
             self.room > 0
         }
@@ -172,11 +188,11 @@ mod tests {
     #[test]
     fn nothing_overtakes_a_message_that_waits() {
         let (mut queue, mut outlets, now) = (queue(&[(1, 1), (1, 2), (2, 3)]), outlets(&[1, 9]), Instant::now());
-        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 1, dropped: 0 });
+        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 1, dropped: 0, unconfirmed: 0 });
         assert_eq!(queue.pump(&mut outlets, now), Taken::default());
         assert!(outlets[&2].got.is_empty() && !queue.is_empty());
         outlets.get_mut(&1).expect("there").room = 1;
-        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 2, dropped: 0 });
+        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 2, dropped: 0, unconfirmed: 0 });
         assert_eq!((outlets[&1].got.len(), outlets[&2].got.len()), (2, 1));
     }
 
@@ -184,11 +200,11 @@ mod tests {
     fn whoever_is_outrun_loses_messages_until_it_has_caught_up() {
         let (mut queue, mut outlets, now) = (queue(&[(1, 1), (2, 2), (1, 3)]), outlets(&[0, 9]), Instant::now());
         queue.outrun(&mut outlets);
-        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 3, dropped: 2 });
+        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 3, dropped: 2, unconfirmed: 0 });
         outlets.get_mut(&1).expect("there").room = 1;
         queue.push(1, vec![4]);
         queue.push(1, vec![5]);
-        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 1, dropped: 0 });
+        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 1, dropped: 0, unconfirmed: 0 });
         assert!(!queue.is_empty(), "it is waited for again");
     }
 
@@ -197,7 +213,7 @@ mod tests {
         let (mut queue, mut outlets, now) = (queue(&[(1, 1), (2, 2), (1, 3)]), outlets(&[9, 9]), Instant::now());
         queue.forget(1);
         outlets.remove(&1);
-        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 3, dropped: 0 });
+        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 3, dropped: 0, unconfirmed: 2 });
         assert_eq!(outlets[&2].got, [Bytes::from_static(&[2])]);
     }
 
@@ -208,8 +224,8 @@ mod tests {
             // Zeros of which no page is touched.
             queue.push(1, vec![0; MOST_KEPT / 2]);
         }
-        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 2, dropped: 0 });
+        assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 2, dropped: 0, unconfirmed: 0 });
         assert_eq!(queue.pump(&mut outlets, now + KEPT_FOR / 2), Taken::default());
-        assert_eq!(queue.pump(&mut outlets, now + KEPT_FOR), Taken { messages: 1, dropped: 0 });
+        assert_eq!(queue.pump(&mut outlets, now + KEPT_FOR), Taken { messages: 1, dropped: 0, unconfirmed: 0 });
     }
 }

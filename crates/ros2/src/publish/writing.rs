@@ -1,7 +1,14 @@
 //! One writer of one topic. The network code fixes the encoding of a writer's messages by a type; it writes the two
 //! bytes after that, the header's options, as zeros.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::future::Future;
+use std::net::UdpSocket;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::task::{Context, Waker};
+use std::time::Instant;
 
 use rustdds::bytes::Bytes;
 use rustdds::no_key::{DataWriter, SerializerAdapter};
@@ -12,6 +19,7 @@ use rustdds::{
     Timestamp, TopicKind, WriteOptionsBuilder,
 };
 
+use super::ahead::{Addresses, Ahead, LARGE, Rate};
 use crate::names;
 use crate::pipe::write::{Offer, Topic};
 use crate::quality;
@@ -22,6 +30,11 @@ const ATTEMPT: Duration = Duration::from_millis(5);
 const LATCHED: usize = 8;
 /// The most messages that a subscriber may ask a topic to keep.
 const DEEPEST: u32 = 1000;
+/// After this time without an acknowledgement a large message is sent ahead once more: subscribers are asked every 100 ms.
+/// Twice as long each time.
+const AGAIN: std::time::Duration = std::time::Duration::from_millis(250);
+/// The most times; then it is left to the network code.
+const MOST_TIMES: u32 = 6;
 
 /// Bodies of one encoding, passed on as they are.
 pub struct Encoded<const ID: u16>;
@@ -45,17 +58,25 @@ pub enum Attempt {
     Written,
     /// A subscriber is too far behind.
     Full,
+    /// It is being sent ahead, and must be written after that: its number is used.
+    Begun,
     /// It cannot be written at all.
     Lost,
 }
 
+/// Comes when all subscribers that acknowledge have what was written before it was made.
+type Acknowledgement = Pin<Box<dyn Future<Output = ()>>>;
+
 trait Write {
     fn write(&self, body: Bytes) -> Attempt;
+    /// Writes something that is for nobody: subscribers acknowledge it when they hear this writer, and get nothing.
+    fn write_for_nobody(&self) -> bool;
+    fn acknowledgement(&self) -> Acknowledgement;
     fn is_acknowledged(&self) -> bool;
     fn id(&self) -> GUID;
 }
 
-impl<const ID: u16> Write for DataWriter<Bytes, Encoded<ID>> {
+impl<const ID: u16> Write for Rc<DataWriter<Bytes, Encoded<ID>>> {
     fn write(&self, body: Bytes) -> Attempt {
         // A congested socket is waited for, also without acknowledgements.
         let options = WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).best_effort_may_block(true);
@@ -64,6 +85,18 @@ impl<const ID: u16> Write for DataWriter<Bytes, Encoded<ID>> {
             Err(rustdds::dds::WriteError::WouldBlock { .. }) => Attempt::Full,
             Err(_) => Attempt::Lost,
         }
+    }
+
+    fn write_for_nobody(&self) -> bool {
+        let options = WriteOptionsBuilder::new().to_single_reader(GUID::GUID_UNKNOWN);
+        self.write_with_options(Bytes::new(), options.build()).is_ok()
+    }
+
+    fn acknowledgement(&self) -> Acknowledgement {
+        let writer = Self::clone(self);
+        let mut coming: Acknowledgement = Box::pin(async move { drop(writer.async_wait_for_acknowledgments().await) });
+        // What was written last is remembered at the first look.
+        if has_come(&mut coming) { Box::pin(std::future::ready(())) } else { coming }
     }
 
     fn is_acknowledged(&self) -> bool {
@@ -75,6 +108,22 @@ impl<const ID: u16> Write for DataWriter<Bytes, Encoded<ID>> {
     }
 }
 
+fn has_come(coming: &mut Acknowledgement) -> bool {
+    coming.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_ready()
+}
+
+/// A message that was written and is not acknowledged yet.
+struct Pending {
+    acknowledgement: Acknowledgement,
+    /// The message and its number, if it was sent ahead.
+    large: Option<(Bytes, i64)>,
+    /// When it was sent last, and how often.
+    sent: Instant,
+    times: u32,
+    /// While it is sent once more.
+    again: Option<Ahead>,
+}
+
 /// A writer.
 pub struct Writing {
     /// The topic's DDS name.
@@ -82,10 +131,24 @@ pub struct Writing {
     /// The type's DDS name.
     pub dds_type: String,
     encoding: [u8; 2],
-    /// Bytes that may be kept of it.
+    /// Messages, and bytes, that may be kept of it.
+    room: usize,
     kept: usize,
+    /// Whether lost messages are repeated.
+    pub reliable: bool,
     /// Its subscribers are behind and no longer waited for.
     pub is_outrun: bool,
+    /// Where its subscribers are.
+    pub addresses: Addresses,
+    /// Whether some of them do not acknowledge.
+    pub has_best_effort: bool,
+    socket: Rc<UdpSocket>,
+    rate: Rate,
+    /// The number of the next message.
+    next: i64,
+    ahead: Option<Ahead>,
+    // Before the writer, which these hold, too.
+    pending: VecDeque<Pending>,
     writer: Box<dyn Write>,
 }
 
@@ -95,7 +158,7 @@ impl Writing {
     /// # Errors
     /// The reason, as a clause.
     pub fn begin(
-        (participant, publisher): (&DomainParticipant, &Publisher),
+        (participant, publisher, socket): (&DomainParticipant, &Publisher, &Rc<UdpSocket>),
         topic: &Topic,
         (size, others): (usize, usize),
     ) -> Result<Self, String> {
@@ -112,8 +175,25 @@ impl Writing {
             .create_topic(dds_topic.clone(), dds_type.clone(), &policies, TopicKind::NoKey)
             .map_err(|error| format!("the topic cannot be made ({error:?})"))?;
         let writer = writer(topic.encoding, publisher, &made, policies)?;
-        let encoding = topic.encoding.to_be_bytes();
-        Ok(Self { dds_topic, dds_type, encoding, kept: room * size, is_outrun: false, writer })
+        // Of a latched topic late subscribers would get it.
+        let is_asked = topic.offer.reliable && !topic.offer.latched && writer.write_for_nobody();
+        Ok(Self {
+            dds_topic,
+            dds_type,
+            encoding: topic.encoding.to_be_bytes(),
+            room,
+            kept: room * size,
+            reliable: topic.offer.reliable,
+            is_outrun: false,
+            addresses: Addresses::default(),
+            has_best_effort: false,
+            socket: Rc::clone(socket),
+            rate: Rate::default(),
+            next: 1 + i64::from(is_asked),
+            ahead: None,
+            pending: VecDeque::new(),
+            writer,
+        })
     }
 
     /// Bytes that may be kept of it.
@@ -127,14 +207,73 @@ impl Writing {
     }
 
     /// Tries to write a message, header included.
-    pub fn write(&self, message: &Bytes) -> Attempt {
+    pub fn write(&mut self, message: &Bytes) -> Attempt {
         if message.len() < 4 || message[..2] != self.encoding || message[2..4] != [0, 0] {
             return Attempt::Lost;
         }
-        self.writer.write(message.slice(4..))
+        let is_large = message.len() > LARGE && (self.ahead.is_some() || !self.addresses.is_empty());
+        if is_large {
+            self.settle();
+            // One at a time: a second one would be lost in what the network code sends at once of the first. Whoever is no
+            // longer waited for does not keep it from the others while there is room; once begun, it must find some.
+            let most = if self.is_outrun { self.room.saturating_sub(2) } else { 0 };
+            if self.ahead.is_none() && self.pending.len() > most {
+                return Attempt::Full;
+            }
+            let id = (self.writer.id(), self.next);
+            let ahead = self.ahead.get_or_insert_with(|| Ahead::new(message.clone(), id, &self.addresses));
+            if !ahead.advance(&self.socket, &self.rate) {
+                return Attempt::Begun;
+            }
+        }
+        match self.writer.write(message.slice(4..)) {
+            Attempt::Written => {
+                self.written(is_large.then(|| (message.clone(), self.next)));
+                Attempt::Written
+            }
+            Attempt::Full if is_large => Attempt::Begun,
+            other => other,
+        }
     }
 
-    /// Whether all subscribers that asked for it have everything.
+    fn written(&mut self, large: Option<(Bytes, i64)>) {
+        (self.next, self.ahead) = (self.next + 1, None);
+        if self.reliable {
+            let acknowledgement = self.writer.acknowledgement();
+            self.pending.push_back(Pending { acknowledgement, large, sent: Instant::now(), times: 1, again: None });
+        }
+    }
+
+    /// Looks at what was acknowledged, and sends a large message ahead once more that was not in time.
+    pub fn settle(&mut self) {
+        while let Some(first) = self.pending.front_mut() {
+            if has_come(&mut first.acknowledgement) {
+                if first.large.is_some() && first.times == 1 {
+                    self.rate.faster();
+                }
+                self.pending.pop_front();
+                continue;
+            }
+            let Some((message, number)) = &first.large else { return };
+            let patience = AGAIN * (1 << (first.times - 1));
+            if first.again.is_none() && first.times < MOST_TIMES && first.sent.elapsed() >= patience {
+                self.rate.slower();
+                let id = (self.writer.id(), *number);
+                first.again = Some(Ahead::new(message.clone(), id, &self.addresses));
+            }
+            if first.again.as_mut().is_some_and(|again| again.advance(&self.socket, &self.rate)) {
+                (first.again, first.sent, first.times) = (None, Instant::now(), first.times + 1);
+            }
+            return;
+        }
+    }
+
+    /// Messages that were written and not acknowledged by all subscribers that do that.
+    pub fn unacknowledged(&self) -> usize {
+        self.pending.len()
+    }
+
+    /// Whether all subscribers that acknowledge have everything.
     pub fn is_acknowledged(&self) -> bool {
         self.writer.is_acknowledged()
     }
@@ -174,7 +313,7 @@ fn writer(
     ) -> Result<Box<dyn Write>, String> {
         let writer = publisher.create_datawriter_no_key::<Bytes, Encoded<ID>>(topic, Some(policies));
         let writer = writer.map_err(|error| format!("its publisher cannot be made ({error:?})"))?;
-        Ok(Box::new(writer))
+        Ok(Box::new(Rc::new(writer)))
     }
     let make = match encoding {
         0 => made::<0>,

@@ -42,14 +42,16 @@ impl PlayEnd {
 /// The result of playing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlayedView {
-    /// Messages published, each checked first.
+    /// Messages published, each checked first. In ROS 2 every subscriber that acknowledges has acknowledged them.
     pub published: u64,
     /// Records refused by a check, or that the graph or domain cannot take; none of them was published.
     pub refused: u64,
     /// Records whose bytes are missing in the vault.
     pub missing: u64,
-    /// Messages that a subscriber missed because it read too slowly.
+    /// Messages that a subscriber missed because it read too slowly; in ROS 2 also those that it never acknowledged.
     pub dropped: u64,
+    /// Published messages of which nobody knows whether all subscribers got them: best-effort ones do not acknowledge.
+    pub unconfirmed: u64,
     /// The time it took.
     pub seconds: f64,
     /// Why it ended.
@@ -58,7 +60,4 @@ pub struct PlayedView {
     pub reasons: Vec<(String, u64)>,
     /// The topics as played, with their messages.
     pub topics: Vec<(String, u64)>,
-    /// Why some subscribers may not have received everything.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub warnings: Vec<String>,
 }

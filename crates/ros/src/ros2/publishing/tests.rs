@@ -12,17 +12,22 @@ use crate::pipe::write::Report;
 use crate::ros::RosError;
 use crate::ros::child::State;
 
+fn taken(messages: u32, dropped: u32) -> Report {
+    Report::Taken { messages, dropped, unacknowledged: 4, unconfirmed: 7 }
+}
+
 #[test]
 fn what_is_confirmed_is_no_longer_waited_for_and_what_was_dropped_is_counted() {
     let mut state = State::default();
     for size in [10, 20, 30] {
         state.hand_out(size);
     }
-    state.take(Report::Taken { messages: 2, dropped: 1 }, 0).expect("taken");
+    state.take(taken(2, 1), 0).expect("taken");
     assert_eq!((state.unconfirmed(), state.missed()), ((1, 30), 1));
     // More than was handed out, and more drops than messages.
-    state.take(Report::Taken { messages: 9, dropped: u32::MAX }, 0).expect("taken");
+    state.take(taken(9, u32::MAX), 0).expect("taken");
     assert_eq!((state.unconfirmed(), state.missed()), ((0, 0), 10));
+    assert_eq!((state.unacknowledged(), state.best_effort()), (4, 7), "the last figures hold");
 }
 
 #[test]

@@ -21,7 +21,6 @@ use crate::model::{Address, ErrorKind, Hash, Scope, Timestamp, clean};
 use crate::pipeline::reader::{Definitions, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::site::lifetime::Lifetime;
 use crate::store::RecordRow;
@@ -111,7 +110,6 @@ pub(super) struct Play<'a> {
     missing: u64,
     reasons: BTreeMap<String, u64>,
     topics: BTreeMap<String, u64>,
-    warnings: Vec<String>,
 }
 
 impl<'a> Play<'a> {
@@ -150,7 +148,6 @@ impl<'a> Play<'a> {
             missing: 0,
             reasons: BTreeMap::new(),
             topics: BTreeMap::new(),
-            warnings: Vec::new(),
         }
     }
 
@@ -165,19 +162,19 @@ impl<'a> Play<'a> {
             *end = self.farewell(*end).await;
         }
         let by_right = ended.as_ref().map_or(true, |end| end.is_by_right());
-        let dropped = self.target.finish(by_right);
+        let (published, dropped, unconfirmed) = self.target.finish(self.published, by_right);
         let mut reasons: Vec<(String, u64)> = self.reasons.into_iter().collect();
         reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
         Ok(PlayedView {
-            published: self.published,
+            published,
             refused: self.refused,
             missing: self.missing,
             dropped,
+            unconfirmed,
             seconds: begun.elapsed().as_secs_f64(),
             ended_by: ended?,
             reasons,
             topics: self.topics.into_iter().collect(),
-            warnings: self.warnings,
         })
     }
 
@@ -294,10 +291,6 @@ impl<'a> Play<'a> {
         }
         self.published += 1;
         *self.topics.entry(clean(form.topic(), 255)).or_default() += 1;
-        if let Some(warning) = self.target.take_warning() {
-            self.bridge.hub.notice(NoticeLevel::Warning, &warning);
-            self.warnings.push(warning);
-        }
         Ok(Taken::Done)
     }
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use crate::model::{Address, ErrorKind, clean};
-use crate::ros::ros2::{Offer, Offered, Ros2Publisher};
+use crate::ros::ros2::{Delivery, Offer, Offered, Ros2Publisher};
 use crate::service::reply::Failure;
 
 /// How long playing waits for the subscribers known in the domain, in total; half of it is for finding them.
@@ -16,9 +16,6 @@ const WELCOME: Duration = Duration::from_secs(5);
 /// The most topics of one playback, and of one latched topic the most publishers told apart.
 const MOST_TOPICS: usize = 500;
 const MOST_LATCHED: usize = 64;
-
-/// Fast DDS, with the buffers that a machine has by default, loses most longer messages of other makers, bytes.
-const LARGE: usize = 200_000;
 
 /// How messages of one kind leave. A latched topic keeps the last messages of each source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -44,8 +41,6 @@ pub(super) struct Domain {
     declined: HashMap<String, String>,
     /// The remaining wait for subscribers.
     patience: Duration,
-    warning: Option<String>,
-    has_warned: bool,
 }
 
 fn way(about: &Offered, owner: Address, source: u64) -> Way {
@@ -58,8 +53,7 @@ impl Domain {
     pub fn new(publisher: Ros2Publisher, prefix: Option<String>, is_captured: bool) -> Self {
         let name = format!("ROS 2 domain {}", publisher.domain());
         let (types, ways, declined) = (HashMap::new(), HashMap::new(), HashMap::new());
-        let (patience, warning, has_warned) = (WELCOME, None, false);
-        Self { name, publisher, prefix, is_captured, types, ways, declined, patience, warning, has_warned }
+        Self { name, publisher, prefix, is_captured, types, ways, declined, patience: WELCOME }
     }
 
     /// Whether this site captures from it.
@@ -152,23 +146,8 @@ impl Domain {
     /// Publishes one message of a published topic, with its encapsulation header.
     pub fn publish(&mut self, about: &Offered, (owner, source): (Address, u64), message: &[u8]) -> bool {
         let Some(writer) = self.ways.get(&way(about, owner, source)).copied() else { return false };
-        if message.len() > LARGE && !self.has_warned {
-            self.has_warned = true;
-            self.warning = Some(format!(
-                "{} has messages of more than {} kB, such as one of {} bytes: subscribers that use Fast DDS mostly do not \
-                 get such messages; Cyclone DDS does",
-                clean(&about.name, 255),
-                LARGE / 1000,
-                message.len(),
-            ));
-        }
         // The pipe may be full for a moment.
         block_in_place(|| self.publisher.publish(writer, message))
-    }
-
-    /// What is to be told now.
-    pub fn take_warning(&mut self) -> Option<String> {
-        self.warning.take()
     }
 
     /// Whether a subscriber is far behind.
@@ -211,9 +190,8 @@ impl Domain {
         self.publisher.is_sent()
     }
 
-    /// Ends; what is still queued is not sent. Returns the number of messages that subscribers did not get, without those
-    /// withdrawn when a right ended.
-    pub fn finish(self, by_right: bool) -> u64 {
+    /// Ends; what is still queued is not sent. What was withdrawn when a right ended is not among what was missed.
+    pub fn finish(self, by_right: bool) -> Delivery {
         block_in_place(|| self.publisher.end(by_right))
     }
 }

@@ -8,7 +8,7 @@ use super::stage::Stage;
 use crate::model::{Address, Timestamp};
 use crate::ros::Advertised;
 use crate::ros::recording::Encoding;
-use crate::ros::ros2::{Offer, Offered};
+use crate::ros::ros2::{Delivery, Offer, Offered};
 use crate::service::reply::Failure;
 
 /// The clock's type in ROS 2, and its offer, as `ros2 bag play --clock` makes it.
@@ -92,14 +92,6 @@ impl Target {
         }
     }
 
-    /// What a user has to know of the last message.
-    pub fn take_warning(&mut self) -> Option<String> {
-        match self {
-            Self::Graph(_) => None,
-            Self::Domain(domain) => domain.take_warning(),
-        }
-    }
-
     fn clock(&self, topic: &str) -> Form {
         match self {
             Self::Graph(_) => Form::One(clock_topic(topic.to_owned())),
@@ -177,11 +169,16 @@ impl Target {
         }
     }
 
-    /// Ends; what is still queued is not sent. Returns the number of messages that subscribers did not get.
-    pub fn finish(self, by_right: bool) -> u64 {
+    /// Ends; what is still queued is not sent. Of so many messages returns how many were published, dropped and unconfirmed: in
+    /// ROS 2, where subscribers acknowledge, what was dropped was not published.
+    pub fn finish(self, handed_out: u64, by_right: bool) -> (u64, u64, u64) {
         match self {
-            Self::Graph(stage) => stage.finish(by_right),
-            Self::Domain(domain) => domain.finish(by_right),
+            Self::Graph(stage) => (handed_out, stage.finish(by_right), 0),
+            Self::Domain(domain) => {
+                let Delivery { missed, unconfirmed } = domain.finish(by_right);
+                let published = handed_out.saturating_sub(missed);
+                (published, missed, unconfirmed.min(published))
+            }
         }
     }
 }
