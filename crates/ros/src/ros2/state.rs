@@ -11,6 +11,7 @@ use super::standing::Reading;
 use crate::model::topic::LONGEST_NAME;
 use crate::model::{Timestamp, TopicName, clean};
 use crate::pipe::read::{Counts, Told, Wish, Writer};
+use crate::ros::child::Participant;
 use crate::ros::{CaptureNotice, Message};
 
 /// The most publishers known at once.
@@ -54,6 +55,8 @@ pub struct State {
     /// How often the program said hello.
     started: u64,
     hello: Option<Instant>,
+    /// Itself in the domain, to be buried if it is killed.
+    pub participant: Option<Participant>,
 }
 
 impl State {
@@ -70,6 +73,7 @@ impl State {
             descriptions: Descriptions::default(),
             started: 0,
             hello: None,
+            participant: None,
         }
     }
 
@@ -84,6 +88,7 @@ impl State {
                 self.greet(version, domain, now)?;
                 self.confined = Some(confined);
             }
+            Told::Joined { participant } => self.participant = Participant::new(self.domain, participant),
             Told::WriterHere(writer) => self.here(writer, &mut outcome),
             Told::WriterGone { id } => self.gone(&id, now, &mut outcome),
             Told::Sample { writer, number, sent, arrived } => {

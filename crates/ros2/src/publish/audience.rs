@@ -6,6 +6,7 @@ use rustdds::discovery::DiscoveredReaderData;
 use rustdds::{DomainParticipant, DomainParticipantStatusEvent, GUID};
 
 use super::writing::Writing;
+use crate::graph::{PROGRAM, Prefix};
 use crate::names;
 
 /// The most subscribers and participants remembered.
@@ -37,7 +38,7 @@ impl Audience {
         match news {
             News::ParticipantDiscovered { dpd } => {
                 let found = prefix(dpd.guid);
-                if found != self.own && self.participants.len() < MOST {
+                if found.get(..PROGRAM) != self.own.get(..PROGRAM) && self.participants.len() < MOST {
                     self.participants.insert(found);
                 }
             }
@@ -53,6 +54,11 @@ impl Audience {
             }
             _ => {}
         }
+    }
+
+    /// The other participants.
+    pub fn present(&self) -> impl Iterator<Item = Prefix> {
+        self.participants.iter().copied()
     }
 
     /// The number of other participants.

@@ -20,9 +20,11 @@ use self::audience::Audience;
 use self::queue::Queue;
 pub use self::writing::Encoded;
 use self::writing::Writing;
+use crate::farewell::{Departures, Farewell};
+use crate::graph;
 use crate::pipe::write::{MOST_UNCONFIRMED, Order, Report, Topic};
 use crate::pipe::{VERSION, receive, send};
-use crate::{Ros2Error, capture, threads};
+use crate::{Ros2Error, capture, names, threads};
 
 /// The longest wait for an order, and the longest while something waits for subscribers.
 const BEAT: Duration = Duration::from_millis(50);
@@ -51,6 +53,7 @@ pub fn run(
     let mut out = BufWriter::new(to);
     let result = Child::begin(domain, from, &mut out).and_then(|mut child| {
         let result = child.run((domain, confined), stop);
+        child.farewell.say();
         capture::leave_soon();
         result
     });
@@ -85,6 +88,8 @@ struct Child<'a, W: Write> {
     publisher: Publisher,
     listener: DomainParticipantStatusListener,
     participant: DomainParticipant,
+    departures: Departures,
+    farewell: Farewell,
     orders: Receiver<Option<(Order, Vec<u8>)>>,
     joined: Instant,
     wanted: Vec<Wanted>,
@@ -104,11 +109,14 @@ impl<'a, W: Write> Child<'a, W> {
         let publisher = participant.create_publisher(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
         let listener = participant.status_listener();
         let audience = Audience::new(participant.guid());
+        let own = participant.guid().to_bytes();
         Ok(Self {
             writings: BTreeMap::new(),
             publisher,
             listener,
             participant,
+            departures: Departures::new(domain, &own),
+            farewell: Farewell::new(domain, &own),
             orders: listen(from)?,
             joined: Instant::now(),
             wanted: Vec::new(),
@@ -123,6 +131,8 @@ impl<'a, W: Write> Child<'a, W> {
 
     fn run(&mut self, (domain, confined): (u16, bool), stop: &AtomicBool) -> Result<(), Ros2Error> {
         send(self.out, &Report::Hello { version: VERSION, domain, confined }, &[])?;
+        let participant = names::hex(&graph::prefix(&self.participant.guid().to_bytes()));
+        send(self.out, &Report::Joined { participant }, &[])?;
         let mut alive = None::<Instant>;
         loop {
             self.out.flush().map_err(crate::pipe::PipeError::from)?;
@@ -138,6 +148,7 @@ impl<'a, W: Write> Child<'a, W> {
             if taken.messages > 0 {
                 send(self.out, &Report::Taken { messages: taken.messages, dropped: taken.dropped }, &[])?;
             }
+            self.departures.go_on(self.audience.present());
             self.leave()?;
             if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
                 if !threads::run() {
@@ -181,7 +192,9 @@ impl<'a, W: Write> Child<'a, W> {
                 self.queue.forget(writer);
                 self.wanted.retain(|wanted| wanted.writer != writer);
                 self.welcomes.retain(|welcome| welcome.writer != writer);
-                self.writings.remove(&writer);
+                if let Some(writing) = self.writings.remove(&writer) {
+                    self.departures.tell(writing.id().to_bytes());
+                }
             }
             Order::Outrun => self.queue.outrun(&mut self.writings),
             Order::Leave => self.leaving = Some(Instant::now()),
