@@ -8,10 +8,11 @@ use crate::support;
 use std::time::{Duration, Instant};
 
 use support::keyless::process_of;
-use support::process::signal;
+use support::figures::cpu_seconds;
+use support::process::{own_memory, signal};
 use support::ros2::{Network, network};
 use support::ros2_nodes::{Node, Python, all_real_nodes};
-use support::{Authros, Home, heavy, is_verified, long, skipped, wait_until};
+use support::{Authros, Home, heavy, is_verified, length, long, skipped, wait_until};
 
 /// Messages a second: a node of Fast DDS dies when 5000 are not acknowledged, ten seconds after its reader fell silent.
 const HERTZ: u64 = 500;
@@ -84,6 +85,7 @@ impl Robots {
     }
 
     /// Fails unless all of them went on to the end.
+    #[allow(clippy::print_stdout, reason = "figures for who runs the long form")]
     fn end(self) {
         let seconds = self.begun.elapsed().as_secs();
         for (topic, node) in self.nodes {
@@ -94,10 +96,14 @@ impl Robots {
         }
     }
 
-    /// As long as a writer lives that waits for somebody who is gone.
+    /// Lets them send more than a writer keeps for somebody who is gone.
     fn outlive(&self, way: &str) {
-        let span = if long() { 35 } else { 12 };
-        std::thread::sleep(Duration::from_secs(span));
+        let more = if long() { 17_500 } else { 6000 };
+        for (topic, node) in &self.nodes {
+            let before = node.number("sent");
+            let all = || (node.number("sent") >= before + more).then_some(());
+            wait_until(3 * more / HERTZ, &format!("{way}: {more} messages of {topic}"), all);
+        }
         self.see(0, GONE, way);
     }
 }
@@ -115,9 +121,11 @@ fn a_robots_node_outlives_every_way_in_which_a_reader_leaves() {
     };
     let robots = Robots::start(network, pythons);
     // The control: real subscribers, which leave as ROS 2 does.
-    let controls = robots.pythons.iter().zip(robots.topics()).map(|((_, python), topic)| {
-        python.node(&robots.network, "0", &["subscribe", topic, "--keep-all"])
-    });
+    let controls = robots
+        .pythons
+        .iter()
+        .zip(robots.topics())
+        .map(|((_, python), topic)| python.node(&robots.network, "0", &["subscribe", topic, "--keep-all"]));
     let controls: Vec<Node> = controls.collect();
     controls.iter().for_each(|control| {
         wait_until(20, "the control hears", || (control.number("heard") > 0).then_some(()));
@@ -220,4 +228,48 @@ fn what_was_played_leaves_the_domain_when_playing_ends() {
     meet(0, 10, "the grant was revoked");
     player.wait(60);
     readers.into_iter().for_each(Node::end);
+}
+
+/// Topics of the nodes that come and go, and how long each of them stays.
+const CROWD: u64 = 100;
+const STAY: Duration = Duration::from_secs(10);
+/// What the reading program may hold more at the end than after the first nodes have gone, KiB.
+const GROWN: u64 = 30 * 1024;
+
+#[test]
+#[allow(clippy::print_stdout, reason = "figures for who runs the long form")]
+fn nodes_that_come_and_go_leave_nothing_behind_in_the_program_that_reads() {
+    if !long() {
+        return; // Takes 20 minutes: `tests/run --long`.
+    }
+    let _alone = heavy();
+    let (network, pythons) = match (network(), all_real_nodes()) {
+        (Ok(network), Ok(pythons)) => (network, pythons),
+        (Err(reason), _) | (_, Err(reason)) => skipped!(reason),
+    };
+    let home = Home::new();
+    let site = network.inside(&home.authros().with(&["--ros2", "0"])).serve(&home);
+    let alice = home.profile("alice");
+    alice.enrol();
+    for number in 0..CROWD {
+        alice.json(&["topics", "watch", &format!("/crowd{number}")]);
+    }
+    let reader: u32 = process_of(&site, READER, "--domain").parse().expect("a process");
+    let (begun, mut held) = (Instant::now(), Vec::new());
+    let span = length(STAY, Duration::from_secs(1200));
+    let topics = CROWD.to_string();
+    for (_, python) in pythons.iter().cycle() {
+        let node = python.node(&network, "0", &["publish", "/crowd", "--topics", &topics, "--rate", "2"]);
+        std::thread::sleep(STAY);
+        node.end();
+        held.push(own_memory(reader));
+        let (seconds, memory) = (begun.elapsed().as_secs(), held[held.len() - 1]);
+        println!("after {seconds} s: {memory} KiB, {:.1} s of processor", cpu_seconds(reader));
+        if begun.elapsed() >= span {
+            break;
+        }
+    }
+    let first = held.iter().take(3).max().expect("a node came");
+    let last = held[held.len() - 1];
+    assert!(last <= first + GROWN, "{first} KiB, then {last} KiB: {held:?}");
 }

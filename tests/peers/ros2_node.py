@@ -1,6 +1,7 @@
 """A real node of ROS 2 (rclpy), of the distribution whose Python runs this. ROS_DOMAIN_ID names the domain.
 
     ros2_node.py publish TOPIC [--rate HZ] [--number N] [--keep-all] [--depth N] [--best-effort] [--latched] [--size BYTES] [--name NODE]
+                              [--topics N] (N of them, named TOPIC0 and so on)
     ros2_node.py subscribe TOPIC [--seconds S] (and the options of QoS)
 
 Messages are std_msgs/String. Prints one JSON object a line: {"ready": true}; {"sent": n, "at": seconds} ten times a second;
@@ -31,6 +32,7 @@ parser.add_argument("--number", type=int, default=1_000_000_000)
 parser.add_argument("--seconds", type=float, default=FOR_EVER)
 parser.add_argument("--depth", type=int, default=10)
 parser.add_argument("--size", type=int, default=0)
+parser.add_argument("--topics", type=int, default=1)
 for flag in ("--keep-all", "--best-effort", "--latched"):
     parser.add_argument(flag, action="store_true")
 asked = parser.parse_args()
@@ -66,7 +68,8 @@ def watch(node):
 
 
 def publish(node):
-    publisher = node.create_publisher(String, asked.topic, quality())
+    names = [asked.topic] if asked.topics == 1 else [f"{asked.topic}{number}" for number in range(asked.topics)]
+    publishers = [node.create_publisher(String, name, quality()) for name in names]
     say(ready=True)
     begun, told = time.monotonic(), 0.0
     for number in range(asked.number):
@@ -74,7 +77,8 @@ def publish(node):
         if over.wait(max(wait, 0)) if wait > 0 else over.is_set():
             return
         try:
-            publisher.publish(String(data=f"{number:08} " + "x" * asked.size))
+            for publisher in publishers:
+                publisher.publish(String(data=f"{number:08} " + "x" * asked.size))
         except Exception as error:  # whatever a robot's node would die of
             say(error=str(error), sent=number)
             return

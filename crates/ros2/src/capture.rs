@@ -265,7 +265,10 @@ impl<'a, W: Write> Child<'a, W> {
             self.readings.iter().filter(|(_, reading)| has_left(reading)).map(|(key, _)| *key).collect();
         for key in gone {
             if let Some(reading) = self.readings.remove(&key) {
+                let id = reading.id();
                 reading.end(self.poll.registry());
+                // Once more: somebody may have heard of it only after that it leaves.
+                self.departures.tell(id);
             }
         }
         for topic in &wanted {

@@ -92,7 +92,16 @@ impl Describing {
     /// Goes on with all of them; returns what is to be told to the site, with its payload.
     pub fn go_on(&mut self, parts: Parts<'_>, graph: &Graph, departures: &mut Departures) -> Vec<(Told, Vec<u8>)> {
         let mut told = Vec::new();
-        self.leaving.retain(|reader| departures.is_telling(&reader.guid().to_bytes()));
+        for reader in std::mem::take(&mut self.leaving) {
+            let id = reader.guid().to_bytes();
+            if departures.is_telling(&id) {
+                self.leaving.push(reader);
+                continue;
+            }
+            drop(reader);
+            // Once more: somebody may have heard of it only after that it leaves.
+            departures.tell(id);
+        }
         while self.asked.len() < AT_ONCE {
             let Some(question) = self.waiting.pop_front() else { break };
             match Asked::begin(parts, &question, graph) {

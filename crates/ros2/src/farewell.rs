@@ -39,6 +39,8 @@ const YOUNG: Duration = Duration::from_secs(3);
 const LATER: Duration = Duration::from_secs(1);
 /// How long an acknowledgement is waited for.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// How long a herald stays that has nothing to tell: endpoints leave one after the other.
+const IDLE: Duration = Duration::from_secs(3);
 /// Seconds that a herald is remembered if it vanishes.
 const LEASE: i32 = 10;
 /// The most endpoints of one herald, and of one datagram.
@@ -221,7 +223,8 @@ impl Herald {
 
     fn speak(&mut self, to: &[Prefix]) {
         let interval = if self.added.elapsed() < YOUNG { SOON } else { LATER };
-        if self.spoken.is_some_and(|spoken| spoken.elapsed() < interval) {
+        let is_early = self.spoken.is_some_and(|spoken| spoken.elapsed() < interval);
+        if is_early || !to.iter().any(|to| self.is_owed(to)) {
             return;
         }
         (self.spoken, self.round) = (Some(Instant::now()), self.round.saturating_add(1));
@@ -258,7 +261,9 @@ impl Herald {
 
 impl Drop for Herald {
     fn drop(&mut self) {
-        self.voices.bury(&self.prefix);
+        if self.spoken.is_some() {
+            self.voices.bury(&self.prefix);
+        }
     }
 }
 
@@ -306,8 +311,8 @@ impl Departures {
         let Some(herald) = &mut self.herald else { return };
         herald.hear();
         herald.speak(&self.others);
-        let owed = self.others.iter().any(|to| herald.is_owed(to));
-        if !owed || herald.added.elapsed() >= PATIENCE {
+        let is_owed = self.others.iter().any(|to| herald.is_owed(to));
+        if herald.added.elapsed() >= if is_owed { PATIENCE } else { IDLE } {
             self.herald = None;
         }
     }

@@ -1,5 +1,6 @@
 //! `authros-ros2 --domain N [--publish | --bury PARTICIPANT]`: started by a site of AuthROS, with a pipe as its input and
-//! output. It reads the domain, publishes in it, or says there that one of its kind was killed. It has no keys, and is of no use alone.
+//! output. It reads the domain, publishes in it, or says there that one of its kind was killed.
+//! It has no keys, and is of no use alone.
 
 use std::process::ExitCode;
 
