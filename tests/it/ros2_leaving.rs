@@ -7,8 +7,8 @@ use crate::support;
 
 use std::time::{Duration, Instant};
 
-use support::keyless::process_of;
 use support::figures::cpu_seconds;
+use support::keyless::process_of;
 use support::process::{own_memory, signal};
 use support::ros2::{Network, network};
 use support::ros2_nodes::{Node, Python, all_real_nodes};
