@@ -133,8 +133,7 @@ fn a_robots_node_outlives_every_way_in_which_a_reader_leaves() {
     controls.into_iter().for_each(Node::end);
 
     let home = Home::new();
-    let serve = || robots.network.inside(&home.authros().with(&["--ros2", "0"])).serve(&home);
-    let site = serve();
+    let site = robots.network.inside(&home.authros().with(&["--ros2", "0"])).serve(&home);
     let alice = home.profile("alice");
     alice.enrol();
 
@@ -172,9 +171,12 @@ fn a_robots_node_outlives_every_way_in_which_a_reader_leaves() {
     site.stop("TERM", 20).expect_code(0);
     robots.see(0, GONE, "the site ended");
 
-    let site = serve();
-    watch(&alice, &robots, "watch");
-    robots.see(1, 20, "a site came back");
+    let second = Home::new();
+    let site = robots.network.inside(&second.authros().with(&["--ros2", "0"])).serve(&second);
+    let bob = second.profile("bob");
+    bob.enrol();
+    watch(&bob, &robots, "watch");
+    robots.see(1, 20, "another site came");
     site.stop("KILL", 20);
     robots.see(0, GONE, "the site was killed");
     robots.outlive("long after it");
