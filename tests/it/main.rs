@@ -69,6 +69,7 @@ mod ros2_describing;
 mod ros2_fastdds;
 mod ros2_forging;
 mod ros2_identity;
+mod ros2_leaving;
 mod ros2_losses;
 mod ros2_many;
 mod ros2_playing;

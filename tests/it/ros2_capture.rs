@@ -155,7 +155,8 @@ fn reader_of(site: &Running) -> String {
         let stat = fs::read_to_string(folder.join("stat")).ok()?;
         let (before, after) = stat.rsplit_once(')')?;
         let parent = after.split_whitespace().nth(1)?;
-        (before.ends_with("(authros-ros2") && parent == site.id().to_string())
+        let is_burying = fs::read_to_string(folder.join("cmdline")).ok()?.contains("--bury");
+        (before.ends_with("(authros-ros2") && !is_burying && parent == site.id().to_string())
             .then(|| before.split(' ').next().unwrap_or_default().to_owned())
     };
     let find = || fs::read_dir("/proc").expect("/proc").flatten().find_map(|entry| own(&entry.path()));

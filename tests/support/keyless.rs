@@ -31,6 +31,8 @@ pub fn process_of(site: &Running, name: &str, argument: &str) -> String {
         // The system keeps fifteen characters of a name.
         let is_named = before.ends_with(&format!("({}", &name[..name.len().min(15)]));
         let is_it = is_named && arguments.split('\0').any(|one| one.starts_with(argument));
+        // A run that says for a killed one that it is gone is another thing.
+        let is_it = is_it && !arguments.split('\0').any(|one| one == "--bury");
         (is_it && parent == site.id().to_string()).then(|| before.split(' ').next().unwrap_or_default().to_owned())
     };
     let find = || fs::read_dir("/proc").expect("/proc").flatten().find_map(|entry| own(&entry.path()));

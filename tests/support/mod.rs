@@ -26,6 +26,7 @@ pub mod proxy;
 pub mod redis;
 pub mod ros;
 pub mod ros2;
+pub mod ros2_nodes;
 pub mod source;
 pub mod stub_desk;
 pub mod two;

@@ -77,7 +77,7 @@ pub fn reader_program() -> Option<PathBuf> {
 }
 
 /// The interpreter with the packages of `tests/peers/NAME.txt`.
-fn python_with(name: &str) -> Option<PathBuf> {
+pub fn python_with(name: &str) -> Option<PathBuf> {
     let peers = std::env::var_os("AUTHROS_PEERS")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
     let path = peers.join(name).join("bin/python");

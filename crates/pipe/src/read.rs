@@ -77,6 +77,11 @@ pub enum Told {
         /// Whether it can open no file and no local socket.
         confined: bool,
     },
+    /// The domain is joined; whoever supervises the child says for this participant that it is gone if the child is killed.
+    Joined {
+        /// The prefix of its ids, 12 bytes as hex.
+        participant: String,
+    },
     /// A publisher appeared, or changed its offer.
     WriterHere(Writer),
     /// A publisher is gone.

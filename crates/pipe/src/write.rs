@@ -91,6 +91,11 @@ pub enum Report {
         /// Whether it can open no file and no local socket.
         confined: bool,
     },
+    /// The domain of ROS 2 is joined; whoever supervises the child says for this participant that it is gone if the child is killed.
+    Joined {
+        /// The prefix of its ids, 12 bytes as hex.
+        participant: String,
+    },
     /// A topic is announced.
     Ready {
         /// Its number.

@@ -14,7 +14,8 @@ use rustdds::{
 };
 
 use crate::describing::{Describing, Question};
-use crate::graph::Graph;
+use crate::farewell::{Departures, Farewell};
+use crate::graph::{self, Graph};
 use crate::nodes::Nodes;
 use crate::pipe::read::{Quality, Told, Wish};
 use crate::pipe::{LONGEST_PAYLOAD, VERSION, send};
@@ -52,7 +53,8 @@ pub fn run(
     send(&mut out, &Told::Hello { version: VERSION, domain, confined }, &[])?;
     out.flush().map_err(crate::pipe::PipeError::from)?;
     let result = Child::begin(domain, from, &mut out).and_then(|mut child| {
-        let result = child.run(stop);
+        let result = child.joined().and_then(|()| child.run(stop));
+        child.farewell.say();
         leave_soon();
         result
     });
@@ -81,6 +83,8 @@ struct Child<'a, W: Write> {
     publisher: Publisher,
     listener: DomainParticipantStatusListener,
     participant: DomainParticipant,
+    departures: Departures,
+    farewell: Farewell,
     poll: Poll,
     wishes: Receiver<Option<Wish>>,
     wanted: BTreeSet<String>,
@@ -103,7 +107,8 @@ impl<'a, W: Write> Child<'a, W> {
         let publisher = participant.create_publisher(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
         let mut listener = participant.status_listener();
         poll.registry().register(&mut listener, STATUS, rustdds::mio1::Interest::READABLE).map_err(system)?;
-        let graph = Graph::new(&participant.guid().to_bytes());
+        let own = participant.guid().to_bytes();
+        let graph = Graph::new(&own);
         Ok(Self {
             readings: BTreeMap::new(),
             describing: Describing::default(),
@@ -111,6 +116,8 @@ impl<'a, W: Write> Child<'a, W> {
             publisher,
             listener,
             participant,
+            departures: Departures::new(domain, &own),
+            farewell: Farewell::new(domain, &own),
             poll,
             wishes,
             wanted: BTreeSet::new(),
@@ -120,6 +127,13 @@ impl<'a, W: Write> Child<'a, W> {
             next: FIRST,
             out,
         })
+    }
+
+    /// The site must know whom to say farewell for if this process is killed.
+    fn joined(&mut self) -> Result<(), Ros2Error> {
+        let participant = names::hex(&graph::prefix(&self.participant.guid().to_bytes()));
+        send(self.out, &Told::Joined { participant }, &[])?;
+        Ok(())
     }
 
     fn run(&mut self, stop: &AtomicBool) -> Result<(), Ros2Error> {
@@ -144,9 +158,10 @@ impl<'a, W: Write> Child<'a, W> {
             }
             self.take()?;
             let parts = (&self.participant, &self.subscriber, &self.publisher);
-            for (told, text) in self.describing.go_on(parts, &self.graph) {
+            for (told, text) in self.describing.go_on(parts, &self.graph, &mut self.departures) {
                 send(self.out, &told, &text)?;
             }
+            self.departures.go_on(self.graph.participants());
             if due(alive, ALIVE) {
                 if !threads::run() {
                     return Err(Ros2Error::Threads);
@@ -230,11 +245,20 @@ impl<'a, W: Write> Child<'a, W> {
         let ended = |reading: &Reading| {
             !wanted.contains(&reading.dds_topic) || reading.retires.is_some_and(|retires| retires <= now)
         };
+        for reading in self.readings.values_mut().filter(|reading| !reading.leaves && ended(reading)) {
+            self.departures.tell(reading.id());
+            (reading.leaves, reading.retires) = (true, Some(now));
+        }
+        let departures = &self.departures;
+        let has_left = |reading: &Reading| reading.leaves && !departures.is_telling(&reading.id());
         let gone: Vec<usize> =
-            self.readings.iter().filter(|(_, reading)| ended(reading)).map(|(key, _)| *key).collect();
+            self.readings.iter().filter(|(_, reading)| has_left(reading)).map(|(key, _)| *key).collect();
         for key in gone {
             if let Some(reading) = self.readings.remove(&key) {
+                let id = reading.id();
                 reading.end(self.poll.registry());
+                // Once more: somebody may have heard of it only after that it leaves.
+                self.departures.tell(id);
             }
         }
         for topic in &wanted {
@@ -290,6 +314,10 @@ impl<'a, W: Write> Child<'a, W> {
         for key in ready {
             let Some(reading) = self.readings.get_mut(&key) else { continue };
             reading.take(&mut taken);
+            if reading.leaves {
+                taken.clear();
+                continue;
+            }
             let (topic, type_name) = (reading.dds_topic.clone(), reading.dds_type.clone());
             if topic == names::NODES {
                 taken.drain(..).for_each(|sample| self.nodes.take(&sample.writer, &sample.bytes));

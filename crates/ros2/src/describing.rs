@@ -14,6 +14,7 @@ use rustdds::{
 };
 
 use crate::description::{self, Answer, Header};
+use crate::farewell::Departures;
 use crate::graph::{Graph, Id};
 use crate::names;
 use crate::pipe::read::Told;
@@ -75,6 +76,8 @@ pub type Parts<'a> = (&'a DomainParticipant, &'a Subscriber, &'a Publisher);
 pub struct Describing {
     waiting: VecDeque<Question>,
     asked: Vec<Asked>,
+    /// Readers of answers that are leaving: a writer waits for one that is gone.
+    leaving: Vec<SimpleDataReader<Raw, RawAdapter>>,
 }
 
 impl Describing {
@@ -87,8 +90,18 @@ impl Describing {
     }
 
     /// Goes on with all of them; returns what is to be told to the site, with its payload.
-    pub fn go_on(&mut self, parts: Parts<'_>, graph: &Graph) -> Vec<(Told, Vec<u8>)> {
+    pub fn go_on(&mut self, parts: Parts<'_>, graph: &Graph, departures: &mut Departures) -> Vec<(Told, Vec<u8>)> {
         let mut told = Vec::new();
+        for reader in std::mem::take(&mut self.leaving) {
+            let id = reader.guid().to_bytes();
+            if departures.is_telling(&id) {
+                self.leaving.push(reader);
+                continue;
+            }
+            drop(reader);
+            // Once more: somebody may have heard of it only after that it leaves.
+            departures.tell(id);
+        }
         while self.asked.len() < AT_ONCE {
             let Some(question) = self.waiting.pop_front() else { break };
             match Asked::begin(parts, &question, graph) {
@@ -99,7 +112,13 @@ impl Describing {
         for mut asked in std::mem::take(&mut self.asked) {
             match asked.go_on() {
                 None => self.asked.push(asked),
-                Some(answer) => told.push(tell(asked.question, answer)),
+                Some(answer) => {
+                    let Asked { question, reader, writer, .. } = asked;
+                    departures.tell(reader.guid().to_bytes());
+                    departures.tell(writer.guid().to_bytes());
+                    self.leaving.push(reader);
+                    told.push(tell(question, answer));
+                }
             }
         }
         told

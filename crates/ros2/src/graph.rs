@@ -40,7 +40,11 @@ pub struct Graph {
     known: HashSet<Id>,
 }
 
-fn prefix(id: &Id) -> Prefix {
+/// How much of a prefix the participants of one program have in common: its own, and those that say what of it is gone.
+pub const PROGRAM: usize = 8;
+
+/// The prefix of an id.
+pub fn prefix(id: &Id) -> Prefix {
     let mut prefix = [0; 12];
     prefix.copy_from_slice(&id[..12]);
     prefix
@@ -55,7 +59,7 @@ impl Graph {
     /// A participant appeared.
     pub fn came(&mut self, participant: &[u8]) {
         if let Ok(found) = Prefix::try_from(participant)
-            && found != self.own
+            && found.get(..PROGRAM) != self.own.get(..PROGRAM)
             && self.participants.len() < MOST_WRITERS
         {
             self.participants.insert(found);
@@ -65,6 +69,11 @@ impl Graph {
     /// A participant is gone.
     pub fn left(&mut self, participant: &[u8]) {
         self.participants.retain(|known| known[..] != *participant);
+    }
+
+    /// The present participants.
+    pub fn participants(&self) -> impl Iterator<Item = Prefix> {
+        self.participants.iter().copied()
     }
 
     /// Whether a participant is present, by the prefix of its ids.

@@ -1,5 +1,6 @@
-//! `authros-ros2 --domain N [--publish]`: started by a site of AuthROS, with a pipe as its input and output. It reads the
-//! domain, or publishes in it. It has no keys, and is of no use alone.
+//! `authros-ros2 --domain N [--publish | --bury PARTICIPANT]`: started by a site of AuthROS, with a pipe as its input and
+//! output. It reads the domain, publishes in it, or says there that one of its kind was killed.
+//! It has no keys, and is of no use alone.
 
 use std::process::ExitCode;
 
@@ -29,6 +30,10 @@ fn main() -> ExitCode {
         Purpose::Attempt(paths) => attempt_all(paths, begun).map_err(str::to_owned),
         Purpose::Read(domain) => read(domain, begun),
         Purpose::Publish(domain) => publish(domain, begun),
+        Purpose::Bury(domain, participant) => {
+            authros_ros2::bury(domain, &participant);
+            Ok(())
+        }
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -52,6 +57,8 @@ enum Purpose<'a> {
     Read(u16),
     /// To publish in one.
     Publish(u16),
+    /// To say in a domain that a participant, by the prefix of its ids, is gone.
+    Bury(u16, [u8; 12]),
     /// To try to open what it should not.
     Attempt(&'a [String]),
 }
@@ -62,8 +69,23 @@ fn purpose(arguments: &[String]) -> Option<Purpose<'_>> {
         [first, paths @ ..] if first == ATTEMPT => Some(Purpose::Attempt(paths)),
         [first, value] if first == "--domain" => Some(Purpose::Read(domain(value)?)),
         [first, value, last] if first == "--domain" && last == "--publish" => Some(Purpose::Publish(domain(value)?)),
+        [first, value, last, whom] if first == "--domain" && last == "--bury" => {
+            Some(Purpose::Bury(domain(value)?, prefix(whom)?))
+        }
         _ => None,
     }
+}
+
+/// 12 bytes from hex.
+fn prefix(hex: &str) -> Option<[u8; 12]> {
+    let mut prefix = [0; 12];
+    if hex.len() != 2 * prefix.len() {
+        return None;
+    }
+    for (place, byte) in prefix.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(hex.get(2 * place..2 * place + 2)?, 16).ok()?;
+    }
+    Some(prefix)
 }
 
 fn fail(reason: &str) -> ExitCode {

@@ -39,8 +39,10 @@ pub struct Reading {
     pub request: Request,
     /// Whether there may be something to take.
     pub ready: bool,
-    /// When it is to be dropped, if another has replaced it.
+    /// When it is to leave, if another has replaced it.
     pub retires: Option<Instant>,
+    /// Whether it is leaving: it goes on only so that no writer waits for it, and what it takes is thrown away.
+    pub leaves: bool,
     /// When it began: older samples in the topic's cache belong to another reader, unless it is latched.
     begun: Timestamp,
     /// Bytes of the largest sample.
@@ -75,7 +77,23 @@ impl Reading {
             .register(&mut reader, token, Interest::READABLE)
             .map_err(|error| Ros2Error::system("wait for samples", &error))?;
         let (dds_topic, dds_type) = (dds_topic.to_owned(), dds_type.to_owned());
-        Ok(Self { dds_topic, dds_type, request, ready: true, retires: None, begun, largest: 0, depth, reader })
+        Ok(Self {
+            dds_topic,
+            dds_type,
+            request,
+            ready: true,
+            retires: None,
+            leaves: false,
+            begun,
+            largest: 0,
+            depth,
+            reader,
+        })
+    }
+
+    /// Its id in the domain.
+    pub fn id(&self) -> Id {
+        self.reader.guid().to_bytes()
     }
 
     /// Bytes that may be kept of this topic.

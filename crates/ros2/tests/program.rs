@@ -6,9 +6,15 @@ use std::process::Command;
 
 #[test]
 fn it_says_that_it_is_not_started_by_hand() {
-    for arguments in
-        [&[][..], &["--domain"], &["--domain", "233"], &["--domain", "1", "x"], &["--publish"], &["--help"]]
-    {
+    for arguments in [
+        &[][..],
+        &["--domain"],
+        &["--domain", "233"],
+        &["--domain", "1", "x"],
+        &["--publish"],
+        &["--help"],
+        &["--domain", "1", "--bury", "0112"],
+    ] {
         let output = Command::new(env!("CARGO_BIN_EXE_authros-ros2")).args(arguments).output().expect("it starts");
         let said = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}");

@@ -101,15 +101,42 @@ fn command(errand: &Errand, path: &Path) -> Command {
     command
 }
 
-/// Waits until it has ended on its own, and kills it if that takes too long.
-pub fn end(child: &mut Child) {
+/// Waits until it has ended on its own, and kills it if that takes too long. Whether it has left its domain in order.
+pub fn end(child: &mut Child) -> bool {
     let begun = Instant::now();
     while begun.elapsed() < LEAVING {
-        if !matches!(child.try_wait(), Ok(None)) {
-            return;
+        match child.try_wait() {
+            Ok(None) => std::thread::sleep(Duration::from_millis(10)),
+            ended => return ended.is_ok_and(|status| status.is_some_and(|status| status.success())),
         }
-        std::thread::sleep(Duration::from_millis(10));
     }
     drop(child.kill());
     drop(child.wait());
+    false
+}
+
+/// The participant of a program in its domain of ROS 2.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Participant {
+    domain: u16,
+    /// The prefix of its ids, 12 bytes as hex.
+    prefix: String,
+}
+
+impl Participant {
+    /// As a program names it; `None` for what is no name.
+    pub fn new(domain: u16, prefix: String) -> Option<Self> {
+        let is_name = prefix.len() == 24 && prefix.bytes().all(|byte| byte.is_ascii_hexdigit());
+        is_name.then_some(Self { domain, prefix })
+    }
+
+    /// Has a run of `program` say in the domain that this participant is gone, because it was killed and could not: nodes
+    /// would wait for it. Does not wait for that run, which lasts four seconds.
+    pub fn bury(self, program: &Path) {
+        let arguments = ["--domain".to_owned(), self.domain.to_string(), "--bury".to_owned(), self.prefix];
+        let errand = Errand { program: program.to_owned(), arguments: arguments.into(), environment: Vec::new() };
+        // Where this fails the participant is forgotten after its lease.
+        let Ok((mut child, ..)) = start(&errand) else { return };
+        drop(std::thread::Builder::new().name("ros2 last".to_owned()).spawn(move || drop(child.wait())));
+    }
 }

@@ -2,12 +2,13 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufReader, Read, Write};
+use std::path::PathBuf;
 use std::process::{Child, ChildStdin};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::Errand;
+use super::{Errand, Participant};
 use crate::model::clean;
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
 use crate::pipe::{receive, send};
@@ -50,6 +51,7 @@ pub struct State {
     left: bool,
     reports: u64,
     broken: Option<String>,
+    participant: Option<Participant>,
 }
 
 impl State {
@@ -69,6 +71,7 @@ impl State {
                 }
                 (self.joined, self.confined) = (true, confined);
             }
+            Report::Joined { participant } => self.participant = Participant::new(domain, participant),
             Report::Ready { writer } => self.answer(writer, Ok(())),
             Report::Refused { writer, reason, occupied } => {
                 self.answer(writer, Err(Declined { reason: clean(&reason, LONGEST_REASON), occupied }));
@@ -192,6 +195,7 @@ impl Shared {
 pub struct Run {
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
+    program: PathBuf,
 }
 
 impl Run {
@@ -204,7 +208,7 @@ impl Run {
         let shared = Arc::new(Shared::default());
         *locked(&shared.child) = Some(child);
         *locked(&shared.to_child) = Some(to);
-        let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new() };
+        let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new(), program: errand.program.clone() };
         let reading = Arc::clone(&shared);
         run.keep("ros out", move || {
             let reason = reading.read(&mut BufReader::new(from), domain);
@@ -336,7 +340,11 @@ impl Drop for Run {
         locked(&self.shared.to_child).take();
         let child = locked(&self.shared.child).take();
         if let Some(mut child) = child {
-            super::end(&mut child);
+            let has_left = super::end(&mut child);
+            let participant = self.shared.state().participant.take();
+            if let Some(participant) = participant.filter(|_| !has_left) {
+                participant.bury(&self.program);
+            }
         }
         self.shared.state().broken.get_or_insert_with(|| "it was ended".to_owned());
         self.shared.changed.notify_all();

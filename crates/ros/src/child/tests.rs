@@ -61,3 +61,15 @@ fn a_namespace_of_one_user_has_no_nobody() {
     let short = "         0     100000      65534\n";
     assert_eq!([all, alone, container, short, ""].map(has_nobody), [true, false, true, false, true]);
 }
+
+#[test]
+fn only_the_name_of_a_participant_becomes_an_argument() {
+    let name = "0112c66704731022c3826304";
+    let argument = |prefix: &str| Participant::new(7, prefix.to_owned()).map(|participant| participant.prefix);
+    assert_eq!(argument(name).as_deref(), Some(name));
+    for other in
+        ["", "--publish", "0112c66704731022c382630", "0112c66704731022c38263041", "0112c66704731022c382630\u{e9}"]
+    {
+        assert_eq!(argument(other), None, "{other}");
+    }
+}

@@ -12,6 +12,7 @@ use super::standing::Reading;
 use crate::model::topic::LONGEST_NAME;
 use crate::model::{Timestamp, TopicName, clean};
 use crate::pipe::read::{Counts, Told, Wish, Writer};
+use crate::ros::child::Participant;
 use crate::ros::{CaptureNotice, Message};
 
 /// The most publishers known at once.
@@ -63,6 +64,8 @@ pub struct State {
     ordered: Option<Instant>,
     /// Bytes of messages that wait.
     held: usize,
+    /// Itself in the domain, to be buried if it is killed.
+    pub participant: Option<Participant>,
 }
 
 impl State {
@@ -81,6 +84,7 @@ impl State {
             hello: None,
             ordered: None,
             held: 0,
+            participant: None,
         }
     }
 
@@ -96,6 +100,7 @@ impl State {
                 self.confined = Some(confined);
             }
             Told::WriterHere(writer) => self.here(writer, now, &mut outcome),
+            Told::Joined { participant } => self.participant = Participant::new(self.domain, participant),
             Told::WriterGone { id } => self.gone(&id, now, &mut outcome),
             Told::Sample { writer, number, sent, arrived } => {
                 self.sample(&writer, (number, sent, arrived), payload, now, &mut outcome);

@@ -142,11 +142,15 @@ impl Shared {
         // Not under the lock, which is needed to kill a silent program.
         let child = locked(&self.running).take();
         if let Some(mut child) = child {
-            if self.is_stopping() {
-                child::end(&mut child);
+            let has_left = if self.is_stopping() {
+                child::end(&mut child)
             } else {
                 drop(child.kill());
-                drop(child.wait());
+                child.wait().is_ok_and(|status| status.success())
+            };
+            let participant = self.state().participant.take();
+            if let Some(participant) = participant.filter(|_| !has_left) {
+                participant.bury(&self.program);
             }
         }
         reason

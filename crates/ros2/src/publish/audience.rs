@@ -9,6 +9,7 @@ use rustdds::{DomainParticipant, DomainParticipantStatusEvent, GUID};
 
 use super::ahead::Addresses;
 use super::writing::Writing;
+use crate::graph::{PROGRAM, Prefix};
 use crate::names;
 
 /// The most subscribers and participants remembered.
@@ -43,7 +44,7 @@ impl Audience {
             News::ParticipantDiscovered { dpd } => {
                 self.found = Instant::now();
                 let found = prefix(dpd.guid);
-                if found != self.own && self.participants.len() < MOST {
+                if found.get(..PROGRAM) != self.own.get(..PROGRAM) && self.participants.len() < MOST {
                     self.participants.insert(found);
                 }
             }
@@ -67,6 +68,11 @@ impl Audience {
                 met.insert(reader, is_served);
             }
         }
+    }
+
+    /// The other participants.
+    pub fn present(&self) -> impl Iterator<Item = Prefix> {
+        self.participants.iter().copied()
     }
 
     /// The number of other participants.

@@ -25,9 +25,11 @@ use self::node::Node;
 use self::queue::Queue;
 pub use self::writing::Encoded;
 use self::writing::Writing;
+use crate::farewell::{Departures, Farewell};
+use crate::graph;
 use crate::pipe::write::{MOST_UNCONFIRMED, Order, Report, Topic};
 use crate::pipe::{VERSION, receive, send};
-use crate::{Ros2Error, capture, threads};
+use crate::{Ros2Error, capture, names, threads};
 
 /// The longest wait for an order, and the longest while something waits for subscribers.
 const BEAT: Duration = Duration::from_millis(50);
@@ -63,6 +65,7 @@ pub fn run(
     let mut out = BufWriter::new(to);
     let result = Child::begin(domain, from, &mut out).and_then(|mut child| {
         let result = child.run((domain, confined), stop);
+        child.farewell.say();
         capture::leave_soon();
         result
     });
@@ -104,6 +107,8 @@ struct Child<'a, W: Write> {
     /// Messages that nobody was asked to acknowledge, or no longer; and what was reported last.
     unconfirmed: u64,
     reported: (u32, u64),
+    departures: Departures,
+    farewell: Farewell,
     orders: Receiver<Option<(Order, Vec<u8>)>>,
     joined: Instant,
     wanted: Vec<Wanted>,
@@ -125,6 +130,7 @@ impl<'a, W: Write> Child<'a, W> {
         let audience = Audience::new(participant.guid());
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0));
         let socket = Rc::new(socket.map_err(|error| Ros2Error::system("open a socket", &error))?);
+        let own = participant.guid().to_bytes();
         Ok(Self {
             writings: BTreeMap::new(),
             publisher,
@@ -135,6 +141,8 @@ impl<'a, W: Write> Child<'a, W> {
             shown: None,
             unconfirmed: 0,
             reported: (0, 0),
+            departures: Departures::new(domain, &own),
+            farewell: Farewell::new(domain, &own),
             orders: listen(from)?,
             joined: Instant::now(),
             wanted: Vec::new(),
@@ -149,6 +157,8 @@ impl<'a, W: Write> Child<'a, W> {
 
     fn run(&mut self, (domain, confined): (u16, bool), stop: &AtomicBool) -> Result<(), Ros2Error> {
         send(self.out, &Report::Hello { version: VERSION, domain, confined }, &[])?;
+        let participant = names::hex(&graph::prefix(&self.participant.guid().to_bytes()));
+        send(self.out, &Report::Joined { participant }, &[])?;
         let mut alive = None::<Instant>;
         loop {
             self.out.flush().map_err(crate::pipe::PipeError::from)?;
@@ -162,6 +172,7 @@ impl<'a, W: Write> Child<'a, W> {
             self.show();
             self.welcome()?;
             self.pump()?;
+            self.departures.go_on(self.audience.present());
             self.leave()?;
             if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
                 if !threads::run() {
@@ -246,7 +257,10 @@ impl<'a, W: Write> Child<'a, W> {
                 self.wanted.retain(|wanted| wanted.writer != writer);
                 self.welcomes.retain(|welcome| welcome.writer != writer);
                 // Whether subscribers got the last of it is not known any more.
-                self.unconfirmed += self.writings.remove(&writer).map_or(0, |gone| gone.unacknowledged() as u64);
+                if let Some(gone) = self.writings.remove(&writer) {
+                    self.unconfirmed += gone.unacknowledged() as u64;
+                    self.departures.tell(gone.id().to_bytes());
+                }
             }
             Order::Outrun => self.queue.outrun(&mut self.writings),
             Order::Leave => self.leaving = Some(Instant::now()),

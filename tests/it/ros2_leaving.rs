@@ -1,0 +1,277 @@
+//! Nothing of ours that leaves holds a robot's node: real nodes of Jazzy and Kilted that publish reliably and keep all until it
+//! is acknowledged go on at their rate whichever way we leave, and see nobody of ours. A real subscriber that comes and goes is the
+//! control.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::time::{Duration, Instant};
+
+use support::figures::cpu_seconds;
+use support::keyless::process_of;
+use support::process::{own_memory, signal};
+use support::ros2::{Network, network};
+use support::ros2_nodes::{Node, Python, all_real_nodes};
+use support::{Authros, Home, heavy, is_verified, length, long, skipped, wait_until};
+
+/// Messages a second: a node of Fast DDS dies when 5000 are not acknowledged, ten seconds after its reader fell silent.
+const HERTZ: u64 = 500;
+/// How soon nobody of ours may be seen any more, and after a kill that leaves nobody to say so.
+const GONE: u64 = 5;
+const GONE_AFTER_A_KILL: u64 = 8;
+/// A stopped program is noticed after five seconds.
+const GONE_AFTER_A_STOP: u64 = 6 + GONE_AFTER_A_KILL;
+/// How ids of this program's participants begin.
+const OURS: &str = "0112";
+const READER: &str = "authros-ros2";
+
+/// One node of each distribution, which publishes under that distribution's name.
+struct Robots {
+    network: Network,
+    pythons: Vec<(&'static str, Python)>,
+    nodes: Vec<(String, Node)>,
+    begun: Instant,
+}
+
+fn ours(ids: &[String]) -> usize {
+    ids.iter().filter(|id| id.starts_with(OURS)).count()
+}
+
+impl Robots {
+    fn start(network: Network, pythons: Vec<(&'static str, Python)>) -> Self {
+        let rate = HERTZ.to_string();
+        let start = |(name, python): &(&str, Python)| {
+            let topic = format!("/{name}");
+            let node = python.node(&network, "0", &["publish", &topic, "--rate", &rate, "--keep-all"]);
+            (topic, node)
+        };
+        let nodes = pythons.iter().map(start).collect();
+        Self { network, pythons, nodes, begun: Instant::now() }
+    }
+
+    fn topics(&self) -> Vec<&str> {
+        self.nodes.iter().map(|(topic, _)| topic.as_str()).collect()
+    }
+
+    /// Waits until every node has so many subscribers of ours; returns all their ids.
+    fn see(&self, number: usize, seconds: u64, way: &str) -> Vec<String> {
+        let fits = |ids: &[String]| ours(ids) == number;
+        let see = |(topic, node): &(String, Node)| {
+            let what = format!("{way}: {number} of ours on {topic}");
+            node.meets("subscribers", seconds, &what, fits)
+        };
+        let ids = self.nodes.iter().flat_map(see).collect();
+        self.publish(way);
+        ids
+    }
+
+    /// Waits until none of these ids is seen, but another reader of ours is.
+    fn see_others_than(&self, former: &[String], seconds: u64, way: &str) {
+        let fits = |ids: &[String]| ours(ids) == 1 && !ids.iter().any(|id| former.contains(id));
+        for (topic, node) in &self.nodes {
+            node.meets("subscribers", seconds, &format!("{way}: another of ours on {topic}"), fits);
+        }
+        self.publish(way);
+    }
+
+    /// Fails unless they publish at nearly their rate; a busy machine may delay them a little.
+    fn publish(&self, way: &str) {
+        for (topic, node) in &self.nodes {
+            let before = node.number("sent");
+            std::thread::sleep(Duration::from_secs(1));
+            let sent = node.number("sent") - before;
+            assert!(sent >= HERTZ / 4, "{way}: {topic} sends {sent} messages a second");
+        }
+    }
+
+    /// Fails unless all of them went on to the end.
+    #[allow(clippy::print_stdout, reason = "figures for who runs the long form")]
+    fn end(self) {
+        let seconds = self.begun.elapsed().as_secs();
+        for (topic, node) in self.nodes {
+            let sent = node.number("sent");
+            println!("{topic}: {sent} sent in {seconds} s");
+            assert!(sent >= seconds.saturating_sub(3) * HERTZ / 2, "{topic}: {sent} sent in {seconds} s");
+            node.end();
+        }
+    }
+
+    /// Lets them send more than a writer keeps for somebody who is gone.
+    fn outlive(&self, way: &str) {
+        let more = if long() { 17_500 } else { 6000 };
+        for (topic, node) in &self.nodes {
+            let before = node.number("sent");
+            let all = || (node.number("sent") >= before + more).then_some(());
+            wait_until(3 * more / HERTZ, &format!("{way}: {more} messages of {topic}"), all);
+        }
+        self.see(0, GONE, way);
+    }
+}
+
+fn watch(alice: &Authros, robots: &Robots, command: &str) {
+    robots.topics().iter().for_each(|topic| drop(alice.json(&["topics", command, topic])));
+}
+
+#[test]
+fn a_robots_node_outlives_every_way_in_which_a_reader_leaves() {
+    let _alone = heavy();
+    let (network, pythons) = match (network(), all_real_nodes()) {
+        (Ok(network), Ok(pythons)) => (network, pythons),
+        (Err(reason), _) | (_, Err(reason)) => skipped!(reason),
+    };
+    let robots = Robots::start(network, pythons);
+    // The control: real subscribers, which leave as ROS 2 does.
+    let controls = robots
+        .pythons
+        .iter()
+        .zip(robots.topics())
+        .map(|((_, python), topic)| python.node(&robots.network, "0", &["subscribe", topic, "--keep-all"]));
+    let controls: Vec<Node> = controls.collect();
+    controls.iter().for_each(|control| {
+        wait_until(20, "the control hears", || (control.number("heard") > 0).then_some(()));
+    });
+    controls.into_iter().for_each(Node::end);
+
+    let home = Home::new();
+    let site = robots.network.inside(&home.authros().with(&["--ros2", "0"])).serve(&home);
+    let alice = home.profile("alice");
+    alice.enrol();
+
+    let topics = robots.topics();
+    let summary = alice.json(&["capture", "--topic", topics[0], "--topic", topics[1], "--for", "2s"]);
+    assert!(support::count(&summary, "captured") > HERTZ, "{summary}");
+    robots.see(0, GONE, "a capture ended");
+
+    watch(&alice, &robots, "watch");
+    robots.see(1, 20, "watched");
+    watch(&alice, &robots, "unwatch");
+    robots.see(0, GONE, "unwatched");
+
+    watch(&alice, &robots, "watch");
+    let former = robots.see(1, 20, "watched again");
+    let weaker: Vec<Node> = robots
+        .pythons
+        .iter()
+        .zip(&topics)
+        .map(|((_, python), topic)| {
+            python.node(&robots.network, "0", &["publish", topic, "--best-effort", "--rate", "5", "--name", "weaker"])
+        })
+        .collect();
+    robots.see_others_than(&former, 2 + GONE, "a weaker publisher joined");
+    weaker.into_iter().for_each(Node::end);
+
+    let former = robots.see(1, 20, "before the kill");
+    signal("KILL", &process_of(&site, READER, "--domain"));
+    robots.see_others_than(&former, GONE_AFTER_A_KILL, "its program was killed");
+
+    let former = robots.see(1, 20, "before the stop");
+    signal("STOP", &process_of(&site, READER, "--domain"));
+    robots.see_others_than(&former, GONE_AFTER_A_STOP, "its program was stopped");
+
+    site.stop("TERM", 20).expect_code(0);
+    robots.see(0, GONE, "the site ended");
+
+    let second = Home::new();
+    let site = robots.network.inside(&second.authros().with(&["--ros2", "0"])).serve(&second);
+    let bob = second.profile("bob");
+    bob.enrol();
+    watch(&bob, &robots, "watch");
+    robots.see(1, 20, "another site came");
+    site.stop("KILL", 20);
+    robots.see(0, GONE, "the site was killed");
+    robots.outlive("long after it");
+    robots.end();
+}
+
+#[test]
+fn what_was_played_leaves_the_domain_when_playing_ends() {
+    let _alone = heavy();
+    let (network, pythons) = match (network(), all_real_nodes()) {
+        (Ok(network), Ok(pythons)) => (network, pythons),
+        (Err(reason), _) | (_, Err(reason)) => skipped!(reason),
+    };
+    let home = Home::new();
+    let site = network.inside(&home.authros().with(&["--ros2", "0"])).serve(&home);
+    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
+    alice.enrol();
+    let bob_address = bob.enrol();
+    let (_, first) = &pythons[0];
+    alice.json(&["topics", "watch", "/said"]);
+    let robot = first.node(&network, "0", &["publish", "/said", "--latched", "--depth", "5", "--number", "5"]);
+    wait_until(60, "all is verified", || {
+        let records = alice.records(&["uploads", "list", "--topic", "/said"]);
+        (records.len() == 5 && records.iter().all(is_verified)).then_some(())
+    });
+    robot.end();
+    alice.json(&["grant", &bob_address]);
+    let subscribe = |(_, python): &(&str, Python)| python.node(&network, "7", &["subscribe", "/said"]);
+    let readers: Vec<Node> = pythons.iter().map(subscribe).collect();
+    let meet = |number: usize, seconds: u64, way: &str| {
+        for reader in &readers {
+            reader.meets("publishers", seconds, way, |ids| ids.len() == number);
+        }
+    };
+
+    let play = ["--json", "shared", "play", "--follow", "--ros2", "7"];
+    let player = bob.spawn(&play);
+    meet(1, 30, "played");
+    player.stop("INT", 20);
+    meet(0, GONE, "playing was ended");
+
+    let player = bob.spawn(&play);
+    meet(1, 30, "played again");
+    signal("KILL", &process_of(&site, READER, "--publish"));
+    player.stop("INT", 20);
+    meet(0, GONE_AFTER_A_KILL, "the program that plays was killed");
+
+    let player = bob.spawn(&play);
+    meet(1, 30, "played a third time");
+    alice.json(&["revoke", &bob_address]);
+    meet(0, 10, "the grant was revoked");
+    player.wait(60);
+    readers.into_iter().for_each(Node::end);
+}
+
+/// Topics of the nodes that come and go, and how long each of them stays.
+const CROWD: u64 = 100;
+const STAY: Duration = Duration::from_secs(10);
+/// What the reading program may hold more at the end than after the first nodes have gone, KiB.
+const GROWN: u64 = 30 * 1024;
+
+#[test]
+#[allow(clippy::print_stdout, reason = "figures for who runs the long form")]
+fn nodes_that_come_and_go_leave_nothing_behind_in_the_program_that_reads() {
+    if !long() {
+        return; // Takes 20 minutes: `tests/run --long`.
+    }
+    let _alone = heavy();
+    let (network, pythons) = match (network(), all_real_nodes()) {
+        (Ok(network), Ok(pythons)) => (network, pythons),
+        (Err(reason), _) | (_, Err(reason)) => skipped!(reason),
+    };
+    let home = Home::new();
+    let site = network.inside(&home.authros().with(&["--ros2", "0"])).serve(&home);
+    let alice = home.profile("alice");
+    alice.enrol();
+    for number in 0..CROWD {
+        alice.json(&["topics", "watch", &format!("/crowd{number}")]);
+    }
+    let reader: u32 = process_of(&site, READER, "--domain").parse().expect("a process");
+    let (begun, mut held) = (Instant::now(), Vec::new());
+    let span = length(STAY, Duration::from_secs(1200));
+    let topics = CROWD.to_string();
+    for (_, python) in pythons.iter().cycle() {
+        let node = python.node(&network, "0", &["publish", "/crowd", "--topics", &topics, "--rate", "2"]);
+        std::thread::sleep(STAY);
+        node.end();
+        held.push(own_memory(reader));
+        let (seconds, memory) = (begun.elapsed().as_secs(), held[held.len() - 1]);
+        println!("after {seconds} s: {memory} KiB, {:.1} s of processor", cpu_seconds(reader));
+        if begun.elapsed() >= span {
+            break;
+        }
+    }
+    let first = held.iter().take(3).max().expect("a node came");
+    let last = held[held.len() - 1];
+    assert!(last <= first + GROWN, "{first} KiB, then {last} KiB: {held:?}");
+}
