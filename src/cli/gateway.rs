@@ -6,10 +6,9 @@ use std::net::SocketAddr;
 
 use super::args::GatewayVerb;
 use super::connect::{Connection, Context, ProfileNeed};
-use super::parse;
-use super::serve as site;
 use super::show::Question;
 use super::verbs::{NEITHER, Plan};
+use super::{parse, serve as site};
 use crate::model::clean;
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};

@@ -11,9 +11,8 @@ use authros_evidence::{
 use tokio::task::block_in_place;
 
 use crate::chain::{Chain, ChainError, SealerKind};
-use crate::crypto::CryptoError;
 use crate::crypto::record::{RecordSecret, open_revealed};
-use crate::crypto::signer_id;
+use crate::crypto::{CryptoError, signer_id};
 use crate::model::{Address, Digest, ErrorKind, Hash, Header, PublicKey, SignerId};
 use crate::store::{RecordRow, Retained};
 
@@ -21,10 +20,9 @@ use super::chain_proofs::{self, Anchor, Shown as Wanted};
 use super::columns::{self, Keys};
 use super::directory::kept;
 use super::evidence_heights::{self, Shown};
-use super::evidence_stamps;
 use super::reader::Reader;
 use super::retention::erasing::is_stated;
-use super::{PipelineError, authority};
+use super::{PipelineError, authority, evidence_stamps};
 
 /// The most records in a bundle.
 pub use authros_evidence::MOST_RECORDS;

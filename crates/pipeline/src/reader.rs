@@ -16,10 +16,10 @@ use crate::crypto::{
 use crate::model::{Address, Digest, GrantTerms, Header, RecordState, TopicId, Verdict};
 use crate::store::{KeptEnvelope, RecordRow, Retained};
 
-use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
+use super::authority::{self, Policy, ReadRefused, ReadingRight, may_read};
 use super::directory::{Granted, kept};
 use super::retention::erasing::is_stated;
-use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
+use super::{Network, Owner, PipelineError, Plant, columns, proof};
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {

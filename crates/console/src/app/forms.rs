@@ -8,7 +8,8 @@ use super::form::{Form, Line};
 use super::paths::{self, PathKind};
 use super::state::Settings;
 use super::when;
-use crate::model::{Address, Party, Timestamp, TopicName, grant::MOST_TOPICS};
+use crate::model::grant::MOST_TOPICS;
+use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
 
 /// The shortest passphrase accepted for a new keyring, characters.

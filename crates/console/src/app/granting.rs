@@ -2,7 +2,6 @@
 //! checked checked before the question, the terms of a grant changed.
 
 use super::action::{Effect, Errand, Tag};
-use super::confirm;
 use super::field::Field;
 use super::form::Form;
 use super::forms::{self, GrantWish};
@@ -10,7 +9,7 @@ use super::popup::{Confirm, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::{day, end, is_active, is_given, other_side, scope};
 use super::state::State;
-use super::when;
+use super::{confirm, when};
 use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::reply::GrantRow;
 use crate::service::{Command, Epochs};

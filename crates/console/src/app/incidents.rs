@@ -1,19 +1,17 @@
 //! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
 
 use super::action::{Effect, Errand, Tag};
-use super::command_line;
-use super::cursor;
 use super::feed::Feed;
 use super::field::Field;
 use super::form::{Form, Line};
 use super::forms::ALL_TOPICS;
-use super::granting;
 use super::key::Key;
 use super::perform::{copy, go};
 use super::popup::{Confirm, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::day;
 use super::state::State;
+use super::{command_line, cursor, granting};
 use crate::model::{IncidentName, Timestamp, TopicName};
 use crate::service::command::filter::past;
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};

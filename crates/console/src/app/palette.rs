@@ -2,15 +2,13 @@
 
 use super::action::Effect;
 use super::available::available;
-use super::columns;
 use super::field::Field;
-use super::granting;
 use super::key::Key;
 use super::perform::perform;
 use super::popup::{Palette, Popup};
-use super::profiles;
 use super::state::State;
 use super::verb::Verb;
+use super::{columns, granting, profiles};
 
 /// A key while the palette is open.
 pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {

@@ -3,35 +3,21 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::action::{Contents, Effect, Errand, Tag};
-use super::administration;
 use super::available::available;
 use super::browse::Browse;
-use super::columns;
-use super::command_line;
-use super::confirm;
-use super::contacts;
-use super::cursor;
-use super::detail;
-use super::exporting;
 use super::feed::Feed;
-use super::forms;
-use super::granting;
 use super::identity_path::{self, Need};
-use super::incidents;
 use super::leaving::{self, Leaving};
-use super::lock;
-use super::mouse;
-use super::playing;
-use super::policies;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
-use super::profiles;
 use super::screen::Screen;
 use super::screens::grants::other_side;
 use super::screens::log::LogLine;
 use super::state::State;
-use super::themes;
-use super::undo;
 use super::verb::Verb;
+use super::{
+    administration, columns, command_line, confirm, contacts, cursor, detail, exporting, forms, granting, incidents,
+    lock, mouse, playing, policies, profiles, themes, undo,
+};
 use crate::model::TopicName;
 use crate::service::reply::TopicRow;
 use crate::service::{Command, Operation};

@@ -1,31 +1,19 @@
 //! Keys while a popup lies over the screen.
 
 use super::action::{Effect, Tag};
-use super::administration;
-use super::browse;
-use super::columns;
-use super::command_line;
-use super::confirm;
-use super::contacts;
-use super::exporting;
 use super::form::{Form, FormStep};
-use super::forms;
 use super::granting::{self, Extension};
 use super::identity_path::{self, Need};
-use super::incidents;
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
-use super::leaving;
-use super::opening;
-use super::palette;
-use super::paths;
 use super::perform::{copy, perform};
-use super::policies;
 use super::popup::{Confirm, Help, Lookup, Popup, Purpose};
-use super::profiles;
 use super::state::State;
-use super::themes;
 use super::verb::Verb;
+use super::{
+    administration, browse, columns, command_line, confirm, contacts, exporting, forms, incidents, leaving, opening,
+    palette, paths, policies, profiles, themes,
+};
 use crate::service::reply::PinsView;
 
 /// A popup's keys, for the bottom bar: key and what it does.

@@ -4,10 +4,9 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::action::{Effect, Errand, Tag};
-use super::confirm;
-use super::incidents;
 use super::popup::Popup;
 use super::state::State;
+use super::{confirm, incidents};
 use crate::model::TopicName;
 use crate::service::Command;
 

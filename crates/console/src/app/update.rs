@@ -1,29 +1,18 @@
 //! One action in, the state changed, effects out. Never waits, never fails.
 
 use super::action::{Action, Effect, Errand, Tag};
-use super::ahead;
-use super::alerts;
 use super::answer::answered;
-use super::countdown;
-use super::cursor;
-use super::detail;
 use super::feed::Feed;
-use super::incidents;
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
-use super::leaving;
-use super::lock;
-use super::mouse;
-use super::paths;
 use super::perform::{perform, wants_grants};
-use super::policies;
 use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
 use super::screen::Screen;
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
-use super::tour;
 use super::verb::Verb;
+use super::{ahead, alerts, countdown, cursor, detail, incidents, leaving, lock, mouse, paths, policies, tour};
 use crate::model::{RecordState, Timestamp};
 use crate::service::command::{AuditQuery, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};

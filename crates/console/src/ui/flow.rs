@@ -3,9 +3,8 @@
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, right_of, row};
-use super::graph;
 use super::theme::Role;
-use super::words;
+use super::{graph, words};
 use crate::app::State;
 use crate::app::history::{Flow, highest};
 use crate::app::state::GRAPH_PARTS;

@@ -1,8 +1,7 @@
 //! The Gateway screen: names with a transport key and the enrolled robots of the profile, in one list.
 
-use crate::app::fuzzy;
-use crate::app::policies;
 use crate::app::table::Table;
+use crate::app::{fuzzy, policies};
 use crate::model::{Address, Timestamp};
 use crate::service::reply::{GatewayStatusView, RobotRow, SenderView};
 

@@ -13,10 +13,9 @@ use crate::model::clean;
 use crate::pipeline::sender::LaneState;
 use crate::service::NoticeLevel;
 use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView, TaskState, TaskView};
-use crate::ui::bottom;
 use crate::ui::canvas::{Canvas, row};
 use crate::ui::theme::Role;
-use crate::ui::words;
+use crate::ui::{bottom, words};
 
 type Line = (String, Role);
 
