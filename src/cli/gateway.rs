@@ -64,7 +64,7 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
             view.address, view.gateway, view.fingerprint, view.account
         )
     });
-    let _ready = super::systemd::ready();
+    let _ready = super::serve::ready();
     let ended = tokio::select! {
         () = site::follow(events, output, end) => Ok(0),
         failure = super::chain::lost(&connection.client) => Err(failure),

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Domain};
-use crate::pipeline::anchoring_accounts::{self, MOST_LANES};
+use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
@@ -55,7 +55,7 @@ impl Lanes {
         if let Some(found) = known.get(&key) {
             return Ok(Arc::clone(found));
         }
-        let keys = anchoring_accounts::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
+        let keys = anchorer::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
         let found = Arc::new(keys.into_iter().map(|key| (key.address(), key)).collect::<Vec<_>>());
         known.insert(key, Arc::clone(&found));
         Ok(found)
@@ -158,7 +158,7 @@ impl Lanes {
     async fn ready_extra(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let wanted = usize::from(self.config.lanes) - 1;
         for (_, key) in self.extra(owner, network)?.iter().take(wanted) {
-            anchoring_accounts::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
+            anchorer::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
         }
         Ok(())
     }

@@ -5,8 +5,8 @@ use crate::crypto::ErasedStatement;
 use crate::gateway::{Caller, Code, ErasedRecord, Refusal};
 use crate::model::Digest;
 use crate::pipeline::Network;
-use crate::pipeline::retention::erasing;
-use crate::pipeline::retention::told::{is_owners, left_of};
+use crate::pipeline::retention;
+use crate::pipeline::retention::{is_owners, left_of};
 use crate::store::{RecordRow, Retained};
 
 impl GatewayDesk {
@@ -53,7 +53,7 @@ impl GatewayDesk {
         };
         let keys = (&*keys.signing, &owner.eoa());
         let when = (retained.report, erasure.at);
-        let stated = erasing::stated(plant, keys, about, when).map_err(Refusal::because(Code::Internal))?;
+        let stated = retention::stated(plant, keys, about, when).map_err(Refusal::because(Code::Internal))?;
         let statement = ErasedStatement::parse(&stated.statement).map_err(Refusal::because(Code::Internal))?;
         plant.ledger.keep_erasures(vec![stated]).map_err(&internal)?;
         Ok(Some(statement))

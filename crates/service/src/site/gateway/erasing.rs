@@ -11,7 +11,7 @@ use crate::gateway::{Caller, Code, ErasureNotice, ErasureOutcome, Refusal};
 use crate::model::{Digest, Header, RecordState};
 use crate::pipeline::columns::header_difference;
 use crate::pipeline::mirror::{prove_erased, taken_erased};
-use crate::pipeline::retention::told::is_owners;
+use crate::pipeline::retention::is_owners;
 use crate::pipeline::{Network, PipelineError};
 use crate::service::event::{NoticeLevel, Part};
 use crate::store::{KeptErasure, NewRecord, RootSighting, StoreError, ToldErased};

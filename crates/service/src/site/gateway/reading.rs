@@ -8,7 +8,7 @@ use crate::model::{Address, Digest, RecordState, Scope, SignerId, Timestamp};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
 use crate::pipeline::authority::{key_of, may_read, may_sign};
-use crate::pipeline::proof::anchor_proof;
+use crate::pipeline::chain_proofs::anchor_proof;
 use crate::site::chain::freshness::GRACE;
 use crate::store::{RecordQuery, RecordRow};
 use tokio::time::timeout;

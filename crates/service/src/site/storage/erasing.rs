@@ -10,7 +10,7 @@ use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
 use crate::pipeline::importer::SOURCE;
 use crate::pipeline::reader::Reader;
-use crate::pipeline::retention::erasing::{self, LONGEST_REASON};
+use crate::pipeline::retention::{self, LONGEST_REASON};
 use crate::service::command::ErasureWishes;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{ErasureView, Failure};
@@ -77,10 +77,10 @@ impl Storage {
         owner: &Arc<Owner>,
         rows: Vec<RecordRow>,
         erasure: Erasure,
-    ) -> Result<erasing::Erased, Failure> {
+    ) -> Result<retention::Erased, Failure> {
         let _one_at_a_time = self.naming.lock().await;
         let asked = Arc::clone(owner);
-        let named = blocking(self, move |storage| Ok(erasing::name(&storage.plant, &asked, &rows, &erasure)?)).await;
+        let named = blocking(self, move |storage| Ok(retention::name(&storage.plant, &asked, &rows, &erasure)?)).await;
         self.has_named.store(true, Ordering::Release);
         self.hub.stored.notify_waiters();
         named
@@ -184,7 +184,7 @@ fn imported(reader: &Reader<'_>, rows: Vec<RecordRow>, recording: &str) -> Resul
 
 /// What would become of these records, and those that can go.
 fn planned(rows: &[RecordRow], incidents: &[IncidentRow]) -> (ErasureView, Vec<RecordRow>) {
-    let erasable: Vec<RecordRow> = rows.iter().filter(|row| erasing::can_be(row)).cloned().collect();
+    let erasable: Vec<RecordRow> = rows.iter().filter(|row| retention::can_be(row)).cloned().collect();
     let holds = |incident: &&IncidentRow| erasable.iter().any(|row| is_held(row, incident));
     let held = incidents.iter().filter(holds).map(|incident| incident.name.to_string()).collect();
     let topics: BTreeSet<String> = erasable.iter().map(|row| clean(&row.topic, 255)).collect();
