@@ -35,7 +35,7 @@ pub fn run(
         ));
     }
     let leaves_site = tour.is_none() && context.operator.is_none();
-    let options = ConsoleOptions { tour, leaves_site, ..looks::options(&context, arguments)? };
+    let options = ConsoleOptions { tour, leaves_site, ..printed::options(&context, arguments)? };
     let successor = Successor::of(&context);
     let reader = options.tour.as_ref().map(|cast| cast.reader.clone());
     let (events, _) = broadcast::channel(1024);

@@ -1,15 +1,13 @@
 //! The accounts that anchor for each owner: the owner's own and extra ones, maintained and kept ready.
 
 use crate::config::Config;
-use crate::pipeline::Plant;
-use crate::pipeline::Sender;
+use crate::pipeline::{Plant, Sender};
 use crate::service::hub::Hub;
 use crate::site::chain::link::Link;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use std::sync::Mutex;
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::crypto::EoaSecret;
