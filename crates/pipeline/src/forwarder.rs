@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use line::Line;
 use tokio::sync::{Notify, watch};
 use tokio::task::block_in_place;
 

@@ -214,7 +214,7 @@ impl<'a> Compared<'a> {
 }
 
 /// The row after which the next round begins.
-const CURSOR: &str = "scrub-cursor";
+const SCRUBBED: &str = "scrub-cursor";
 
 /// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -232,7 +232,7 @@ pub struct Scrubbed {
 /// # Errors
 /// Errors of ledger and vault; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
-    let after = plant.ledger.setting(CURSOR)?.and_then(|text| text.parse().ok()).unwrap_or(0);
+    let after = plant.ledger.setting(SCRUBBED)?.and_then(|text| text.parse().ok()).unwrap_or(0);
     let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
     let mut done = Scrubbed::default();
     let mut bad = Vec::new();
@@ -246,7 +246,7 @@ pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scru
         mark(plant, &bad)?;
     }
     done.bad = u64::try_from(bad.len()).unwrap_or(u64::MAX);
-    plant.ledger.put_setting(CURSOR, &page.next.unwrap_or(0).to_string())?;
+    plant.ledger.put_setting(SCRUBBED, &page.next.unwrap_or(0).to_string())?;
     Ok(done)
 }
 
