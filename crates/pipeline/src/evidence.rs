@@ -1,6 +1,7 @@
 //! What an evidence bundle is assembled from: records from the vault, their places in batches, and the chain's proofs
 //! of their anchors and their signers' keys.
 
+/// The most records in a bundle.
 pub use authros_evidence::MOST_RECORDS;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,8 +29,6 @@ use crate::recorder_heads::{TOPIC, tree};
 use crate::retention::is_stated;
 use crate::store::{RecordQuery, RecordRow, Retained};
 use crate::{PipelineError, Plant, authority};
-
-/// The most records in a bundle.
 
 /// The most kept headers after a block that are included.
 const MOST_FURTHER: u64 = 16;

@@ -14,7 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::anchorer::{self, Anchorer};
-use super::{Network, Observer, Owner, Plant, Sender, chain_proofs, watcher};
+use super::{Network, Observer, Owner, Plant, Sender, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint, Policy};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
@@ -108,7 +108,7 @@ impl Line {
     }
 
     async fn is_anchored(&self, row: &RecordRow) -> bool {
-        chain_proofs::is_anchored(&self.plant, &self.network, row).await.expect("answer")
+        crate::chain_proofs::is_anchored(&self.plant, &self.network, row).await.expect("answer")
     }
 
     fn rows(&self, limit: usize) -> Vec<RecordRow> {
