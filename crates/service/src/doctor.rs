@@ -24,12 +24,12 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     // Held so that no site starts while its files are checked.
     let lock = if runs { None } else { SiteLock::acquire(&home.site_lock()).ok().flatten() };
     tokio::task::block_in_place(|| {
-        home(home, &mut sheet);
+        home_folder(home, &mut sheet);
         keys(home, &mut sheet);
         ledger(home, &mut sheet);
         disk(home, &mut sheet);
         vault(home, config, &mut sheet);
-        ros(config, &mut sheet);
+        ros_master(config, &mut sheet);
         // A running site of this home is in the domain already, and says below what it sees.
         if !runs {
             second(config, &mut sheet);
@@ -51,7 +51,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
 /// The state of a home's peers if no site of it runs: master and chain are asked now.
 pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
-    tokio::task::block_in_place(|| ros(config, &mut ros));
+    tokio::task::block_in_place(|| ros_master(config, &mut ros));
     look(home, config, false, &mut chain).await;
     let embedded = config.ros_master.is_none();
     let site = "no site is running; start one with `authros serve` or the console";
@@ -253,7 +253,7 @@ const TIGHT: u64 = 1 << 30;
 const FULL: u64 = 32 << 20;
 
 /// Directory and modes.
-fn home(home: &Home, sheet: &mut Sheet) {
+fn home_folder(home: &Home, sheet: &mut Sheet) {
     let root = home.root();
     if !root.exists() {
         return sheet.ok("home", &format!("{} does not exist yet; it is created on first use", root.display()));
@@ -427,7 +427,7 @@ fn walls(confined: Option<bool>, sheet: &mut Sheet) {
 }
 
 /// The master, this machine's name and the host names given by publishers.
-fn ros(config: &Config, sheet: &mut Sheet) {
+fn ros_master(config: &Config, sheet: &mut Sheet) {
     if config.site.is_some() {
         return sheet.ok("ros", "is at the gateway");
     }

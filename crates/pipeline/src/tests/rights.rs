@@ -44,9 +44,7 @@ impl Line {
 
     async fn extra_account(&self) -> EoaSecret {
         let key = anchorer::extra(&self.owner.eoa(), &self.network.domain, 2).expect("keys").remove(0);
-        anchorer::ensure_ready(&self.plant, &self.network, &self.sender, &self.owner, &key)
-            .await
-            .expect("registers");
+        anchorer::ensure_ready(&self.plant, &self.network, &self.sender, &self.owner, &key).await.expect("registers");
         self.watch().await;
         self.tend(std::slice::from_ref(&key)).await;
         key

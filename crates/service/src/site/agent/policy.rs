@@ -406,7 +406,6 @@ mod tests {
     use super::*;
     use crate::crypto::{EoaSecret, SignedPolicy};
     use crate::model::{Domain, SignerId};
-    use crate::pipeline::notices::PolicyTaker as _;
 
     #[test]
     fn a_policy_whose_ring_could_not_be_made_is_not_told_as_in_force() {

@@ -6,7 +6,7 @@ mod admission_tests;
 pub(super) mod admissions;
 #[cfg(test)]
 mod cut_off_tests;
-mod desk;
+pub(super) mod desk;
 mod erasing;
 mod reading;
 pub(super) mod status;

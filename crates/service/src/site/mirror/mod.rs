@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
-use self::listing::{Refused, follow, subscribe};
+use self::listing::{follow, subscribe};
 use super::supervision::Aborted;
 use crate::gateway::{Code, Entry, Fetched, GatewayError};
 use crate::model::Address;

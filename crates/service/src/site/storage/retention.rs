@@ -213,7 +213,7 @@ impl Storage {
 
     /// Waits for a while until what was named of these is deleted; returns whether something is left.
     async fn wait_for_erasing(self: &Arc<Self>, mut digests: Vec<Digest>) -> Result<bool, Failure> {
-        for _ in 0..LOOK.1 {
+        for _ in 0..ERASING_LOOK.1 {
             digests = blocking(self, move |storage| {
                 while let Some(last) = digests.last() {
                     let retained = storage.plant.ledger.retained(*last)?;
