@@ -1,4 +1,5 @@
-//! Keys of the palette: every command by name, some with terms behind it, and what was typed before.
+//! Keys of the palette: every command by name, some with terms behind it, and what was typed before; and each act as
+//! the command line that does the same.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -16,6 +17,7 @@ use crate::service::command::{Administration, IncidentCommand, PlayWishes};
 use crate::service::{Command, Epochs, KeyKind};
 
 /// A key while the palette is open.
+#[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
 pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {
     let matches = palette.matches(state);
     let last = matches.len().saturating_sub(1);

@@ -322,6 +322,9 @@ impl Source<'_> {
 
 /// A theme from the text of its file; what it does not name is as in its base among `known`. If none is known, it must
 /// be complete.
+///
+/// # Errors
+/// The line that is wrong, and why.
 pub fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, ThemeError> {
     let source = Source { file, text };
     let parsed: ThemeFile = toml::from_str(text).map_err(|error| {

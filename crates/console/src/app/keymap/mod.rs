@@ -289,6 +289,9 @@ impl Source<'_> {
 }
 
 /// The preset, overridden by the file.
+///
+/// # Errors
+/// The line that is wrong, and why.
 pub fn read(file: &str, text: &str) -> Result<Keymap, KeymapError> {
     let source = Source { file, text };
     let lines = lines(&source)?;
