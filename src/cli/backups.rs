@@ -1,5 +1,5 @@
-//! Scheduled backups: a new file in a folder, removing the oldest of its kind; and the drill that shows one of them can
-//! be restored.
+//! Scheduled backups: a new file in a folder, removing the oldest of its kind; and the drill that shows one of them
+//! can be restored. A console that is left running hands its home over to `authros serve`.
 
 use std::ffi::OsString;
 use std::io::Write as _;

@@ -1,4 +1,4 @@
-//! `authros`: the console on this home's site, embedded or joined.
+//! `authros`: the console on this home's site, embedded or joined; and the tour, on a home of its own.
 
 use std::sync::{Arc, OnceLock};
 

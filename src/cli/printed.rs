@@ -1,4 +1,5 @@
-//! What is printed and needs no home: defaults as templates, completions, the manual page.
+//! What is printed and needs no home: defaults as templates, completions, the manual page; the looks of the console,
+//! and the progress of long work.
 
 use std::fmt::Write as _;
 use std::future::Future;

@@ -1,5 +1,5 @@
 //! Commands about what a home has make none: a path that is mistyped would seem well, and what was made there would stop a
-//! restore.
+//! restore. Opened records: their readable form, their fields, their path, and the files they become.
 
 use std::path::PathBuf;
 

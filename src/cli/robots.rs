@@ -1,4 +1,4 @@
-//! `robots`: what is asked of enrolled robots from their owner's site.
+//! `robots` and `devices`: what is asked of enrolled robots, their policies, and the devices on loan.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;

@@ -1,4 +1,4 @@
-//! What can go wrong at the client's end; each message says what to do next.
+//! Refusals by their codes, and what can go wrong at the client's end; each message says what to do next.
 
 use std::fmt;
 

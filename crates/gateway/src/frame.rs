@@ -1,5 +1,6 @@
 //! Frames on the wire: length (4, big endian), kind (1), payload. The length counts kind and payload. The cap is
-//! checked before anything is stored, and no buffer grows ahead of the bytes that arrived.
+//! checked before anything is stored, and no buffer grows ahead of the bytes that arrived. Messages of several parts
+//! are put together here, and a line is frames over TCP.
 
 use std::time::Duration;
 

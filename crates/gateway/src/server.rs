@@ -1,5 +1,5 @@
-//! The gateway's server over TCP: listens, admits peers within their limits, rotates the system keys, stops gracefully.
-//! What a command does is up to the desk.
+//! The gateway's server over TCP: listens, admits peers within their limits, rotates the system keys, counts who
+//! sends, stops gracefully. What a command does is up to the desk.
 
 use std::collections::BTreeMap;
 use std::io;

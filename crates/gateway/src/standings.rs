@@ -1,5 +1,7 @@
 //! The standings of records, signed by the gateway like a receipt: a robot keeps them and may then discard its only
 //! copy. In an answer: count (2) || standings (1 each) || time (8) || signature (64) || for each: length (4) || proof.
+//! Beside them [`ChainLine`], the chain through a gateway: the chain crate's transport over one connection that
+//! reconnects by itself, a visitor's session until there are credentials.
 
 use std::sync::{Arc, PoisonError, RwLock};
 

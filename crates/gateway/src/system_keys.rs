@@ -1,5 +1,5 @@
 //! k_s: the system keys for key allocation, published as a signed, versioned, dated list that expires. One key is
-//! current, one is next. `cabinet` stores and rotates the gateway's own.
+//! current, one is next. [`Cabinet`] stores and rotates the gateway's own.
 
 use std::fs::{self, OpenOptions};
 use std::io::Write as _;

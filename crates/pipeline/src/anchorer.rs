@@ -1,4 +1,5 @@
-//! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each.
+//! Puts stored records on the chain: as Merkle batches, or one `dataUpload` each; from an owner's further accounts
+//! too.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};

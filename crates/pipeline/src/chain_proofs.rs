@@ -1,5 +1,6 @@
-//! Proofs of the chain's state (EIP-1186) for each anchored batch, fetched while the node still has the state after its
-//! block and kept in the ledger with the headers: a bundle made years later needs no node that keeps old states, or none.
+//! Proofs of anchors, and of the chain's state (EIP-1186) for each anchored batch, fetched while the node still has
+//! the state after its block and kept in the ledger with the headers: a bundle made years later needs no node that
+//! keeps old states, or none.
 
 use std::collections::{BTreeMap, BTreeSet};
 

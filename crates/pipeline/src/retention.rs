@@ -1,5 +1,5 @@
 //! Retention: ciphertext that no rule keeps any longer is named in a signed record, and deleted when that record is
-//! confirmed on the chain. A function of the ledger: called again, it does what is left.
+//! confirmed on the chain. A function of the ledger: called again, it does what is left. Erasing takes the same way.
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -1,5 +1,5 @@
-//! The last step: re-reads confirmed records from the vault and checks digest and signature, some at a time on as many
-//! cores as it pays. Ledger and vault are asked for many at once (`reading`); each record is checked by itself.
+//! The last step: re-reads confirmed records from the vault and checks digest and signature, some at a time on as
+//! many cores as it pays. Ledger and vault are asked for many at once; each record is checked by itself.
 
 use std::time::Instant;
 

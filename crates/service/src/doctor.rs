@@ -1,5 +1,5 @@
-//! The doctor: checks everything a home depends on, says how it is and what to do. Needs no passphrase, changes
-//! nothing, starts no robots; a part that is embedded and not running is fine.
+//! The doctor: checks everything a home depends on (files, chain, peers), says how it is and what to do. Needs no
+//! passphrase, changes nothing, starts no robots; a part that is embedded and not running is fine.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! What an operator should look at, from the data received: since when, how often, and what ended recently.
+//! What an operator should look at, from the data received: since when, how often, and what ended recently; and the
+//! short messages that go by themselves.
 
 use std::collections::VecDeque;
 

@@ -1,5 +1,5 @@
-//! Browsing records: those of others by owner, own ones by topic and state, both by type and time; a choice sets the
-//! filter of the list.
+//! Popups in which one of a few is chosen: what to browse, a theme, a list's columns. Browsing shows the records of
+//! others by owner, own ones by topic and state, both by type and time; a choice sets the filter of the list.
 
 use super::action::Effect;
 use super::form::Field;

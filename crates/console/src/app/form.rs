@@ -1,4 +1,5 @@
-//! A form of a few lines: text or a choice, focus, an error, submit and cancel.
+//! A form of a few lines: text or a choice, focus, an error, submit and cancel; the one line that is edited; and the
+//! forms that the console asks with.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! The flow of records over the last hour, as far as this console has seen it: the ring behind the Overview's graphs.
+//! The flow of records over the last hour, as far as this console has seen it: the ring behind the Overview's graphs;
+//! rates of topics, and how far long work has come.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,5 @@
-//! An opened record over the screen: its faces (readable, plot, picture, fields, bytes), their keys, its files.
+//! An opened record over the screen, or beside the list: its faces (readable, plot, picture, fields, bytes), their
+//! keys, its files.
 
 use zeroize::Zeroizing;
 

@@ -1,5 +1,5 @@
-//! Completing a path in a form as a shell does: as far as all names agree; pressed again, tab lists them. The folder is
-//! read outside, because nothing here waits.
+//! Completing a path in a form as a shell does: as far as all names agree; pressed again, tab lists them. The folder
+//! is read outside, because nothing here waits. Exports go where such a path says.
 
 use std::path::PathBuf;
 

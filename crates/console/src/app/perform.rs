@@ -1,4 +1,4 @@
-//! What each verb does.
+//! What each verb does, and how the last act is undone, if it can be.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 

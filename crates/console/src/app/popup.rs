@@ -1,4 +1,5 @@
-//! The popups over a screen. The topmost popup has the keys; `q` or Esc closes it.
+//! The popups over a screen. The topmost popup has the keys; `q` or Esc closes it. Questions say what an act means
+//! before it is done.
 
 use super::action::{Errand, Tag, kind_word};
 use super::administration::Act;

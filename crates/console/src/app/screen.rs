@@ -1,4 +1,4 @@
-//! The nine screens and the data each of them shows.
+//! The nine screens and the data each of them shows; the first steps of a new profile.
 
 use super::feed::Feed;
 use super::state::State;

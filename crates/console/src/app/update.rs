@@ -1,4 +1,5 @@
-//! One action in, the state changed, effects out. Never waits, never fails.
+//! One action in, the state changed, effects out. Never waits, never fails. Mouse, keys typed ahead of the rows they
+//! are for, and locking are here too.
 
 use super::action::{Action, Effect, Errand, Tag};
 use super::answer::answered;

@@ -1,4 +1,5 @@
-//! Parsing a grant's end as a person writes it: `30d`, `12h`, `2036-12-31`.
+//! Times: a grant's end as a person writes it (`30d`, `12h`, `2036-12-31`), the operator's own clock beside UTC, and
+//! the seconds until a part of the site is tried again.
 
 use jiff::tz::TimeZone;
 

@@ -1,5 +1,5 @@
-//! Files of the operator: written without ever overwriting one, readable by the owner alone; and names in folders, to
-//! complete a path.
+//! Files of the operator: written without ever overwriting one, readable by the owner alone; names in folders, to
+//! complete a path; the clipboard, and what a console keeps for the next one.
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{self, ErrorKind, Read as _, Write};

@@ -1,4 +1,4 @@
-//! Keys, pastes, sizes and the mouse, read by a thread of their own.
+//! Keys, pastes, sizes, the mouse and signals, read by a thread of their own.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,4 +1,4 @@
-//! The thread that owns the screen: draws only the newest frame, and only when something changed.
+//! The thread that owns the screen: draws only the newest frame, only when something changed, and within its budget.
 
 use std::io;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};

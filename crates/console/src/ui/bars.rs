@@ -1,4 +1,4 @@
-//! The two lines on top: the profile, the state of the parts, badges; and the screens.
+//! The lines on top (the profile, the state of the parts, badges; the screens) and at the bottom (messages, keys).
 
 use ratatui::layout::Rect;
 

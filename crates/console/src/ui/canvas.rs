@@ -1,4 +1,5 @@
-//! The one place where text becomes cells: everything is cleaned here, whatever happened to it before.
+//! The one place where text becomes cells: everything is cleaned here, whatever happened to it before. Also frames
+//! for terminals without box characters.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};

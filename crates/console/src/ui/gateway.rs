@@ -1,4 +1,4 @@
-//! The Gateway screen: what is served, system keys and their dates, refusals, robots and senders.
+//! The Gateway screen: what is served, system keys and their dates, refusals, robots, their policies, and senders.
 
 use ratatui::layout::Rect;
 

@@ -1,4 +1,4 @@
-//! The Overview: health, record counts, alerts, first steps, busiest topics.
+//! The Overview: health, record counts, the flow of records, alerts, first steps, busiest topics.
 
 use ratatui::layout::Rect;
 

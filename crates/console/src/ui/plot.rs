@@ -1,4 +1,5 @@
-//! Points of a plane in Braille dots, two by four to a cell, both axes to one scale; the ends of the axes beside it.
+//! Plots: points of a plane in Braille dots, two by four to a cell, both axes to one scale, the ends of the axes
+//! beside it; a graph of one line; pixels as half blocks.
 
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};

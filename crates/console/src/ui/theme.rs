@@ -1,4 +1,4 @@
-//! Roles to colours. Code names only roles; the colours are in `themes/*.toml`.
+//! Roles to colours. Code names only roles; the colours are in `themes/*.toml` or in a file of the operator.
 
 use std::collections::BTreeMap;
 

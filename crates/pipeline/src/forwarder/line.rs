@@ -1,5 +1,6 @@
-//! The line to the gateway: connects at the first address that answers, sends, and asks how the records stand that the
-//! gateway signed for. At another address than the first it goes back as soon as the gateway answers there again.
+//! The outbox, and the line to the gateway: connects at the first address that answers, sends, and asks how the
+//! records stand that the gateway signed for. At another address than the first it goes back as soon as the gateway
+//! answers there again.
 
 use std::collections::HashSet;
 use std::convert::Infallible;

@@ -1,4 +1,4 @@
-//! A nonce lane while it is held: nobody else signs for the account meanwhile.
+//! A nonce lane while it is held: nobody else signs for the account meanwhile; and how it stands.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};

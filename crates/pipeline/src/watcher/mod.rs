@@ -1,8 +1,8 @@
 //! Follows the chain: which records are in a block, which blocks have enough confirmations, who was registered, granted
 //! and revoked. A function of the ledger's cursor; a restart runs it again.
 //!
-//! Several nodes may answer at one URL, some of them behind the others. So the newest blocks are read one by one
-//! ([`near`]), what is not sure is read again ([`again`]), and a node that is behind is no reorg ([`reorg`]).
+//! Several nodes may answer at one URL, some of them behind the others. So the newest blocks are read one by one,
+//! what is not sure is read again, and a node that is behind is no reorg ([`reorg`]).
 
 pub mod foreign;
 mod reorg;

@@ -1,5 +1,5 @@
-//! Replaced blocks: everything read from them is undone, from where the chains diverge. A block that the node does not
-//! have is not replaced: the node is behind, and is waited for.
+//! Replaced blocks: everything read from them is undone, from where the chains diverge. A block that the node does
+//! not have is not replaced: the node is behind, and is waited for. What is not sure is read again.
 
 use std::time::Duration;
 

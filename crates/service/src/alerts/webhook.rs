@@ -1,4 +1,5 @@
-//! Deliveries over HTTP: JSON with a signature over time and body, or in Alertmanager's format.
+//! Deliveries: over HTTP, as JSON with a signature over time and body or in Alertmanager's format; or by a command of
+//! the operator.
 
 use std::io::Write as _;
 use std::os::unix::process::CommandExt as _;

@@ -1,5 +1,5 @@
-//! The figures of a running site at one moment: what Prometheus reads and what alerts are judged by. Data only, no I/O
-//! except in `http`; the site fills them in.
+//! The figures of a running site at one moment: what Prometheus reads, over HTTP, and what alerts are judged by. The
+//! site fills them in.
 
 pub mod exposition;
 

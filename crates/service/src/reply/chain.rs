@@ -1,4 +1,4 @@
-//! Answers about the chain.
+//! Answers about the chain, checks of records, and publishers.
 
 pub use crate::pipeline::record_audit::{FindingKind, RecordAudit, RecordFinding};
 

@@ -1,4 +1,4 @@
-//! Answers about profiles, their keys, and their transactions.
+//! Answers about profiles, their keys, their transactions, and those they share with.
 
 pub use crate::pipeline::directory::GrantState;
 

@@ -1,5 +1,5 @@
-//! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and continues when
-//! its step is done; its words are in [`text`].
+//! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and continues
+//! when its step is done.
 
 use super::popup::{Lookup, Popup};
 use super::screens::grants::{is_active, is_given};

@@ -1,4 +1,4 @@
-//! Popups over a screen: a frame in its middle, one file per popup.
+//! Popups over a screen: a frame in its middle. The small ones are here, the large ones in a file each.
 
 mod incidents;
 mod record;

@@ -1,4 +1,5 @@
-//! An opened record: its description, and below it one of its faces (values, plot, picture, fields, bytes).
+//! A record: where it comes from, and opened, its description and below it one of its faces (values, plot, picture,
+//! fields, bytes).
 
 use ratatui::layout::Rect;
 

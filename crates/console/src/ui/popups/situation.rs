@@ -1,4 +1,4 @@
-//! The present state: who can read, who publishes a topic, what is running.
+//! The present state: who can read, who publishes a topic, what is running, how a robot is.
 
 use ratatui::layout::Rect;
 

@@ -1,4 +1,5 @@
-//! The site's link to its chain: whether there is a chain and a contract now, the newest head, the watcher's progress.
+//! The site's link to its chain: whether there is a chain and a contract now, the newest head and how fresh it is,
+//! the watcher's progress.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,5 +1,5 @@
-//! What robots need from their owner where the gateway is not this home's: their notices, brought to the gateway where they
-//! ask for them. A function of the ledger: run again, it does what is left.
+//! What robots need from their owner: notices, told by this home's gateway, or brought to another one where they ask
+//! for them. A function of the ledger: run again, it does what is left.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError};

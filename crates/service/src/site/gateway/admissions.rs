@@ -1,4 +1,5 @@
-//! The list of owners who may use the gateway of this home, as its keeper decides; stored in the ledger.
+//! Owners who may use the gateway of this home, as its keeper decides; stored in the ledger, and asked of every
+//! caller.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError, RwLock};

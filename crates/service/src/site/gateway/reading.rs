@@ -1,4 +1,5 @@
-//! Queries of a gateway's callers: what they may read at this moment, pages, checks, one record.
+//! Queries of a gateway's callers: what they may read at this moment, pages, checks, one record, and new ones as they
+//! come.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

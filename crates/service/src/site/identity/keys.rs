@@ -1,4 +1,4 @@
-//! A profile's keys: shown, loaded, exported.
+//! A profile's keys: shown, loaded, exported, and its SM2 pairs replaced.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Profiles of the home: making, opening and showing them.
+//! Profiles of the home: making, opening, locking, registering and showing them; who is open.
 
 mod foreseeing;
 mod keys;

@@ -1,4 +1,5 @@
-//! Reads a gateway's list of an owner's records from where it was read before, and fetches what is missing here.
+//! Reads a gateway's list of an owner's records from where it was read before, or hears of new ones, and fetches what
+//! is missing here.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Ledger rows for viewing: first compared with their records, untrusted text cleaned.
+//! Ledger rows for viewing: first compared with their records, untrusted text cleaned, names learnt for pseudonyms.
 
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError};

@@ -1,4 +1,5 @@
-//! Retention at work: rules applied, deletions written into the audit log, local copies beside a cache deleted.
+//! Retention and erasing at work: rules applied, deletions written into the audit log, local copies beside a cache
+//! deleted.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
