@@ -135,7 +135,7 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
             return Err(failure);
         }
     };
-    let ready = super::systemd::ready();
+    let ready = super::serve::ready();
     let progress = |figures: &AgentFigures| output.result(figures, || text(figures));
     let end = agent.run(super::serve::asked_to_end(), progress).await;
     drop(ready);

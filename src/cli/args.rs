@@ -1,23 +1,20 @@
 //! The command line: every verb and flag, in the same terms as the console.
 
-mod agent;
 mod chain;
-mod gateway;
-mod global;
 mod keys;
 mod records;
 
+pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
+pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
+pub use self::records::{CaptureArguments, ListArguments, SharedVerb, TopicsVerb, UploadsVerb};
+
 use std::ffi::OsString;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum};
 
-pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
-pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
-pub use self::gateway::GatewayVerb;
-pub use self::global::Global;
-pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
-pub use self::records::{CaptureArguments, ListArguments, SharedVerb, TopicsVerb, UploadsVerb};
+use super::logging::LogForm;
 
 /// Share robot data under proof: messages sealed with SM4, signed with SM2, anchored by SM3
 /// digest on a private Ethereum network. Without a command it opens the operator console.
@@ -108,7 +105,7 @@ pub enum Verb {
     Shared(SharedVerb),
     /// Devices that may sign for this profile: lend, recall, topics, addresses, list
     #[command(subcommand)]
-    Devices(super::devices::DevicesVerb),
+    Devices(super::robots::DevicesVerb),
     /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),
@@ -131,7 +128,7 @@ pub enum Verb {
     Retention(super::retention::RetentionVerb),
     /// Alerts: list active ones, send a test
     #[command(subcommand)]
-    Alerts(super::alerts::AlertsVerb),
+    Alerts(super::status::AlertsVerb),
     /// Check everything a home depends on, and say what to fix
     Doctor,
     /// Evidence bundles that can be checked without trusting anyone: export, stamp
@@ -326,6 +323,202 @@ pub struct ConsoleArguments {
     pub read_only: bool,
 }
 
+/// Flags of every command, listed behind a command's own.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Options of every command")]
+pub struct Global {
+    /// Directory of this site, including settings [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
+    #[arg(long, global = true, value_name = "DIR", env = "AUTHROS_HOME")]
+    pub home: Option<PathBuf>,
+    /// Profile (identity on this machine) [default: default]
+    #[arg(long, global = true, value_name = "NAME", env = "AUTHROS_PROFILE")]
+    pub profile: Option<String>,
+    /// Print the result as one JSON document on stdout (streams: one per line)
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Format of lines on stderr
+    #[arg(long, global = true, value_enum, value_name = "FORM", default_value = "text")]
+    pub log: LogForm,
+    /// File with the keyring's passphrase (first line)
+    #[arg(long, global = true, value_name = "FILE", conflicts_with = "passphrase_fd")]
+    pub passphrase_file: Option<PathBuf>,
+    /// File descriptor to read the keyring's passphrase from
+    #[arg(long, global = true, value_name = "N")]
+    pub passphrase_fd: Option<u32>,
+    /// Join somebody else's running site as an operator, at the socket that its owner named in operators.socket
+    #[arg(
+        long,
+        global = true,
+        value_name = "PATH",
+        env = "AUTHROS_SITE_SOCKET",
+        conflicts_with_all = ["passphrase_file", "passphrase_fd"]
+    )]
+    pub site_socket: Option<PathBuf>,
+    /// Real ROS master, such as http://host:11311
+    #[arg(long, global = true, value_name = "URI")]
+    pub ros_master: Option<String>,
+    /// Also capture ROS 2 in this domain [without a number: $ROS_DOMAIN_ID, else 0]
+    #[arg(long, global = true, value_name = "DOMAIN", num_args = 0..=1, require_equals = false, default_missing_value = "")]
+    pub ros2: Option<String>,
+    /// Node of a real chain: http://, https://, ws://, wss:// or IPC path
+    #[arg(long, global = true, value_name = "URL")]
+    pub chain: Option<String>,
+    /// Address of the `AuthROS` contract on that chain
+    #[arg(long, global = true, value_name = "ADDRESS")]
+    pub contract: Option<String>,
+    /// How the embedded chain seals: poa, poa:SIGNERS:PERIOD_MS, pow or pow:DIFFICULTY
+    #[arg(long, global = true, value_name = "NAME")]
+    pub consensus: Option<String>,
+    /// Real Redis, such as redis://host:6379
+    #[arg(long, global = true, value_name = "URL")]
+    pub vault: Option<String>,
+    /// Simulated robots on the embedded master, 0 to 32
+    #[arg(long, global = true, value_name = "N")]
+    pub robots: Option<String>,
+    /// What they are: own (nodes of this process) or rosrust (each a process of the program authros-rosrust)
+    #[arg(long, global = true, value_name = "NAME")]
+    pub robots_by: Option<String>,
+    /// Number of blocks until an anchor counts as confirmed
+    #[arg(long, global = true, value_name = "N")]
+    pub confirmations: Option<String>,
+    /// authros (its own kernels), rustcrypto or libsm
+    #[arg(long, global = true, value_name = "NAME")]
+    pub crypto_provider: Option<String>,
+    /// Join a remote site through its gateway, which supplies records and chain; further addresses of the same gateway
+    /// may follow, each after another --site
+    #[arg(long, global = true, value_name = "HOST:PORT")]
+    pub site: Vec<String>,
+    /// That gateway's identity key, 64 hex digits, from its operator (not the eight-group fingerprint printed beside
+    /// it)
+    #[arg(long, global = true, value_name = "KEY", conflicts_with = "trust_first")]
+    pub gateway_key: Option<String>,
+    /// Pin the first gateway that answers
+    #[arg(long, global = true)]
+    pub trust_first: bool,
+    /// batch (Merkle roots) or each (one transaction per record)
+    #[arg(long, global = true, value_name = "MODE")]
+    pub anchor_mode: Option<String>,
+}
+
+impl Global {
+    /// The flag's value for a setting.
+    pub fn setting(&self, name: &str) -> Option<String> {
+        match name {
+            "ros.master" => self.ros_master.clone(),
+            "ros.domain" => self.ros2.clone().map(domain),
+            "chain.url" => self.chain.clone(),
+            "chain.contract" => self.contract.clone(),
+            "chain.consensus" => self.consensus.clone(),
+            "vault.url" => self.vault.clone(),
+            "robots" => self.robots.clone(),
+            "ros.robots_by" => self.robots_by.clone(),
+            "confirmations" => self.confirmations.clone(),
+            "crypto.provider" => self.crypto_provider.clone(),
+            "anchor.mode" => self.anchor_mode.clone(),
+            "site.address" => (!self.site.is_empty()).then(|| self.site.join(",")),
+            "site.gateway_key" => self.gateway_key.clone(),
+            "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
+            _ => None,
+        }
+    }
+}
+
+/// The domain that a flag without a number means.
+fn domain(written: String) -> String {
+    let of_environment = || std::env::var("ROS_DOMAIN_ID").ok().filter(|value| !value.is_empty());
+    Some(written).filter(|written| !written.is_empty()).or_else(of_environment).unwrap_or_else(|| "0".to_owned())
+}
+
+/// `agent …`
+#[derive(Debug, Subcommand)]
+pub enum AgentVerb {
+    /// Enrol a robot as a device of this profile at a gateway; writes the robot's enrolment file
+    Enrol(EnrolArguments),
+    /// Capture on a robot and forward everything to its gateway, without a chain
+    Run(RunArguments),
+}
+
+/// `agent enrol …`
+#[derive(Debug, Args)]
+#[command(group(clap::ArgGroup::new("trust").required(true)))]
+pub struct EnrolArguments {
+    /// The gateway; repeat it for further addresses of the same gateway: the robot uses the first that answers
+    #[arg(long = "gateway", value_name = "HOST:PORT", required = true)]
+    pub addresses: Vec<String>,
+    /// The gateway's fingerprint (64 hex), as its operator shows it
+    #[arg(long, value_name = "FINGERPRINT", group = "trust")]
+    pub gateway_key: Option<String>,
+    /// Pin whatever gateway answers; compare the fingerprint afterwards
+    #[arg(long, group = "trust")]
+    pub trust_first: bool,
+    /// Name of the robot at the gateway
+    #[arg(long, value_name = "NAME")]
+    pub name: String,
+    /// Topic the robot may record; repeatable
+    #[arg(long = "topic", value_name = "TOPIC", conflicts_with = "all_topics")]
+    pub topics: Vec<String>,
+    /// Let it record every topic: it then holds the epoch's key and the index key, which a thief would get too
+    #[arg(long)]
+    pub all_topics: bool,
+    /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+    #[arg(long, value_name = "TIME")]
+    pub until: Option<String>,
+    /// Enrolment file to write; must not exist
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// File with the passphrase for the enrolment file [default: a random passphrase, written to FILE.passphrase]
+    #[arg(long, value_name = "FILE")]
+    pub robot_passphrase_file: Option<PathBuf>,
+}
+
+/// `agent run …`
+#[derive(Debug, Args)]
+pub struct RunArguments {
+    /// The enrolment file
+    #[arg(value_name = "ENROLMENT")]
+    pub enrolment: PathBuf,
+    /// Topic to capture; repeatable [default: those the enrolment is limited to]
+    #[arg(long = "topic", value_name = "TOPIC")]
+    pub topics: Vec<String>,
+    /// Tag for every record, such as mission=harbour; repeatable
+    #[arg(long = "tag", value_name = "KEY=VALUE")]
+    pub tags: Vec<String>,
+    /// Stop after this many messages per topic
+    #[arg(long, value_name = "N")]
+    pub count: Option<u64>,
+    /// Stop after capturing for this long
+    #[arg(long, value_name = "S", conflicts_with = "count")]
+    pub seconds: Option<u64>,
+}
+
+/// `gateway …`
+#[derive(Debug, Subcommand)]
+pub enum GatewayVerb {
+    /// Show this home's gateway: connections, system keys, refusals
+    Status,
+    /// Accept sealed records from robots, anchor them with this profile's account, answer operators' queries
+    Serve {
+        /// Address and port; port 0 = any free port
+        #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7420")]
+        listen: SocketAddr,
+        /// Also accept owners who are not admitted, each within the quotas in the settings
+        #[arg(long)]
+        open: bool,
+    },
+    /// Admit an owner to this home's gateway: it can register names, send records and read what is granted to it
+    Admit {
+        /// Account (0x and 40 hex digits), or a contact
+        owner: String,
+    },
+    /// Revoke an owner's admission; what it sent is kept
+    Dismiss {
+        /// Account (0x and 40 hex digits), or a contact
+        owner: String,
+    },
+    /// List who may use the gateway besides this home's own profiles
+    Admitted,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -459,5 +652,26 @@ mod tests {
     fn one_key_at_a_time() {
         assert!(Arguments::try_parse_from(["authros", "keys", "load"]).is_err());
         assert!(Arguments::try_parse_from(["authros", "keys", "load", "--sm4", "a", "--eoa", "b"]).is_err());
+    }
+}
+
+#[cfg(test)]
+mod global_tests {
+    use crate::cli::args::Arguments;
+    use clap::Parser;
+
+    fn domain(arguments: &[&str]) -> Option<String> {
+        let read = Arguments::try_parse_from(["authros"].iter().chain(arguments)).expect("arguments");
+        read.global.setting("ros.domain")
+    }
+
+    #[test]
+    fn the_domain_may_be_left_out_and_takes_no_command_for_a_number() {
+        assert_eq!(domain(&["--ros2", "7"]).as_deref(), Some("7"));
+        assert_eq!(domain(&["topics", "list", "--ros2", "7"]).as_deref(), Some("7"));
+        assert_eq!(domain(&["topics", "list"]), None);
+        for without in [&["--ros2"][..], &["--ros2", "topics", "list"], &["doctor", "--ros2"]] {
+            assert!(domain(without).is_some_and(|domain| domain.parse::<u16>().is_ok()), "{without:?}");
+        }
     }
 }

@@ -1,20 +1,30 @@
-//! Scheduled backups: a new file in a folder, removing the oldest of its kind; and the drill that shows one of them can
-//! be restored.
+//! Scheduled backups: a new file in a folder, removing the oldest of its kind; and the drill that shows one of them
+//! can be restored. A console that is left running hands its home over to `authros serve`.
 
+use std::ffi::OsString;
+use std::io::Write as _;
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
+use authros_output::Output;
+use clap::ValueEnum as _;
+
+use super::args::Global;
 use super::audit::AuditArguments;
 use super::check::{absolute, backed_up, backup_passphrase};
 use super::connect::{Connection, Context};
-use super::plans;
+use super::serve::OWN_PROGRAM;
 use super::verbs::{self, NEITHER};
+use super::{passphrase, plans};
 use crate::crypto::unfinished::{self, UnfinishedFolder};
-use crate::model::{ErrorKind, Timestamp};
+use crate::crypto::{Passphrase, UnlockedKeyring};
+use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::paths::Home;
 use crate::service::command::BackUp;
 use crate::service::failure::input;
-use crate::service::{Failure, restoring};
-use authros_output::Output;
+use crate::service::{Failure, SecretText, restoring};
+use crate::term::ask;
 
 /// Prefix and suffix of these files' names; the time they were written is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
@@ -106,6 +116,135 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     code
 }
 
+/// How often a passphrase is asked for.
+const ATTEMPTS: usize = 3;
+
+/// What the successor of a console needs to know.
+pub struct Successor {
+    global: Global,
+    home: Home,
+    profile: ProfileName,
+}
+
+impl Successor {
+    /// Of a console that begins with these settings.
+    pub fn of(context: &Context) -> Self {
+        Self { global: context.global.clone(), home: context.home.clone(), profile: context.profile.clone() }
+    }
+
+    /// The passphrase, which opens the keyring.
+    ///
+    /// # Errors
+    /// If none is given that does.
+    pub fn passphrase(&self) -> Result<SecretText, Failure> {
+        let keyring = self.home.keyring(&self.profile);
+        // A descriptor was read at the start.
+        let global = Global { passphrase_fd: None, ..self.global.clone() };
+        if let Ok(Some(given)) = passphrase::given(&global, &self.home, &self.profile)
+            && opens(&keyring, &given).is_ok()
+        {
+            return Ok(given);
+        }
+        let mut refusal = None;
+        for _ in 0..ATTEMPTS {
+            let again = refusal.as_ref().map_or("", |_| "That one does not open it. ");
+            let question = format!("{again}Passphrase of profile '{}'", self.profile);
+            let typed = ask::secret(&question).ok().flatten().ok_or_else(none_given)?;
+            let typed = SecretText::new(typed.to_string());
+            match opens(&keyring, &typed) {
+                Ok(()) => return Ok(typed),
+                Err(failure) => refusal = Some(failure),
+            }
+        }
+        Err(refusal.unwrap_or_else(none_given))
+    }
+
+    /// Becomes the successor; returns only if that fails. The site must have been stopped.
+    pub fn become_it(&self, secret: &SecretText) -> Failure {
+        let failed = |error: std::io::Error| {
+            let text = format!("nothing was left running: {error}; capture has stopped, start it with `authros serve`");
+            Failure::new(ErrorKind::Internal, text)
+        };
+        let (reader, mut writer) = match std::io::pipe() {
+            Ok(ends) => ends,
+            Err(error) => return failed(error),
+        };
+        // At most 4 KiB, which a pipe holds; what is written stays readable for the program that follows.
+        if let Err(error) = writer.write_all(secret.expose().as_bytes()).and_then(|()| writer.write_all(b"\n")) {
+            return failed(error);
+        }
+        drop(writer);
+        let mut command = Command::new(OWN_PROGRAM);
+        command.arg0("authros").arg("serve").args(words(&self.global, &self.home, &self.profile));
+        failed(command.args(["--detach", "--passphrase-fd", "0"]).stdin(Stdio::from(reader)).exec())
+    }
+}
+
+/// What to say when the passphrase was not given after all: the console was told to leave.
+fn none_given() -> Failure {
+    let text =
+        "no passphrase was given, so nothing is left running; capture has stopped, start it with `authros serve`";
+    Failure::new(ErrorKind::Refused, text)
+}
+
+fn opens(keyring: &Path, secret: &SecretText) -> Result<(), Failure> {
+    let passphrase = Passphrase::new(secret.expose().to_owned())?;
+    UnlockedKeyring::open(keyring, &passphrase)?;
+    Ok(())
+}
+
+/// The flags of the console as those of its successor. Each has its place here, so that one that is forgotten does not
+/// compile; those of a passphrase and of an operator, who leaves no site, are not passed on.
+fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
+    let Global {
+        home: _,
+        profile: _,
+        json,
+        log,
+        passphrase_file: _,
+        passphrase_fd: _,
+        site_socket: _,
+        ros_master,
+        ros2,
+        chain,
+        contract,
+        consensus,
+        vault,
+        robots,
+        robots_by,
+        confirmations,
+        crypto_provider,
+        site,
+        gateway_key,
+        trust_first,
+        anchor_mode,
+    } = global;
+    let log = log.to_possible_value().map(|value| value.get_name().to_owned());
+    let mut words: Vec<OsString> = vec!["--home".into(), home.root().into(), format!("--profile={profile}").into()];
+    words.extend(json.then(|| OsString::from("--json")));
+    words.extend(trust_first.then(|| OsString::from("--trust-first")));
+    let valued = [
+        ("--log", &log),
+        ("--ros-master", ros_master),
+        ("--ros2", ros2),
+        ("--chain", chain),
+        ("--contract", contract),
+        ("--consensus", consensus),
+        ("--vault", vault),
+        ("--robots", robots),
+        ("--robots-by", robots_by),
+        ("--confirmations", confirmations),
+        ("--crypto-provider", crypto_provider),
+        ("--gateway-key", gateway_key),
+        ("--anchor-mode", anchor_mode),
+    ];
+    for (flag, value) in valued {
+        words.extend(value.as_ref().map(|value| OsString::from(format!("{flag}={value}"))));
+    }
+    words.extend(site.iter().map(|value| OsString::from(format!("--site={value}"))));
+    words
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -138,5 +277,48 @@ mod tests {
         assert_eq!(remove_old(folder.path(), 2).expect("removed"), [all[0]]);
         assert!(all[1..].iter().all(|name| folder.path().join(name).exists()));
         assert_eq!(remove_old(folder.path(), 2).expect("looked"), Vec::<String>::new());
+    }
+}
+
+#[cfg(test)]
+mod handover_tests {
+    use super::*;
+    use crate::cli::args::Arguments;
+    use clap::Parser;
+
+    #[test]
+    fn the_successor_has_the_settings_of_the_console_and_no_passphrase() {
+        let given = [
+            "authros",
+            "--robots",
+            "1",
+            "--ros2",
+            "7",
+            "--chain",
+            "http://node:8545",
+            "--confirmations",
+            "3",
+            "--vault",
+            "redis://host:6379",
+            "--site",
+            "a:1",
+            "--site",
+            "b:2",
+            "--passphrase-file",
+            "/secret/place",
+        ];
+        let console = Arguments::try_parse_from(given).expect("arguments").global;
+        let home = Home::new("/srv/a home".into());
+        let words = words(&console, &home, &"bob".parse().expect("a name"));
+        assert!(words.iter().all(|word| !word.to_string_lossy().contains("secret")), "{words:?}");
+        let line = ["authros".into(), "serve".into()].into_iter().chain(words).chain(["--detach".into()]);
+        let serve = Arguments::try_parse_from(line).expect("it parses").global;
+        for setting in
+            ["robots", "ros.domain", "chain.url", "confirmations", "vault.url", "site.address", "anchor.mode"]
+        {
+            assert_eq!(serve.setting(setting), console.setting(setting), "{setting}");
+        }
+        assert_eq!(serve.home.as_deref(), Some(Path::new("/srv/a home")));
+        assert_eq!(serve.profile.as_deref(), Some("bob"));
     }
 }

@@ -6,7 +6,7 @@ use super::args::Global;
 use super::connect::{Connection, Context};
 use super::show::{Printed as _, Question};
 use super::verbs::NEITHER;
-use super::{parse, passphrase, progress};
+use super::{parse, passphrase, printed};
 use crate::model::ErrorKind;
 use crate::service::command::{BackUp, ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
@@ -173,7 +173,7 @@ pub async fn run_backup(context: Context, file: &Path, output: &Output) -> Resul
     let passphrase = backup_passphrase(&context.global)?;
     let file = absolute(file)?;
     let Connection { client, site } = context.connect(NEITHER).await?;
-    let answer = progress::told(&client, client.ask(BackUp { file, passphrase }), output).await;
+    let answer = printed::told(&client, client.ask(BackUp { file, passphrase }), output).await;
     Connection { client, site }.close().await;
     answer?.print(None, output)
 }

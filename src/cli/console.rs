@@ -1,17 +1,19 @@
-//! `authros`: the console on this home's site, embedded or joined.
+//! `authros`: the console on this home's site, embedded or joined; and the tour, on a home of its own.
 
 use std::sync::{Arc, OnceLock};
 
+use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, mpsc};
 
-use super::args::ConsoleArguments;
+use super::args::{ConsoleArguments, TourArguments};
+use super::backups::Successor;
 use super::connect::{Connection, Context};
-use super::handover::Successor;
-use super::{looks, passphrase, tour};
+use super::{demo, passphrase, printed};
 use crate::app::tour::Cast;
-use crate::model::{ErrorKind, ProfileName, Timestamp};
+use crate::crypto::Passphrase;
+use crate::model::{ContactName, ErrorKind, ProfileName, Timestamp};
 use crate::service::client::site_gone;
-use crate::service::command::Unlock;
+use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
 use crate::service::event::NoticeLevel;
 use crate::service::{Call, Client, Event, Failure, Needs, Site};
 use crate::term::{self, ConsoleOptions, ExitReason};
@@ -33,7 +35,7 @@ pub fn run(
         ));
     }
     let leaves_site = tour.is_none() && context.operator.is_none();
-    let options = ConsoleOptions { tour, leaves_site, ..looks::options(&context, arguments)? };
+    let options = ConsoleOptions { tour, leaves_site, ..printed::options(&context, arguments)? };
     let successor = Successor::of(&context);
     let reader = options.tour.as_ref().map(|cast| cast.reader.clone());
     let (events, _) = broadcast::channel(1024);
@@ -86,7 +88,7 @@ async fn serve(
 
 /// The reader of the tour; if there is none, that is said on screen.
 async fn prepare(client: Client, reader: ProfileName, events: broadcast::Sender<Event>) {
-    if let Err(failure) = tour::prepare(&client, reader).await {
+    if let Err(failure) = prepare_tour(&client, reader).await {
         let text = format!("the tour has no one to share with: {}", failure.message);
         drop(events.send(Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }));
     }
@@ -133,4 +135,50 @@ async fn unlock(context: Context, client: Client) {
         // A failure shows as a locked keyring, and the console asks.
         drop(client.ask(Unlock { passphrase }).await);
     }
+}
+
+/// The robots' owner in the paper.
+const OWNER: &str = "cura-a";
+/// The reader.
+const READER: &str = "cura-b";
+
+/// Runs the console with the tour.
+///
+/// # Errors
+/// Without a terminal or robots, or if no temporary home can be created.
+pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArguments) -> Result<u8, Failure> {
+    if context.global.home.is_some() {
+        let text = "the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME";
+        return Err(Failure::new(ErrorKind::Usage, text));
+    }
+    if context.config.robots == 0 {
+        return Err(Failure::new(
+            ErrorKind::Usage,
+            "the tour needs robots; use --robots 1 to 32 and no real ROS master",
+        ));
+    }
+    let temporary = demo::temporary_home(&mut context, "authros-tour-")?;
+    context.profile = super::parse::value(OWNER)?;
+    let cast = Cast { owner: context.profile.clone(), reader: super::parse::value(READER)? };
+    let TourArguments { theme, ascii } = arguments;
+    let console = ConsoleArguments { theme, ascii, ..ConsoleArguments::default() };
+    let ended = run_tour(runtime, context, console, Some(cast));
+    drop(temporary);
+    ended
+}
+
+/// Creates the reader, registers it on the chain and adds it to the address book.
+///
+/// # Errors
+/// Errors of the site.
+pub async fn prepare_tour(client: &Client, reader: ProfileName) -> Result<(), Failure> {
+    let name: ContactName = super::parse::value(reader.as_str())?;
+    let of_reader = client.for_profile(reader);
+    let passphrase = SecretText::new(Passphrase::random()?.expose().to_owned());
+    let made = of_reader.ask(CreateIdentity { passphrase }).await?;
+    of_reader.ask(Register).await?;
+    if let Some(address) = made.address {
+        client.ask(AddContact { name, address, fingerprint: None }).await?;
+    }
+    Ok(())
 }

@@ -2,24 +2,33 @@
 //! and pictures; CURA A shares them with CURA B, a stranger and a forger are refused, B is
 //! revoked. Every figure is counted, none is assumed; `ok` says that all of them are right.
 
-mod listener;
-mod locks;
 mod mission;
-#[cfg(test)]
-mod secrets;
-#[cfg(test)]
-mod tests;
 
+use std::collections::HashSet;
+use std::path::Path;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use authros_output::Output;
 use serde::Serialize;
 
 use self::mission::Mission;
 use super::args::DemoArguments;
 use super::connect::Context;
 use crate::config::Config;
-use crate::model::ErrorKind;
+use crate::crypto::sm3::sm3;
+use crate::crypto::{
+    Anchor, CryptoError, Expected, Names, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
+};
+use crate::model::head::Compression;
+use crate::model::{Digest, ErrorKind, Head, Signature};
 use crate::paths::Home;
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{Network, Owner, Plant};
+use crate::ros::ros2::Ros2Capture;
+use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink};
 use crate::service::Failure;
-use authros_output::Output;
+use crate::store::RecordRow;
 
 /// Robots of ROS 2, unless `--robots` says otherwise.
 const USUAL_ROBOTS: u16 = 4;
@@ -145,3 +154,216 @@ fn text(story: &Story) -> String {
     ]
     .join("\n")
 }
+
+/// How long the listener may take to receive from a robot, or lag behind the product.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+#[derive(Default)]
+struct Hashes {
+    seen: Mutex<HashSet<[u8; 32]>>,
+    heard: Mutex<HashSet<Arc<str>>>,
+    more: Condvar,
+}
+
+impl MessageSink for Hashes {
+    fn accept(&self, message: Message) {
+        self.heard.lock().unwrap_or_else(PoisonError::into_inner).insert(Arc::clone(&message.topic));
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).insert(sm3(&[&message.body]));
+        self.more.notify_all();
+    }
+
+    fn notice(&self, _: CaptureNotice) {}
+}
+
+/// Keeps listening until it is dropped.
+enum Ear {
+    One(#[expect(dead_code, reason = "ends with it")] Capture),
+    Two(#[expect(dead_code, reason = "ends with it")] Ros2Capture),
+}
+
+/// Watches picture topics beside the product.
+pub struct Listener {
+    hashes: Arc<Hashes>,
+    topics: Vec<String>,
+    _ear: Ear,
+}
+
+impl Listener {
+    /// Begins to watch `topics`.
+    ///
+    /// # Errors
+    /// If no node can be started.
+    pub fn start(master_uri: &str, topics: &[String]) -> Result<Self, Failure> {
+        let hashes = Arc::new(Hashes::default());
+        let options = CaptureOptions {
+            master_uri: master_uri.to_owned(),
+            own_host: None,
+            node_name: "/authros_listener".to_owned(),
+        };
+        let capture = Capture::start(options, hashes.clone())?;
+        for topic in topics.iter().filter_map(|topic| topic.parse().ok()) {
+            capture.watch(topic, None);
+        }
+        Ok(Self { hashes, topics: topics.to_vec(), _ear: Ear::One(capture) })
+    }
+
+    /// The same in a ROS 2 domain, by a program of its own.
+    ///
+    /// # Errors
+    /// If that program is missing.
+    pub fn start_in(domain: u16, program: Option<&Path>, topics: &[String]) -> Result<Self, Failure> {
+        let hashes = Arc::new(Hashes::default());
+        let capture = Ros2Capture::start(domain, program, hashes.clone())?;
+        for topic in topics.iter().filter_map(|topic| topic.parse().ok()) {
+            capture.watch(&topic);
+        }
+        Ok(Self { hashes, topics: topics.to_vec(), _ear: Ear::Two(capture) })
+    }
+
+    /// Waits until something was received on every topic, so that nothing captured from now on is missed.
+    pub fn listen(&self) {
+        let end = Instant::now() + PATIENCE;
+        let heard =
+            |topic: &String| self.hashes.heard.lock().unwrap_or_else(PoisonError::into_inner).contains(topic.as_str());
+        let deaf = || !self.topics.iter().all(heard);
+        while deaf() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Whether a robot sent exactly this message; one not received yet is waited for.
+    pub fn saw(&self, body: &[u8]) -> bool {
+        let (digest, end) = (sm3(&[body]), Instant::now() + PATIENCE);
+        let mut seen = self.hashes.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        while !seen.contains(&digest) {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return false;
+            }
+            seen = self.hashes.more.wait_timeout(seen, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        true
+    }
+}
+
+/// A genuine record with everything that opens it.
+pub struct Genuine {
+    row: RecordRow,
+    blob: Vec<u8>,
+    key: TopicKey,
+    pair: SmKeyPair,
+    expected: Expected,
+}
+
+impl Genuine {
+    /// Takes a record of `owner` from the vault.
+    ///
+    /// # Errors
+    /// If it is not there.
+    pub fn take(plant: &Plant, network: &Network, owner: &Owner, row: RecordRow) -> Result<Self, Failure> {
+        let missing = || crate::pipeline::PipelineError::Missing(row.id.clone());
+        let blob = plant.vault.get(row.digest)?.ok_or_else(missing)?;
+        let key = Reader { plant, network, reader: owner }.topic_key(&row)?;
+        let expected = Expected::any_of(network.domain, owner.address, Names::Derived(owner.index()));
+        Ok(Self { blob, key, pair: owner.signing(), expected, row })
+    }
+
+    fn open(
+        &self,
+        provider: &dyn Provider,
+        blob: &[u8],
+        signature: &Signature,
+        anchor: Anchor,
+    ) -> Result<(), CryptoError> {
+        open(provider, blob, signature, &self.pair.public, anchor, &self.key, &self.expected).map(drop)
+    }
+
+    /// A bit of the body flipped, then signed again by the owner and anchored: only the tag can tell.
+    fn resigned(&self, provider: &dyn Provider) -> Result<(Vec<u8>, Signature, Digest), Failure> {
+        let mut blob = self.blob.clone();
+        if let Some(byte) = blob.last_mut() {
+            *byte ^= 1;
+        }
+        let digest = Digest(provider.sm3(&[&blob]));
+        let signature = provider.sign(&self.pair.secret, &record::signed_bytes(&self.expected.domain, &digest))?;
+        Ok((blob, signature, digest))
+    }
+}
+
+/// Names of the checks that let their forgery pass; empty = all checks work.
+///
+/// # Errors
+/// If a forgery cannot even be made.
+pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result<Vec<&'static str>, Failure> {
+    let mut broken = Vec::new();
+    // Another genuine record in its place: only the comparison with the chain can tell.
+    if one.open(provider, &other.blob, &other.row.signature, Anchor::Chain(one.row.digest)).is_ok() {
+        broken.push("digest");
+    }
+    let stranger = SmKeyPair::generate(provider)?;
+    let forged = provider.sign(&stranger.secret, &record::signed_bytes(&one.expected.domain, &one.row.digest))?;
+    if one.open(provider, &one.blob, &forged, Anchor::Chain(one.row.digest)).is_ok() {
+        broken.push("signature");
+    }
+    let wrong = TopicKey::generate()?;
+    let opened = open(
+        provider,
+        &one.blob,
+        &one.row.signature,
+        &one.pair.public,
+        Anchor::Chain(one.row.digest),
+        &wrong,
+        &one.expected,
+    );
+    if !matches!(opened, Err(CryptoError::WrongKey)) {
+        broken.push("commit");
+    }
+    let (blob, signature, digest) = one.resigned(provider)?;
+    if one.open(provider, &blob, &signature, Anchor::Chain(digest)).is_ok() {
+        broken.push("tag");
+    }
+    Ok(broken)
+}
+
+/// A record sealed and signed by the owner that was never anchored, as a row that claims it was.
+///
+/// # Errors
+/// If it cannot be sealed.
+pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8>), Failure> {
+    let (header, _) =
+        crate::model::Header::parse(&one.blob).map_err(|error| crate::service::failure::internal(error.to_string()))?;
+    let opened = open(
+        plant.provider,
+        &one.blob,
+        &one.row.signature,
+        &one.pair.public,
+        Anchor::Unanchored,
+        &one.key,
+        &one.expected,
+    )?;
+    let head = Head { compression: Compression::None, ..opened.head.clone() };
+    let request = SealRequest {
+        domain: header.domain,
+        owner: header.owner,
+        signer: &one.pair,
+        epoch: header.epoch,
+        topic_key: &one.key,
+        recorder: header.recorder.prefix(),
+        seq: header.seq,
+        topic_id: header.topic_id,
+        kind: header.kind,
+        filters: header.filters,
+        captured_at: header.captured_at,
+        head: &head,
+        body: &opened.body,
+    };
+    let sealed = seal(plant.provider, &request)?;
+    let row = RecordRow { digest: sealed.digest, signature: sealed.signature, ..one.row.clone() };
+    Ok((row, sealed.blob))
+}
+
+#[cfg(test)]
+mod secrets;
+
+#[cfg(test)]
+mod tests;

@@ -6,10 +6,9 @@ use std::net::SocketAddr;
 
 use super::args::GatewayVerb;
 use super::connect::{Connection, Context, ProfileNeed};
-use super::parse;
-use super::serve as site;
 use super::show::Question;
 use super::verbs::{NEITHER, Plan};
+use super::{parse, serve as site};
 use crate::model::clean;
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
@@ -65,7 +64,7 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
             view.address, view.gateway, view.fingerprint, view.account
         )
     });
-    let _ready = super::systemd::ready();
+    let _ready = super::serve::ready();
     let ended = tokio::select! {
         () = site::follow(events, output, end) => Ok(0),
         failure = super::chain::lost(&connection.client) => Err(failure),

@@ -4,7 +4,6 @@
 //! here does work of its own except the demo's story.
 
 mod agent;
-mod alerts;
 pub mod args;
 mod audit;
 mod backups;
@@ -16,26 +15,20 @@ mod connect;
 mod console;
 mod coverage;
 mod demo;
-mod detach;
-mod devices;
 mod evidence;
 mod follow;
 mod following;
 mod gateway;
-mod handover;
 mod incidents;
 mod lists;
 mod logging;
-mod looks;
 mod memory;
 mod parse;
 mod parties;
 mod passphrase;
 mod plans;
 mod playing;
-mod policy;
 mod printed;
-mod progress;
 mod quarantine;
 mod reading;
 mod recorded;
@@ -45,11 +38,8 @@ mod robots;
 mod serve;
 mod show;
 mod status;
-mod systemd;
-mod tour;
 mod twins;
 mod verbs;
-mod viewing;
 
 use std::process::ExitCode;
 
@@ -111,7 +101,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
     let global = arguments.global;
     match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
         Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console, None),
-        Verb::Tour(arguments) => tour::run(runtime, Context::new(global, output)?, arguments),
+        Verb::Tour(arguments) => console::run_tour(runtime, Context::new(global, output)?, arguments),
         Verb::Completions { shell } => {
             output.raw(&printed::completions(shell));
             Ok(0)
@@ -175,9 +165,9 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::None, parties::contacts(verb)?)))
         }
         Verb::Devices(verb) => {
-            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, devices::question(&verb)?)))
+            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, robots::question(&verb)?)))
         }
-        Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(alerts::plan(&verb))),
+        Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(status::plan(&verb))),
         Verb::Robots(verb) => asked(runtime, global, output, |_| robots::plan(verb)),
         Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
         Verb::Retention(verb) => runtime.block_on(retention::run(Context::new(global, output)?, verb, output)),

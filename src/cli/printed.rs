@@ -1,17 +1,27 @@
-//! What is printed and needs no home: defaults as templates, completions, the manual page.
+//! What is printed and needs no home: defaults as templates, completions, the manual page; the looks of the console,
+//! and the progress of long work.
 
 use std::fmt::Write as _;
+use std::future::Future;
+use std::path::Path;
+use std::time::Duration;
 
+use authros_output::Output;
 use clap::CommandFactory;
 
-use super::args::{Arguments, PrintArguments};
-use super::complete;
+use super::args::{Arguments, ConsoleArguments, PrintArguments};
+use super::connect::Context;
 use super::twins::{TWINS, Twin};
-use crate::app::keymap;
+use super::{complete, passphrase};
+use crate::app::progress::Progress;
+use crate::app::{Keymap, keymap};
 use crate::config::DEFINITIONS;
-use crate::model::{ErrorKind, clean};
-use crate::service::Failure;
-use crate::ui::theme;
+use crate::model::{ErrorKind, Timestamp, clean};
+use crate::paths::Home;
+use crate::service::command::{Command, RecordingProgress, StoreCommand};
+use crate::service::{Client, Failure};
+use crate::term::ConsoleOptions;
+use crate::ui::{Themes, theme};
 
 /// The defaults requested; `None` if something is to be done instead.
 ///
@@ -118,6 +128,119 @@ fn roff(text: &str) -> String {
     if text.starts_with(['.', '\'']) { format!("\\&{text}") } else { text }
 }
 
+/// The longest file read, bytes.
+const LONGEST: u64 = 256 * 1024;
+
+/// The result of flags, settings and files.
+///
+/// # Errors
+/// If a file is wrong, with file and line.
+pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<ConsoleOptions, Failure> {
+    let settings = &context.config.console;
+    let options = ConsoleOptions {
+        theme: arguments.theme.or_else(|| settings.theme.clone()),
+        themes: themes(&context.home)?,
+        keymap: keymap(&context.home)?,
+        ascii: arguments.ascii
+            || settings.ascii.unwrap_or_else(|| !locale_has_unicode(|name| std::env::var(name).ok())),
+        mouse: settings.mouse,
+        operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
+        read_only: arguments.read_only,
+        bytes_per_second: settings.bytes_per_second,
+        kept: context.home.console(&context.profile),
+        pictures: settings.pictures,
+        // The keyring is the owner's to lock and to unlock.
+        lock_after: settings.lock_after.filter(|_| context.operator.is_none()),
+        profiles: if context.operator.is_some() { Vec::new() } else { context.home.profiles() },
+        tour: None,
+        leaves_site: false,
+        asks_passphrase: context.operator.is_none()
+            && !passphrase::is_given(&context.global, &context.home, &context.profile),
+    };
+    if let Some(name) = &options.theme {
+        options.themes.named(name).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+    }
+    Ok(options)
+}
+
+fn keymap(home: &Home) -> Result<Keymap, Failure> {
+    let path = home.keymap();
+    let Some(text) = read(&path)? else { return Ok(Keymap::default()) };
+    Keymap::with_file(&path.display().to_string(), &text)
+        .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
+}
+
+fn themes(home: &Home) -> Result<Themes, Failure> {
+    let entries = std::fs::read_dir(home.themes()).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut paths: Vec<_> = entries.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
+    paths.sort();
+    let mut files = Vec::new();
+    for path in paths {
+        files.extend(read(&path)?.map(|text| (path.display().to_string(), text)));
+    }
+    Themes::with_files(&files).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
+}
+
+/// A file of the operator's; `None` if there is none.
+fn read(path: &Path) -> Result<Option<String>, Failure> {
+    let wrong = |what: String| Failure::new(ErrorKind::Input, format!("{}: {what}", path.display()));
+    match std::fs::metadata(path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(wrong(error.to_string())),
+        Ok(about) if about.len() > LONGEST => return Err(wrong(format!("longer than {LONGEST} bytes"))),
+        Ok(_) => {}
+    }
+    std::fs::read_to_string(path).map(Some).map_err(|error| wrong(error.to_string()))
+}
+
+/// Whether the locale allows more than ASCII; if it does not say, terminals nowadays do.
+fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
+    let set = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().filter_map(variable).find(|value| !value.is_empty());
+    set.is_none_or(|value| {
+        let value = value.to_ascii_lowercase();
+        value.contains("utf-8") || value.contains("utf8")
+    })
+}
+
+/// Between two looks.
+pub const LOOK: Duration = Duration::from_secs(3);
+
+/// Tells what is new of what runs.
+#[derive(Debug, Default)]
+pub struct Teller {
+    progress: Progress,
+    told: Vec<String>,
+}
+
+impl Teller {
+    /// Asks the site, and writes the lines that are not what was written last.
+    pub async fn tell(&mut self, client: &Client, output: &Output) {
+        let Ok(runs) = client.ask(RecordingProgress).await else { return };
+        let now = Timestamp::now();
+        self.progress.set(runs, now);
+        let lines = self.progress.lines(now);
+        lines.iter().filter(|line| !self.told.contains(line)).for_each(|line| output.note(line));
+        self.told = lines;
+    }
+}
+
+/// Whether a request may take so long that it is told how far it is.
+pub fn takes_long(command: &Command) -> bool {
+    matches!(command, Command::OfStore(StoreCommand::AuditRecords { .. }))
+}
+
+/// Waits for `work`, and tells meanwhile how far it is.
+pub async fn told<T>(client: &Client, work: impl Future<Output = T>, output: &Output) -> T {
+    tokio::pin!(work);
+    let mut teller = Teller::default();
+    loop {
+        tokio::select! {
+            done = &mut work => return done,
+            () = tokio::time::sleep(LOOK) => teller.tell(client, output).await,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -153,5 +276,21 @@ mod tests {
         for verb in Arguments::command().get_subcommands().filter(|verb| !verb.is_hide_set()) {
             assert!(manual.contains(&format!("AUTHROS {}", verb.get_name().to_uppercase())), "{}", verb.get_name());
         }
+    }
+}
+
+#[cfg(test)]
+mod looks_tests {
+    use super::*;
+
+    #[test]
+    fn the_first_locale_variable_that_is_set_decides() {
+        let with = |pairs: &'static [(&str, &str)]| {
+            locale_has_unicode(|name| {
+                pairs.iter().find(|(known, _)| *known == name).map(|(_, value)| (*value).to_owned())
+            })
+        };
+        assert!(with(&[]) && with(&[("LANG", "de_DE.UTF-8")]) && with(&[("LC_ALL", ""), ("LANG", "C.utf8")]));
+        assert!(!with(&[("LANG", "C")]) && !with(&[("LC_ALL", "POSIX"), ("LANG", "C.UTF-8")]));
     }
 }

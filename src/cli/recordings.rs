@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed};
 use super::parse;
-use super::progress::{LOOK, Teller};
+use super::printed::{LOOK, Teller};
 use super::serve::Ending;
 use crate::crypto::private_file;
 use crate::model::ErrorKind;

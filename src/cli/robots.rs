@@ -1,21 +1,27 @@
-//! `robots`: what is asked of enrolled robots from their owner's site.
+//! `robots` and `devices`: what is asked of enrolled robots, their policies, and the devices on loan.
 
+use std::collections::BTreeMap;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use clap::Subcommand;
+use authros_output::{Output, table};
+use clap::{Args, Subcommand};
 
 use super::connect::ProfileNeed;
 use super::incidents::moment;
 use super::parse;
 use super::show::Question;
 use super::verbs::{CHAIN, Plan};
-use crate::crypto::LONGEST_POLICY;
-use crate::model::{ErrorKind, Timestamp, clean};
+use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
+use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
+use crate::model::bytes::unhex;
+use crate::model::{ErrorKind, PublicKey, SignerId, Timestamp, TopicRule, clean};
 use crate::service::Failure;
-use crate::service::command::{ListRobots, PullRing, SetRobotPolicy, ShowRobot};
-use crate::service::reply::{RingPullView, RobotRow, RobotTopicRow, RobotView};
-use authros_output::table;
+use crate::service::command::{
+    AddDeviceAddress, AddDeviceTopics, LendDevice, ListDevices, ListRobots, Policy, PolicyCommand, PullRing,
+    RecallDevice, SetRobotPolicy, ShowRobot,
+};
+use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
 
 /// `robots …`
 #[derive(Debug, Subcommand)]
@@ -170,4 +176,327 @@ pub fn pulled(view: &RingPullView) -> String {
          what is still there",
         view.robot, view.since, view.until
     )
+}
+
+/// The longest file that is looked at for a public key, bytes.
+const LONGEST: u64 = 16 * 1024;
+
+/// `devices …`
+#[derive(Debug, Subcommand)]
+pub enum DevicesVerb {
+    /// Let a device sign for this profile (a loan)
+    Lend {
+        /// Id of the device (64 hex), or the file of its SM2 key (public PEM, or private 0600)
+        #[arg(value_name = "ID_OR_KEYFILE")]
+        device: String,
+        /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
+        #[arg(long, value_name = "TIME")]
+        until: Option<String>,
+    },
+    /// Recall a device: it can no longer sign or read, its sessions end, and a new epoch begins
+    Recall {
+        /// Id of the device or its first characters, its fingerprint, or the name it was enrolled under
+        #[arg(value_name = "ID")]
+        device: String,
+    },
+    /// The topics an enrolled robot may record
+    #[command(subcommand)]
+    Topics(TopicsVerb),
+    /// Where an enrolled robot finds its gateway
+    #[command(subcommand)]
+    Addresses(AddressesVerb),
+    /// List devices on loan and recalled ones
+    List,
+}
+
+/// `devices topics …`
+#[derive(Debug, Subcommand)]
+pub enum TopicsVerb {
+    /// Give a robot the keys of more topics; it picks them up automatically
+    Add {
+        /// Name of the robot, or the device's id, its first characters, or its fingerprint
+        #[arg(value_name = "DEVICE")]
+        device: String,
+        /// The topics
+        #[arg(value_name = "TOPIC", required = true)]
+        topics: Vec<String>,
+    },
+}
+
+/// `devices addresses …`
+#[derive(Debug, Subcommand)]
+pub enum AddressesVerb {
+    /// Give a robot a further address of its gateway; it learns it with its next contact
+    Add {
+        /// Name of the robot, or the device's id, its first characters, or its fingerprint
+        #[arg(value_name = "DEVICE")]
+        device: String,
+        /// The address
+        #[arg(value_name = "HOST:PORT")]
+        address: String,
+    },
+}
+
+/// The command for a verb.
+///
+/// # Errors
+/// What is wrong with the arguments.
+pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
+    Ok(match verb {
+        DevicesVerb::Lend { device, until } => {
+            LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }.into()
+        }
+        DevicesVerb::Recall { device } => RecallDevice { device: device.clone() }.into(),
+        DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
+            AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
+        }
+        DevicesVerb::Addresses(AddressesVerb::Add { device, address }) => {
+            AddDeviceAddress { device: device.clone(), address: address.clone() }.into()
+        }
+        DevicesVerb::List => ListDevices.into(),
+    })
+}
+
+fn device_of(text: &str) -> Result<SignerId, Failure> {
+    let path = Path::new(text);
+    if path.is_file() {
+        return Ok(signer_id(&public_key(path)?));
+    }
+    unhex(text).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
+        let advice = "a fingerprint alone is not enough to lend to; give the key file";
+        Failure::new(
+            ErrorKind::Input,
+            format!("give a device as 64 hex characters or as the file of its SM2 key; {advice}"),
+        )
+    })
+}
+
+fn public_key(path: &Path) -> Result<PublicKey, Failure> {
+    let broken = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display()));
+    if std::fs::metadata(path).map_err(broken)?.len() > LONGEST {
+        return Err(Failure::new(ErrorKind::Input, format!("{} is too long to be a key", path.display())));
+    }
+    let bytes = std::fs::read(path).map_err(broken)?;
+    if String::from_utf8_lossy(&bytes).contains("BEGIN PUBLIC KEY") {
+        return Ok(sm2_public_from_pem(&String::from_utf8_lossy(&bytes))?);
+    }
+    let secret = load_sm2(path)?;
+    Ok(SmKeyPair::from_secret(provider(ProviderName::default()), secret)?.public)
+}
+
+/// The devices, for people.
+pub fn devices(rows: &[DeviceRow]) -> String {
+    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
+    let row = |row: &DeviceRow| {
+        vec![
+            row.device.to_string(),
+            row.fingerprint.clone(),
+            row.state.clone(),
+            row.from.to_string(),
+            or_dash(row.until.map(|until| until.to_string())),
+            or_dash(row.recalled.map(|block| block.to_string())),
+        ]
+    };
+    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
+    table(&["device", "fingerprint", "state", "from block", "until", "recalled at"], &rows)
+}
+
+/// From so many bytes a second on a rate is suggested.
+const HEAVY: f64 = 500_000.0;
+/// From so many messages a second on sampling is suggested.
+const FAST: f64 = 50.0;
+/// The rate suggested for heavy topics, messages a second.
+const CALM: f64 = 5.0;
+
+/// `topics policy …`
+#[derive(Debug, Args)]
+pub struct PolicyArguments {
+    /// Observe the live topics and print draft rules for config.toml
+    #[arg(long)]
+    pub learn: bool,
+    /// How long to observe: 5s, 1m
+    #[arg(long = "for", value_name = "TIME", default_value = "5s", requires = "learn")]
+    pub duration: String,
+}
+
+impl PolicyArguments {
+    /// What is asked.
+    ///
+    /// # Errors
+    /// Where the time is none.
+    pub fn question(&self) -> Result<Policy, Failure> {
+        let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
+        let with = if self.learn { PolicyCommand::Learn { milliseconds } } else { PolicyCommand::Show };
+        Ok(Policy { with })
+    }
+}
+
+/// Prints the rules, or the draft.
+pub fn show(view: &PolicyView, output: &Output) {
+    if view.learned {
+        let draft = draft(&view.topics);
+        output.result(&serde_json::json!({ "draft": draft, "topics": view.topics }), || draft.clone());
+    } else {
+        output.result(view, || text(view));
+    }
+}
+
+fn text(view: &PolicyView) -> String {
+    let row = |row: &PolicyRow| {
+        let rule = row.rule.as_ref();
+        vec![
+            row.topic.clone(),
+            rule.map_or_else(|| "-".to_owned(), |rule| format!("{} (line {})", rule.pattern, rule.line)),
+            rule.map_or_else(|| "everything".to_owned(), terms),
+            if row.watched { "watched" } else { "" }.to_owned(),
+            row.left_out.to_string(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = view.topics.iter().map(row).collect();
+    let mut text = table(&["topic", "rule", "kept", "", "skipped"], &rows);
+    for rule in &view.idle {
+        text.push_str(&format!("\nno topic now: {} (line {})", rule.pattern, rule.line));
+    }
+    text
+}
+
+/// What a rule says, in a line.
+fn terms(rule: &TopicRule) -> String {
+    let mut terms = Vec::new();
+    terms.extend(rule.type_name.as_ref().map(|name| format!("only {name}")));
+    terms.extend(rule.every.map(|every| format!("every {every}.")));
+    terms.extend(rule.rate.map(|rate| format!("at most {}/s", thousandths(rate))));
+    terms.extend(rule.tags.iter().map(|(key, value)| format!("{key}={value}")));
+    terms.extend(rule.retention.map(|seconds| format!("kept {}", span(seconds))));
+    if terms.is_empty() { "everything".to_owned() } else { terms.join(", ") }
+}
+
+fn thousandths(rate: u64) -> String {
+    let text = format!("{}.{:03}", rate / 1000, rate % 1000);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+fn span(seconds: u64) -> String {
+    match seconds {
+        whole if whole % 86_400 == 0 => format!("{} d", whole / 86_400),
+        whole if whole % 3_600 == 0 => format!("{} h", whole / 3_600),
+        whole if whole % 60 == 0 => format!("{} min", whole / 60),
+        other => format!("{other} s"),
+    }
+}
+
+/// A draft of rules: topics that differ by numbers alone share one.
+fn draft(topics: &[PolicyRow]) -> String {
+    let mut groups: BTreeMap<(String, Option<&str>), Vec<&PolicyRow>> = BTreeMap::new();
+    for row in topics {
+        groups.entry((without_numbers(&row.topic), row.type_name.as_deref())).or_default().push(row);
+    }
+    let mut draft = String::from("# A draft, learned from the live topics: copy what you need into config.toml.\n");
+    for ((pattern, type_name), rows) in groups {
+        let pattern = if let [only] = rows[..] { &only.topic } else { &pattern };
+        if pattern.parse::<crate::model::TopicPattern>().is_err() {
+            continue;
+        }
+        draft.push('\n');
+        rows.iter().for_each(|row| draft.push_str(&observed(row)));
+        draft.push_str(&format!("[[topic]]\nmatch = \"{pattern}\"\n"));
+        if let Some(name) = type_name.filter(|name| name.parse::<crate::model::TypeName>().is_ok()) {
+            draft.push_str(&format!("type = \"{name}\"\n"));
+        }
+        draft.push_str(&suggestions(&rows));
+    }
+    draft
+}
+
+fn observed(row: &PolicyRow) -> String {
+    let (Some(hz), Some(bytes)) = (row.hz, row.bytes_per_second) else {
+        return format!("# {}: nothing arrived\n", row.topic);
+    };
+    let largest = row.largest.map_or_else(|| "-".to_owned(), |largest| largest.to_string());
+    format!("# {}: {hz:.1} messages/s, {:.1} KB/s, largest {largest} bytes\n", row.topic, bytes / 1000.0)
+}
+
+fn suggestions(rows: &[&PolicyRow]) -> String {
+    let most = |each: fn(&PolicyRow) -> Option<f64>| rows.iter().filter_map(|row| each(row)).fold(0.0, f64::max);
+    let (hz, bytes) = (most(|row| row.hz), most(|row| row.bytes_per_second));
+    if bytes >= HEAVY && hz > CALM {
+        format!("rate = {CALM:.1} # heavy\n")
+    } else if hz >= FAST {
+        format!("# every = {} # fast: about 10 messages/s would remain\n", (hz / 10.0).round().max(2.0))
+    } else {
+        String::new()
+    }
+}
+
+/// Digits replaced by a star.
+fn without_numbers(topic: &str) -> String {
+    let mut pattern = String::with_capacity(topic.len());
+    for letter in topic.chars() {
+        match letter {
+            '0'..='9' if pattern.ends_with('*') => {}
+            '0'..='9' => pattern.push('*'),
+            other => pattern.push(other),
+        }
+    }
+    pattern
+}
+
+#[cfg(test)]
+mod devices_tests {
+    use super::*;
+
+    #[test]
+    fn a_device_is_named_by_its_id_or_its_key() {
+        let home = tempfile::tempdir().expect("folder");
+        let pair = SmKeyPair::generate(provider(ProviderName::default())).expect("pair");
+        let id = signer_id(&pair.public);
+        let public = home.path().join("device.pem");
+        std::fs::write(&public, crate::crypto::keyfile::sm2_public_pem(&pair.public).expect("pem")).expect("written");
+        let private = home.path().join("device.key");
+        let pem = crate::crypto::keyfile::sm2_pem(&pair.secret).expect("pem");
+        crate::crypto::private_file::create_private(&private, pem.as_bytes()).expect("written");
+        for name in [id.to_string(), format!("0x{id}"), public.display().to_string(), private.display().to_string()] {
+            assert_eq!(device_of(&name).ok(), Some(id), "{name}");
+        }
+        assert!(device_of(&id.to_string()[..32]).is_err() && device_of("nowhere.pem").is_err());
+        std::fs::write(&public, "no key").expect("written");
+        assert!(device_of(&public.display().to_string()).is_err());
+    }
+}
+
+#[cfg(test)]
+mod policy_tests {
+    use super::*;
+
+    fn row(topic: &str, hz: f64, bytes: f64) -> PolicyRow {
+        PolicyRow {
+            topic: topic.into(),
+            type_name: Some("sensor_msgs/Imu".into()),
+            watched: false,
+            rule: None,
+            left_out: 0,
+            hz: Some(hz),
+            bytes_per_second: Some(bytes),
+            largest: Some(320),
+        }
+    }
+
+    #[test]
+    fn spans_are_told_in_the_largest_unit_that_is_whole() {
+        let told = [20, 90, 120, 7_200, 172_800].map(span);
+        assert_eq!(told, ["20 s", "90 s", "2 min", "2 h", "2 d"]);
+    }
+
+    #[test]
+    fn a_draft_is_a_file_that_can_be_used() {
+        let hostile = row("/evil\"\n[x]", 1.0, 1.0);
+        let text = draft(&[row("/robot1/imu", 100.0, 30_000.0), row("/robot2/imu", 99.0, 30_000.0), hostile]);
+        let text = format!("{text}{}", draft(&[row("/scan", 40.0, 900_000.0)]));
+        let file = Some((std::path::Path::new("config.toml"), text.as_str()));
+        let config = crate::config::Config::resolve(&|_| None, &|_| None, file).expect(&text);
+        let rule = config.topic_rules.of("/robot7/imu").expect("a rule");
+        assert_eq!((rule.pattern.as_str(), rule.rate), ("/robot*/imu", None));
+        assert_eq!(config.topic_rules.of("/scan").expect("a rule").rate, Some(5_000));
+        assert_eq!(config.topic_rules.0.len(), 2, "{text}");
+    }
 }

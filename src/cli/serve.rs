@@ -1,16 +1,29 @@
-//! `authros serve`: the site without a console.
+//! `authros serve`: the site without a console, in the background too, and what systemd is told of it.
 
+use std::ffi::OsStr;
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::os::linux::net::SocketAddrExt as _;
+use std::os::unix::ffi::OsStrExt as _;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
+use std::time::Duration;
 
+use authros_output::Output;
 use clap::Args;
+use serde_json::Value;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast;
+use tokio::task::JoinHandle;
 
 use super::connect::{Context, ProfileNeed};
+use crate::model::ErrorKind;
 use crate::service::command::{ChainStatus, Register};
 use crate::service::event::NoticeLevel;
 use crate::service::{Event, Failure, Needs};
-use authros_output::Output;
+use crate::store::files;
 
 /// `serve …`
 #[derive(Debug, Args)]
@@ -74,7 +87,7 @@ pub async fn asked_to_end() -> Ending {
 /// If another process is the site already, or the profile cannot be opened.
 pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -> Result<u8, Failure> {
     if arguments.detach {
-        return tokio::task::block_in_place(|| super::detach::run(&context, output));
+        return tokio::task::block_in_place(|| run_detached(&context, output));
     }
     if arguments.own_session {
         // Fails only for a leader of a group, which has left its terminal's already.
@@ -121,7 +134,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
         let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
         format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}", context.profile)
     });
-    let ready = super::systemd::ready();
+    let ready = ready();
     follow(events, output, end).await;
     drop(ready);
     connection.end().await;
@@ -151,6 +164,142 @@ pub async fn follow(mut events: broadcast::Receiver<Event>, output: &Output, end
     }
 }
 
+/// A process reported to systemd as ready; its end is reported too.
+pub struct Ready {
+    beating: Option<JoinHandle<()>>,
+}
+
+/// Reports that everything requested works. From then on a keep-alive is sent twice in each period of the watchdog, as
+/// long as the program's threads make progress: a peer that does not answer is no reason to be killed.
+pub fn ready() -> Ready {
+    say("READY=1");
+    let beating = period(&variable("WATCHDOG_USEC"), &variable("WATCHDOG_PID"), std::process::id()).map(|period| {
+        tokio::spawn(async move {
+            loop {
+                say("WATCHDOG=1");
+                tokio::time::sleep(period / 2).await;
+            }
+        })
+    });
+    Ready { beating }
+}
+
+impl Drop for Ready {
+    fn drop(&mut self) {
+        if let Some(beating) = &self.beating {
+            beating.abort();
+        }
+        say("STOPPING=1");
+    }
+}
+
+fn variable(name: &str) -> String {
+    std::env::var(name).unwrap_or_default()
+}
+
+/// The watchdog's period, if this is the process it watches.
+fn period(microseconds: &str, process: &str, own: u32) -> Option<Duration> {
+    let is_meant = process.is_empty() || process.parse() == Ok(own);
+    let microseconds = microseconds.parse().ok().filter(|microseconds| *microseconds > 0 && is_meant)?;
+    Some(Duration::from_micros(microseconds))
+}
+
+fn say(state: &str) {
+    let Some(place) = std::env::var_os("NOTIFY_SOCKET").filter(|place| !place.is_empty()) else { return };
+    // If systemd does not listen, the program is still useful.
+    drop(send(&place, state));
+}
+
+fn send(place: &OsStr, state: &str) -> std::io::Result<usize> {
+    let address = match place.as_bytes().strip_prefix(b"@") {
+        Some(name) => SocketAddr::from_abstract_name(name)?,
+        None => SocketAddr::from_pathname(place)?,
+    };
+    UnixDatagram::unbound()?.send_to_addr(state.as_bytes(), &address)
+}
+
+/// This very program, also if its file was replaced since.
+pub const OWN_PROGRAM: &str = "/proc/self/exe";
+/// Warnings of earlier sites are kept up to this size, bytes.
+const LONGEST_LOG: u64 = 1 << 20;
+/// The most that is read of the process's first line, bytes.
+const LONGEST: u64 = 64 * 1024;
+
+/// Starts the same command without `--detach`, and returns when it serves or has ended.
+///
+/// # Errors
+/// If it cannot be started, or says nothing that is understood.
+pub fn run_detached(context: &Context, output: &Output) -> Result<u8, Failure> {
+    files::private_directory(context.home.root())?;
+    let log = context.home.serve_log();
+    let file = private_file(&log).map_err(|error| {
+        Failure::new(ErrorKind::Home, format!("{} cannot be written: {error}; nothing was started", log.display()))
+    })?;
+    let mut child = start(context, file)?;
+    let first = first_line(&mut child);
+    match first.as_deref().and_then(|line| serde_json::from_str::<Value>(line).ok()) {
+        Some(mut said) if said.get("serving").is_some() => {
+            said["process"] = Value::from(child.id());
+            output.result(&said, || text(&said, child.id(), &log.display().to_string()));
+            Ok(0)
+        }
+        said => ended(child, said.as_ref(), &log.display().to_string(), output),
+    }
+}
+
+fn private_file(path: &std::path::Path) -> std::io::Result<File> {
+    // A site that runs already may be writing there.
+    let file = OpenOptions::new().append(true).create(true).mode(0o600).open(path)?;
+    if file.metadata()?.len() > LONGEST_LOG {
+        file.set_len(0)?;
+    }
+    Ok(file)
+}
+
+fn start(context: &Context, log: File) -> Result<Child, Failure> {
+    let words = std::env::args_os().skip(1).filter(|word| word != "--detach");
+    let json = (!context.global.json).then_some("--json");
+    // A descriptor is read by the process that needs the passphrase, and by no other.
+    let input = if context.global.passphrase_fd.is_some() { Stdio::inherit() } else { Stdio::null() };
+    let mut command = Command::new(OWN_PROGRAM);
+    command.args(words).args(json).arg("--own-session").stdin(input).stdout(Stdio::piped()).stderr(log);
+    command.spawn().map_err(|error| {
+        Failure::new(ErrorKind::Internal, format!("the site's process cannot be started: {error}; try `authros serve`"))
+    })
+}
+
+/// Waits until it serves, or has ended: then there is no line, or one that says why.
+fn first_line(child: &mut Child) -> Option<String> {
+    let mut line = String::new();
+    let output = child.stdout.take()?;
+    BufReader::new(output.take(LONGEST)).read_line(&mut line).ok()?;
+    Some(line)
+}
+
+fn text(said: &Value, process: u32, log: &str) -> String {
+    let word = |name: &str| said.get(name).and_then(Value::as_str).unwrap_or_default().to_owned();
+    let master = word("ros_master");
+    let ros = if master.is_empty() { String::new() } else { format!("\nROS nodes join with ROS_MASTER_URI={master}") };
+    format!(
+        "serving {} for profile '{}' in process {process}\nstop it with: kill -INT {process}\nwarnings go to {log}{ros}",
+        word("serving"),
+        word("profile"),
+    )
+}
+
+/// The same end as the process had, in its words.
+fn ended(mut child: Child, said: Option<&Value>, log: &str, output: &Output) -> Result<u8, Failure> {
+    let status = child.wait().map_err(|error| {
+        Failure::new(ErrorKind::Internal, format!("the end of the site's process cannot be read: {error}"))
+    })?;
+    let message = said.and_then(|said| said.pointer("/error/message")).and_then(Value::as_str);
+    let reason =
+        message.map_or_else(|| format!("its process ended ({status}); {log} has what it wrote"), str::to_owned);
+    output.note(&format!("authros: nothing was left running: {reason}"));
+    let code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|code| *code != 0);
+    Ok(code.unwrap_or_else(|| ErrorKind::Internal.exit_code()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -161,5 +310,48 @@ mod tests {
         assert!(!ignores_hangup("Name:\tauthros\nSigIgn:\t0000000000001000\n"));
         assert!(!ignores_hangup("SigIgn:\tnonsense\n"));
         assert!(!ignores_hangup(""));
+    }
+}
+
+#[cfg(test)]
+mod systemd_tests {
+    use super::*;
+
+    #[test]
+    fn the_watchdog_of_another_process_is_not_ours() {
+        assert_eq!(period("60000000", "", 7), Some(Duration::from_secs(60)));
+        assert_eq!(period("60000000", "7", 7), Some(Duration::from_secs(60)));
+        assert_eq!(period("60000000", "8", 7), None);
+        assert_eq!((period("", "7", 7), period("0", "", 7), period("soon", "", 7)), (None, None, None));
+    }
+
+    #[test]
+    fn a_socket_is_spoken_to_by_path_and_by_abstract_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("notify");
+        let listening = UnixDatagram::bind(&path).expect("bound");
+        let name = format!("authros-notify-{}", std::process::id());
+        let abstract_one =
+            UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(&name).expect("a name")).expect("bound");
+        send(path.as_os_str(), "READY=1").expect("sent");
+        send(OsStr::new(&format!("@{name}")), "STOPPING=1").expect("sent");
+        let mut bytes = [0; 32];
+        let count = listening.recv(&mut bytes).expect("received");
+        assert_eq!(&bytes[..count], b"READY=1");
+        let count = abstract_one.recv(&mut bytes).expect("received");
+        assert_eq!(&bytes[..count], b"STOPPING=1");
+    }
+}
+
+#[cfg(test)]
+mod detach_tests {
+    use super::*;
+
+    #[test]
+    fn what_serves_says_where_and_how_it_is_stopped() {
+        let said = serde_json::json!({ "serving": "/h", "profile": "bob", "ros_master": null });
+        let text = text(&said, 77, "/h/serve.log");
+        assert!(text.contains("process 77") && text.contains("kill -INT 77") && text.contains("'bob'"), "{text}");
+        assert!(!text.contains("ROS_MASTER_URI"), "{text}");
     }
 }

@@ -5,9 +5,7 @@ use std::io::Write as _;
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 
-use super::{
-    alerts, audit, check, coverage, devices, gateway, incidents, lists, parties, policy, quarantine, robots, viewing,
-};
+use super::{audit, check, coverage, gateway, incidents, lists, parties, quarantine, reading, robots, status};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
@@ -113,12 +111,12 @@ documents! {
     DeployedView => lists::deployed;
     BackupView => check::backed_up;
     GatewayStatusView => gateway::status;
-    AlertsView => alerts::standing;
-    AlertTestView => alerts::tested;
+    AlertsView => status::standing;
+    AlertTestView => status::tested;
     PinsView => quarantine::pins;
     QuarantineView => quarantine::held;
     DecidedView => decided;
-    PathView => viewing::path;
+    PathView => reading::path;
     CoverageView => coverage::strip;
     DeviceAddressesView => device_addresses;
     DeviceTopicsView => device_topics;
@@ -130,7 +128,7 @@ documents! {
 rows! {
     TopicRow, "topics" => lists::topics;
     GrantRow, "grants" => lists::grants;
-    DeviceRow, "devices" => devices::devices;
+    DeviceRow, "devices" => robots::devices;
     ContactRow, "contacts" => parties::contact_table;
     AuditView, "audit" => audit::lines;
     AdmittedView, "admitted" => gateway::admitted;
@@ -183,8 +181,8 @@ impl Printed for Box<OpenedView> {
             let file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(path);
             file.and_then(|mut file| file.write_all(&bytes)).map_err(|error| not_written(path, &error))?;
         }
-        viewing::without_bytes(&mut self);
-        output.result(&self, || viewing::opened(&self));
+        reading::without_bytes(&mut self);
+        output.result(&self, || reading::opened(&self));
         Ok(lists::verdict_code(self.verdict))
     }
 }
@@ -226,7 +224,7 @@ impl Printed for SecretBytes {
 
 impl Printed for PolicyView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        policy::show(&self, output);
+        robots::show(&self, output);
         Ok(0)
     }
 }

@@ -2,16 +2,22 @@
 //! peers are queried here. The exit code says what is wrong: 6 if records are gone or altered, 4 if a part is not
 //! healthy.
 
+#![deny(clippy::wildcard_enum_match_arm)]
+
 use std::time::Duration;
 
-use super::connect::Context;
-use super::verbs::NEITHER;
+use authros_output::{Output, table};
+use clap::Subcommand;
+
+use super::connect::{Context, ProfileNeed};
+use super::verbs::{NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::command::SiteStatus;
+use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
 use crate::service::failure::input;
-use crate::service::reply::{AlertView, HealthLevel, LifeLine, PartHealth, SiteView};
+use crate::service::reply::{
+    AlertTestView, AlertView, AlertsView, EndedAlert, HealthLevel, LifeLine, PartHealth, SiteView,
+};
 use crate::service::{Failure, doctor};
-use authros_output::Output;
 
 /// `status`.
 ///
@@ -34,7 +40,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     let asked = connection.client.ask(SiteStatus).await;
     // Of a home that cannot be written, the chain is opened in its copy too.
     let peers = match connection.site.as_ref().map(|site| site.place()) {
-        Some(home) => doctor::peers(&home, &context.config).await,
+        Some(home) => doctor(&home, &context.config).await,
         None => Vec::new(),
     };
     connection.close().await;
@@ -51,7 +57,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
 
 /// The parts' health where no site runs and the vault does not answer.
 async fn without_vault(context: &Context, failure: &Failure, output: &Output) -> Result<u8, Failure> {
-    let mut health = doctor::peers(&context.home, &context.config).await;
+    let mut health = doctor(&context.home, &context.config).await;
     let text = failure.message.clone();
     health.push(PartHealth { part: "vault".to_owned(), level: HealthLevel::Failed, text, since: None, retry: None });
     output.result(&serde_json::json!({ "health": health }), || {
@@ -139,7 +145,7 @@ fn text(view: &SiteView) -> String {
         format!("alert since {}, {}: {}: {}", alert.begun, alert.severity.word(), alert.key, alert.text)
     };
     lines.extend(view.alerts.iter().map(stands));
-    lines.extend(view.alerts_over.iter().map(super::alerts::over));
+    lines.extend(view.alerts_over.iter().map(over));
     lines.join("\n")
 }
 
@@ -165,6 +171,49 @@ fn life(life: &LifeLine) -> Vec<String> {
         lines.push(format!("{tampered} records are altered or MISSING: `authros audit` lists them"));
     }
     lines
+}
+
+/// `alerts …`
+#[derive(Debug, Subcommand)]
+pub enum AlertsVerb {
+    /// Active alerts, and deliveries still pending
+    List,
+    /// Send a test alert and print the reply
+    Test,
+}
+
+/// What is asked.
+pub fn plan(verb: &AlertsVerb) -> Plan {
+    match verb {
+        AlertsVerb::List => Plan::new(NEITHER, ProfileNeed::None, ListAlerts),
+        AlertsVerb::Test => Plan::new(NEITHER, ProfileNeed::None, TestAlert),
+    }
+}
+
+/// Alerts that stand, for people.
+pub fn standing(view: &AlertsView) -> String {
+    let row = |alert: &AlertView| {
+        vec![alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
+    };
+    let mut lines = match view.alerts.is_empty() {
+        true => vec!["no active alerts".to_owned()],
+        false => {
+            vec![table(&["since", "severity", "alert", "what"], &view.alerts.iter().map(row).collect::<Vec<_>>())]
+        }
+    };
+    lines.extend(view.over.iter().map(over));
+    lines.push(format!("sent to: {}; {} deliveries pending, {} dropped", view.told, view.waiting, view.dropped));
+    lines.join("\n")
+}
+
+/// One that is over, for people.
+pub fn over(ended: &EndedAlert) -> String {
+    format!("resolved {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
+}
+
+/// What came back, for people.
+pub fn tested(view: &AlertTestView) -> String {
+    format!("{} accepted it: {}", view.place, view.text)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, 
 use super::connect::{Context, ProfileNeed};
 use super::quarantine::{self, QuarantineVerb};
 use super::show::Question;
-use super::{check, follow, lists, parse, passphrase, playing, progress, recordings, viewing};
+use super::{check, follow, lists, parse, passphrase, playing, printed, reading, recordings};
 use crate::model::ErrorKind;
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
@@ -59,9 +59,9 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
         if let Some(first) = plan.first {
             connection.client.ask(first).await?.lines.iter().for_each(|line| output.note(line));
         }
-        let long = progress::takes_long(&plan.question.command);
+        let long = printed::takes_long(&plan.question.command);
         let answer = plan.question.ask(&connection.client);
-        Ok(if long { progress::told(&connection.client, answer, output).await } else { answer.await })
+        Ok(if long { printed::told(&connection.client, answer, output).await } else { answer.await })
     };
     let told: Result<_, Failure> = told.await;
     connection.close().await;
@@ -205,10 +205,10 @@ pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Resu
         SharedVerb::List(list) if list.follow => {
             return follow::run(context, follow::Which::Shared, parse::query(&list)?, output).await;
         }
-        SharedVerb::List(list) => viewing::plan(ListShared(parse::query(&list)?)),
-        SharedVerb::Check { id } => viewing::plan(CheckShared { id }),
-        SharedVerb::Open { id, out } => viewing::open(id, out),
-        SharedVerb::Path { id, records } => viewing::plan(ViewPath { id, records }),
+        SharedVerb::List(list) => reading::plan(ListShared(parse::query(&list)?)),
+        SharedVerb::Check { id } => reading::plan(CheckShared { id }),
+        SharedVerb::Open { id, out } => reading::open(id, out),
+        SharedVerb::Path { id, records } => reading::plan(ViewPath { id, records }),
     };
     run(context, plan, output).await
 }

@@ -11,8 +11,8 @@ use crate::crypto::{
 use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Signature, SignerId};
 
-use super::code::{Code, Refusal};
 use super::command::Command;
+use super::error::{Code, Refusal};
 use super::hello::{Agreed, Context};
 use super::system_keys::SystemKey;
 

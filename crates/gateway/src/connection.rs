@@ -1,37 +1,33 @@
 //! One connection at the gateway's end: hello, then either key allocation or commands until it ends. Frames are handled
 //! one after the other; effects follow the order of the counter.
 
-use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError};
-
-use tokio::sync::watch;
-use tokio::time::Instant;
-
-use crate::crypto::{Provider, SmKeyPair, TransportKey};
-use crate::model::wire::WireError;
-use crate::model::{Digest, ProfileName, Timestamp};
-
-use super::code::{Code, Refusal};
-use super::command::{Answer, Command, Inner, Part, Speaker, split};
-use super::desk::{Binding, Caller, Desk};
-use super::frame::FrameKind;
-use super::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
-use super::limits::{Charge, Limits, Peers, Seat};
-use super::line::{Line, LineError};
-use super::parts::Assembler;
-use super::receipt::Receipt;
-use super::session::{LONGEST_LIFE, Session};
-use super::system_keys::SystemKeyList;
-use super::system_keys::cabinet::Cabinet;
-use super::tally::Tally;
-
 mod arrivals;
 mod commands;
-mod feeds;
+
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use arrivals::Next;
 use commands::Commands;
-use feeds::Feeds;
+use tokio::sync::{mpsc, watch};
+use tokio::task::AbortHandle;
+use tokio::time::{Instant, sleep_until};
+
+use crate::command::{Answer, Command, Entry, Inner, Part, Speaker, split};
+use crate::crypto::{Provider, SmKeyPair, TransportKey};
+use crate::desk::{Binding, Caller, Desk};
+use crate::error::{Code, Refusal};
+use crate::frame::{Assembler, FrameKind, Line, LineError};
+use crate::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
+use crate::limits::{Charge, Limits, Peers, Seat};
+use crate::model::wire::WireError;
+use crate::model::{Digest, ProfileName, Timestamp};
+use crate::receipt::Receipt;
+use crate::server::Tally;
+use crate::session::{LONGEST_LIFE, Session};
+use crate::system_keys::{Cabinet, SystemKeyList};
 
 /// An allocation asks the chain: it gets this many times the patience of a hello.
 const ALLOCATION_PATIENCE: u32 = 3;
@@ -374,7 +370,7 @@ impl Connection {
     }
 
     /// Sends a record of a subscription, if the caller may read it at this very moment.
-    async fn feed(&mut self, session: &mut Session, commands: &mut Commands, fed: feeds::Fed) -> Result<(), End> {
+    async fn feed(&mut self, session: &mut Session, commands: &mut Commands, fed: Fed) -> Result<(), End> {
         let request = fed.request;
         if !commands.feeds.as_ref().is_some_and(|feeds| feeds.has(request)) {
             return Ok(());
@@ -397,7 +393,7 @@ impl Connection {
             // Its right is not known now. Nothing is lost by waiting, and an end would be no answer to a reader with a grant.
             Err(refusal) if refusal.code == Code::Stale => {
                 if let Some(feeds) = &mut commands.feeds {
-                    feeds.pause(feeds::Fed { request, entry: Some(entry) });
+                    feeds.pause(Fed { request, entry: Some(entry) });
                 }
                 Ok(())
             }
@@ -407,5 +403,105 @@ impl Connection {
                 self.send(session, request, &Answer::End(refusal.code)).await
             }
         }
+    }
+}
+
+/// The most entries that wait; beyond that the desk waits.
+const WAITING: usize = 8;
+
+/// How soon it is asked again whether an entry may be sent, while the chain is not fresh.
+const AGAIN: Duration = Duration::from_millis(500);
+
+/// An entry of a subscription, or its end.
+struct Fed {
+    /// The request that subscribed.
+    pub request: u32,
+    /// `None` at the end.
+    pub entry: Option<Entry>,
+}
+
+struct Feeds {
+    sender: mpsc::Sender<Fed>,
+    receiver: mpsc::Receiver<Fed>,
+    running: HashMap<u32, AbortHandle>,
+    /// An entry that waits for the chain, and when it is tried again. Those behind it wait too: it is one chain for all.
+    paused: Option<(Fed, Instant)>,
+}
+
+impl Feeds {
+    pub fn new() -> Self {
+        let (sender, receiver) = mpsc::channel(WAITING);
+        Self { sender, receiver, running: HashMap::new(), paused: None }
+    }
+
+    pub fn has(&self, request: u32) -> bool {
+        self.running.contains_key(&request)
+    }
+
+    /// Whether another subscription may be added.
+    pub fn check_room(&self, request: u32, most: usize) -> Result<(), Refusal> {
+        if self.has(request) {
+            return Err(Refusal::new(Code::Malformed, "a subscription of the same number"));
+        }
+        if self.running.len() >= most {
+            return Err(Refusal::new(Code::Quota, "too many subscriptions"));
+        }
+        Ok(())
+    }
+
+    pub fn add(&mut self, request: u32, mut entries: mpsc::Receiver<Entry>) {
+        let sender = self.sender.clone();
+        let task = tokio::spawn(async move {
+            while let Some(entry) = entries.recv().await {
+                if sender.send(Fed { request, entry: Some(entry) }).await.is_err() {
+                    return;
+                }
+            }
+            // If nobody is listening any more, there is nobody to notify.
+            let _ = sender.send(Fed { request, entry: None }).await;
+        });
+        self.running.insert(request, task.abort_handle());
+    }
+
+    pub fn remove(&mut self, request: u32) {
+        if let Some(task) = self.running.remove(&request) {
+            task.abort();
+        }
+        self.paused.take_if(|(fed, _)| fed.request == request);
+    }
+
+    /// Keeps an entry until the chain is known again; nothing is sent before it.
+    pub fn pause(&mut self, fed: Fed) {
+        self.paused = Some((fed, Instant::now() + AGAIN));
+    }
+
+    /// Waits for an entry. Can be cancelled at any point.
+    pub async fn next(&mut self) -> Fed {
+        if let Some((_, again)) = &self.paused {
+            sleep_until(*again).await;
+        }
+        if let Some((fed, _)) = self.paused.take() {
+            return fed;
+        }
+        match self.receiver.recv().await {
+            Some(fed) => fed,
+            // The sender beside it lives as long.
+            None => std::future::pending().await,
+        }
+    }
+
+    /// An entry that is already there.
+    pub fn waiting(&mut self) -> Option<Fed> {
+        match &self.paused {
+            Some((_, again)) if *again > Instant::now() => None,
+            Some(_) => self.paused.take().map(|(fed, _)| fed),
+            None => self.receiver.try_recv().ok(),
+        }
+    }
+}
+
+impl Drop for Feeds {
+    fn drop(&mut self) {
+        self.running.values().for_each(AbortHandle::abort);
     }
 }

@@ -13,11 +13,11 @@ use crate::model::{
     Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
-use super::code::{Code, Refusal};
 use super::command::{
     DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
     RevokeNotice, Selection,
 };
+use super::error::{Code, Refusal};
 use super::hello::NetworkName;
 use super::standings::Stood;
 

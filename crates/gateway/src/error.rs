@@ -1,11 +1,11 @@
-//! What can go wrong at the client's end; each message says what to do next.
+//! Refusals by their codes, and what can go wrong at the client's end; each message says what to do next.
 
+use std::fmt;
+
+use crate::command::ErasedRecord;
 use crate::crypto::CryptoError;
 use crate::model::wire::WireError;
 use crate::model::{ErrorKind, SignerId};
-
-use super::code::{Code, Refusal};
-use super::command::ErasedRecord;
 
 /// Why a client gave up.
 #[derive(Debug, thiserror::Error)]
@@ -145,5 +145,166 @@ fn each(failed: &[(String, GatewayError)]) -> String {
 impl From<Refusal> for GatewayError {
     fn from(refusal: Refusal) -> Self {
         Self::Session(refusal)
+    }
+}
+
+macro_rules! codes {
+    ($($(#[$doc:meta])* $name:ident = $number:literal $kind:ident $text:literal;)*) => {
+        /// A reason for refusing; the same for every peer, so that it reveals nothing about others.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[repr(u16)]
+        pub enum Code {
+            $($(#[$doc])* $name = $number,)*
+        }
+
+        impl Code {
+            /// Every code.
+            pub const ALL: &[Self] = &[$(Self::$name),*];
+
+            /// What it means and what to do next.
+            pub fn text(self) -> &'static str {
+                match self {
+                    $(Self::$name => $text,)*
+                }
+            }
+
+            /// The kind of failure.
+            pub fn kind(self) -> ErrorKind {
+                match self {
+                    $(Self::$name => ErrorKind::$kind,)*
+                }
+            }
+        }
+    };
+}
+
+codes! {
+    /// A frame or message over its cap, or truncated.
+    Length = 1 Refused "a frame has an invalid length; connect again";
+    /// No such session, or it has ended.
+    Session = 2 Refused "the session has ended; connect again";
+    /// A frame out of order: replayed, lost or swapped.
+    Counter = 3 Refused "a frame came out of order; connect again";
+    /// Bytes that were altered, or another key.
+    Tag = 4 Refused "a frame was altered or sealed under another key; allocate a transport key again";
+    /// A token that the owner never registered.
+    Token = 5 Refused "the token does not belong to this account; register or rotate first";
+    /// An SM2 signature that does not verify, or by a key that may not sign.
+    Signature = 6 Refused "the SM2 signature was rejected; sign with the registered key or a lent one";
+    /// An EOA signature that recovers another account.
+    Account = 7 Refused "the account's signature was rejected; sign with the key of the registered account";
+    /// Bytes that are not a message.
+    Malformed = 8 Refused "the gateway cannot read the message; use the same version on both sides";
+    /// Another version of the protocol.
+    Version = 9 Refused "the gateway uses another version of the protocol; use the same version on both sides";
+    /// Another chain or contract.
+    Network = 10 Refused "the gateway serves another network; check chain and contract on both sides";
+    /// A system key that is not, or no longer, in the list.
+    SystemKey = 11 Refused "the system key is not in use; fetch the list again";
+    /// N belongs to another account.
+    NameBound = 12 Refused "this name belongs to another account; choose another name";
+    /// The chain has no such identity.
+    NotRegistered = 13 Refused "the chain knows no such identity; register it, or wait for its confirmation";
+    /// The administrator suspended the account.
+    Suspended = 14 Refused "the account is suspended; ask the administrator";
+    /// No grant covers the request.
+    NotAuthorised = 15 Refused "no grant covers this; ask the owner for one, and the gateway's operator to admit this \
+                                account";
+    /// Nothing with that digest.
+    NotFound = 16 Refused "the gateway has no such record; check the digest";
+    /// Stored bytes that differ from the chain.
+    Tampered = 17 Tampered "the stored record is not the one anchored; fetch it from elsewhere";
+    /// More than this peer may use at a time.
+    Quota = 18 Refused "too many requests at once; send less and try again";
+    /// No room for another connection or handshake.
+    Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
+    /// Not allowed in this session.
+    NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
+    /// The gateway does not know the chain as it is now, so authority cannot be determined.
+    Stale = 21 Unreachable "the gateway does not know the chain's newest block now, so it cannot tell who may do this; \
+                            it answers again as soon as it does, so try again in a few seconds";
+    /// The gateway is stopping.
+    Closing = 22 Unreachable "the gateway is stopping; try again later";
+    /// An internal error of the gateway.
+    Internal = 23 Unreachable "the gateway failed; try again later, and see its log";
+    /// The peer took too long.
+    TooSlow = 24 Unreachable "the connection was too slow or idle; connect again";
+    /// The record belongs to a network or owner other than the session's.
+    NotYours = 25 Refused "the record belongs to another account or network; send your own";
+    /// A chain transaction that was refused.
+    Transaction = 26 Refused "the chain rejected the transaction; check account, nonce and balance";
+    /// A request that is not passed on to the chain.
+    Method = 27 Refused "the gateway does not forward this request to the chain; use a node for it";
+}
+
+impl Code {
+    /// The two bytes on the wire.
+    pub fn number(self) -> u16 {
+        self as u16
+    }
+
+    /// From the two bytes on the wire.
+    pub fn from_number(number: u16) -> Option<Self> {
+        Self::ALL.iter().copied().find(|code| code.number() == number)
+    }
+
+    /// Whether it ends the connection: later frames could not be trusted or told apart.
+    pub fn ends_session(self) -> bool {
+        matches!(
+            self,
+            Self::Length
+                | Self::Session
+                | Self::Counter
+                | Self::Tag
+                | Self::Version
+                | Self::Network
+                | Self::Busy
+                | Self::Closing
+                | Self::TooSlow
+        )
+    }
+}
+
+impl fmt::Display for Code {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.text())
+    }
+}
+
+/// A refusal made by the gateway: the code goes to the peer, the detail only to the log.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{code} ({detail})")]
+pub struct Refusal {
+    /// The code for the peer.
+    pub code: Code,
+    /// The detail for the operator; holds no secret, and text from peers only cleaned.
+    pub detail: String,
+}
+
+impl Refusal {
+    /// With a detail for the log.
+    pub fn new(code: Code, detail: impl fmt::Display) -> Self {
+        Self { code, detail: detail.to_string() }
+    }
+
+    /// For use in `map_err`: keeps the cause for the log.
+    pub fn because<E: fmt::Display>(code: Code) -> impl Fn(E) -> Self {
+        move |cause| Self::new(code, cause)
+    }
+}
+
+#[cfg(test)]
+mod code_tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_constant_and_round_trip() {
+        for (index, code) in Code::ALL.iter().enumerate() {
+            assert_eq!(usize::from(code.number()), index + 1);
+            assert_eq!(Code::from_number(code.number()), Some(*code));
+            assert!(code.to_string().contains("; "), "{code:?} says what to do next");
+        }
+        assert_eq!(Code::from_number(0), None);
+        assert_eq!(Code::from_number(28), None);
     }
 }

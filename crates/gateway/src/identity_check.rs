@@ -6,11 +6,11 @@ use crate::crypto::{Anchor, SmSecret, Unchecked, check_identity, check_many};
 use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind, Token};
 
 use super::allocation::{AllocationRequest, examine};
-use super::code::{Code, Refusal};
 use super::command::{Registration, Request, Upload, signed_bytes};
 use super::desk::{Account, Binding, Caller, Desk, Received};
+use super::error::{Code, Refusal};
+use super::frame::Message;
 use super::hello::{Agreed, Context};
-use super::parts::Message;
 
 /// Above this many records or bytes, checking moves off the network threads.
 const AT_ONCE: (usize, usize) = (8, 256 * 1024);

@@ -11,9 +11,7 @@ use authros_model as model;
 extern crate self as authros_gateway;
 
 pub mod allocation;
-pub mod chain_line;
 pub mod client;
-pub mod code;
 pub mod command;
 mod connection;
 pub mod desk;
@@ -22,20 +20,18 @@ pub mod frame;
 pub mod hello;
 pub mod identity_check;
 pub mod limits;
-mod line;
-pub mod parts;
 pub mod receipt;
 pub mod server;
 pub mod session;
 pub mod standings;
 pub mod system_keys;
-pub mod tally;
 pub mod trust;
 
+pub use self::error::{Code, Refusal};
+pub use self::standings::ChainLine;
+pub use self::system_keys::{Cabinet, Schedule};
 pub use allocation::Applicant;
-pub use chain_line::ChainLine;
 pub use client::{Client, Credentials, Endpoint};
-pub use code::{Code, Refusal};
 pub use command::{
     Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page,
     Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
@@ -47,7 +43,6 @@ pub use limits::Limits;
 pub use receipt::Receipt;
 pub use server::{Server, ServerWatch};
 pub use standings::{SignedStandings, Stood};
-pub use system_keys::cabinet::{Cabinet, Schedule};
 pub use trust::{KeptTrust, Trust};
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use crate::crypto::kdf::{Info, derived};
 use crate::model::bytes::hex;
 use crate::model::wire::Reader;
 
-use super::code::{Code, Refusal};
+use super::error::{Code, Refusal};
 use super::frame::{CAP_AFTER, FrameKind};
 
 /// The most frames of one direction in a session.

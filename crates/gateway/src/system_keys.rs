@@ -1,14 +1,20 @@
 //! k_s: the system keys for key allocation, published as a signed, versioned, dated list that expires. One key is
-//! current, one is next. `cabinet` stores and rotates the gateway's own.
+//! current, one is next. [`Cabinet`] stores and rotates the gateway's own.
 
-use crate::crypto::{CryptoError, Provider, SmKeyPair, signer_id};
+use std::fs::{self, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use zeroize::Zeroizing;
+
+use crate::crypto::error::shown;
+use crate::crypto::private_file::{create_private, make_private_directory, read_private, write_private};
+use crate::crypto::{CryptoError, Provider, SmKeyPair, SmSecret, signer_id};
+use crate::error::GatewayError;
+use crate::hello::{Agreed, ListSummary};
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Digest, Domain, PublicKey, Signature, SignerId, Timestamp};
-
-use super::error::GatewayError;
-use super::hello::{Agreed, ListSummary};
-
-pub mod cabinet;
 
 /// First bytes of a list.
 const MAGIC: [u8; 8] = *b"\x89AuthSys";
@@ -187,6 +193,272 @@ fn read_key(reader: &mut Reader<'_>) -> Result<SystemKey, WireError> {
 
 fn expect(condition: bool, field: &'static str) -> Result<(), WireError> {
     if condition { Ok(()) } else { Err(WireError::Value(field)) }
+}
+
+const LIST: &str = "system-keys.list";
+const SYSTEM_KEY: &str = "system-";
+const SUFFIX: &str = ".key";
+/// The longest list, bytes.
+const LONGEST_LIST: usize = 1024;
+
+/// How long system keys and lists last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Schedule {
+    /// How long a key is in use.
+    pub lifetime: Duration,
+    /// How long a retired key still opens requests in flight; covers differing clocks.
+    pub grace: Duration,
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        Self { lifetime: Duration::from_secs(7 * 24 * 3600), grace: Duration::from_secs(300) }
+    }
+}
+
+fn after(moment: Timestamp, duration: Duration) -> Timestamp {
+    Timestamp(moment.0.saturating_add(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)))
+}
+
+/// What a rotation did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Rotation {
+    /// A new list was published.
+    pub published: bool,
+    /// The number of d_S erased.
+    pub erased: usize,
+}
+
+/// The gateway's keys.
+pub struct Cabinet {
+    directory: PathBuf,
+    provider: &'static dyn Provider,
+    domain: Domain,
+    schedule: Schedule,
+    identity: SmKeyPair,
+    list: SystemKeyList,
+    /// Those in the list, and retired ones within their grace period.
+    keys: Vec<(SystemKey, SmSecret)>,
+}
+
+impl Cabinet {
+    /// Opens the keys in `directory`, creates what is missing, and brings the list up to date. `identity` signs the
+    /// list; it belongs to the gateway's keeper and is stored elsewhere.
+    ///
+    /// # Errors
+    /// [`CryptoError`] if a file is open to others, damaged, or cannot be read or written.
+    pub fn open(
+        directory: &Path,
+        provider: &'static dyn Provider,
+        domain: Domain,
+        identity: SmKeyPair,
+        schedule: Schedule,
+        now: Timestamp,
+    ) -> Result<Self, CryptoError> {
+        make_private_directory(directory)?;
+        let stored = read_list(&directory.join(LIST), provider, &domain, &identity)?;
+        let directory = directory.to_owned();
+        let mut keys = Vec::new();
+        for key in stored.iter().flat_map(|list| &list.keys) {
+            let secret = read_secret(&key_path(&directory, &key.id()))?;
+            keys.push((*key, secret));
+        }
+        let first = stored.is_none();
+        let list = match stored {
+            Some(list) => list,
+            None => first_list(&directory, provider, domain, &identity, schedule, now, &mut keys)?,
+        };
+        let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
+        if !cabinet.rotate(now)?.published && !first {
+            cabinet.publish_anew(now)?;
+        }
+        cabinet.erase_strays()?;
+        Ok(cabinet)
+    }
+
+    /// The fingerprint of the gateway whose list is in a directory; `None` if there is none, or it cannot be read.
+    pub fn founded_in(directory: &Path) -> Option<SignerId> {
+        let bytes = read_private(&directory.join(LIST), LONGEST_LIST).ok()?;
+        SystemKeyList::parse(&bytes).ok().map(|list| list.gateway)
+    }
+
+    /// The identity key.
+    pub fn identity(&self) -> &SmKeyPair {
+        &self.identity
+    }
+
+    /// The currently published list.
+    pub fn list(&self) -> &SystemKeyList {
+        &self.list
+    }
+
+    /// d_S of a system key that still opens allocations at `now`.
+    pub fn secret(&self, id: &SignerId, now: Timestamp) -> Option<&SmSecret> {
+        let key = self.keys.iter().find(|(key, _)| key.id() == *id);
+        key.filter(|(key, _)| now < after(key.not_after, self.schedule.grace)).map(|(_, secret)| secret)
+    }
+
+    /// When [`Self::rotate`] next has something to do.
+    pub fn next_rotation(&self) -> Timestamp {
+        let current = self.list.keys.first().map_or(Timestamp(0), |key| key.not_after);
+        let retired = self.keys.iter().filter(|(key, _)| !self.list.keys.contains(key));
+        let erase = retired.map(|(key, _)| after(key.not_after, self.schedule.grace)).min();
+        erase.map_or(current, |erase| erase.min(current))
+    }
+
+    /// Publishes a new list when the current key has expired, and erases keys past their grace period.
+    ///
+    /// # Errors
+    /// [`CryptoError`] if keys cannot be made or files not written; the old list then stays in force.
+    pub fn rotate(&mut self, now: Timestamp) -> Result<Rotation, CryptoError> {
+        let mut rotation = Rotation::default();
+        let current_ended = self.list.keys.first().is_none_or(|key| now >= key.not_after);
+        if current_ended {
+            self.publish_next(now)?;
+            rotation.published = true;
+        }
+        rotation.erased = self.erase_retired(now)?;
+        Ok(rotation)
+    }
+
+    /// Signs the keys in use again under a newer version. A restored home has an older list than its clients have seen,
+    /// which they refuse; a restore cannot be detected, so this is done at each opening.
+    fn publish_anew(&mut self, now: Timestamp) -> Result<(), CryptoError> {
+        let version = (self.list.version + 1).max(now.seconds());
+        let keys = self.list.keys.clone();
+        let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
+        write_private(&self.directory.join(LIST), &list.encode())?;
+        self.list = list;
+        Ok(())
+    }
+
+    fn publish_next(&mut self, now: Timestamp) -> Result<(), CryptoError> {
+        let lifetime = self.schedule.lifetime;
+        let mut keys: Vec<SystemKey> = self.list.keys.iter().copied().filter(|key| now < key.not_after).collect();
+        let mut fresh = Vec::new();
+        while keys.len() < MOST_KEYS {
+            let not_before = keys.last().map_or(now, |key| key.not_after);
+            let (key, secret) = make_key(&self.directory, self.provider, not_before, lifetime)?;
+            keys.push(key);
+            fresh.push((key, secret));
+        }
+        // The seconds keep versions increasing even if the list was lost with its file.
+        let version = (self.list.version + 1).max(now.seconds());
+        let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
+        write_private(&self.directory.join(LIST), &list.encode())?;
+        self.keys.extend(fresh);
+        self.list = list;
+        Ok(())
+    }
+
+    fn erase_retired(&mut self, now: Timestamp) -> Result<usize, CryptoError> {
+        let past = |key: &SystemKey| now >= after(key.not_after, self.schedule.grace);
+        let ended: Vec<SignerId> = self.keys.iter().filter(|(key, _)| past(key)).map(|(key, _)| key.id()).collect();
+        for id in &ended {
+            erase(&key_path(&self.directory, id))?;
+            self.keys.retain(|(key, _)| key.id() != *id);
+        }
+        Ok(ended.len())
+    }
+
+    /// Key files that are in no list: left by a crash between creating and publishing, or retired while the gateway was
+    /// down.
+    fn erase_strays(&self) -> Result<(), CryptoError> {
+        let known: Vec<PathBuf> = self.keys.iter().map(|(key, _)| key_path(&self.directory, &key.id())).collect();
+        let entries = fs::read_dir(&self.directory).map_err(CryptoError::read(&self.directory))?;
+        for path in entries.flatten().map(|entry| entry.path()) {
+            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            if name.starts_with(SYSTEM_KEY) && name.ends_with(SUFFIX) && !known.contains(&path) {
+                erase(&path)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn key_path(directory: &Path, id: &SignerId) -> PathBuf {
+    directory.join(format!("{SYSTEM_KEY}{}{SUFFIX}", &id.to_hex()[..32]))
+}
+
+fn read_secret(path: &Path) -> Result<SmSecret, CryptoError> {
+    let bytes: Zeroizing<Vec<u8>> = read_private(path, 32)?;
+    SmSecret::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
+        path: shown(path),
+        wanted: "an SM2 private key of 32 bytes",
+        found: "it is damaged; restore it, or remove it together with the list to start over".to_owned(),
+    })
+}
+
+fn make_key(
+    directory: &Path,
+    provider: &dyn Provider,
+    not_before: Timestamp,
+    lifetime: Duration,
+) -> Result<(SystemKey, SmSecret), CryptoError> {
+    let pair = SmKeyPair::generate(provider)?;
+    let key = SystemKey { public: pair.public, not_before, not_after: after(not_before, lifetime) };
+    create_private(&key_path(directory, &key.id()), pair.secret.expose())?;
+    Ok((key, pair.secret))
+}
+
+/// The list lasts as long as its last key.
+fn sign_list(
+    provider: &dyn Provider,
+    domain: Domain,
+    identity: &SmKeyPair,
+    version: u64,
+    now: Timestamp,
+    keys: Vec<SystemKey>,
+) -> Result<SystemKeyList, CryptoError> {
+    let expires_at = keys.last().map_or(now, |key| key.not_after);
+    SystemKeyList::sign(provider, domain, identity, version, (now, expires_at), keys)
+}
+
+fn first_list(
+    directory: &Path,
+    provider: &dyn Provider,
+    domain: Domain,
+    identity: &SmKeyPair,
+    schedule: Schedule,
+    now: Timestamp,
+    keys: &mut Vec<(SystemKey, SmSecret)>,
+) -> Result<SystemKeyList, CryptoError> {
+    let current = make_key(directory, provider, now, schedule.lifetime)?;
+    let next = make_key(directory, provider, current.0.not_after, schedule.lifetime)?;
+    let list = sign_list(provider, domain, identity, now.seconds().max(1), now, vec![current.0, next.0])?;
+    write_private(&directory.join(LIST), &list.encode())?;
+    keys.extend([current, next]);
+    Ok(list)
+}
+
+/// The list on disk, if it is this gateway's, of this network and intact.
+fn read_list(
+    path: &Path,
+    provider: &dyn Provider,
+    domain: &Domain,
+    identity: &SmKeyPair,
+) -> Result<Option<SystemKeyList>, CryptoError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let list = SystemKeyList::parse(&read_private(path, LONGEST_LIST)?)
+        .map_err(CryptoError::malformed("list of system keys"))?;
+    if list.domain != *domain {
+        return Err(CryptoError::NotAccepted { what: "list of system keys", field: "network" });
+    }
+    provider.verify(&identity.public, &list.signed_bytes(), &list.signature)?;
+    Ok(Some(list))
+}
+
+/// Overwrites a key before it is removed. Journals and flash may keep copies; if that matters, put the directory on an
+/// encrypted disk.
+fn erase(path: &Path) -> Result<(), CryptoError> {
+    let write = CryptoError::write(path);
+    let mut file = OpenOptions::new().write(true).open(path).map_err(&write)?;
+    file.write_all(&[0; 32]).and_then(|()| file.sync_all()).map_err(&write)?;
+    fs::remove_file(path).map_err(&write)?;
+    let directory = path.parent().unwrap_or(path);
+    fs::File::open(directory).and_then(|directory| directory.sync_all()).map_err(&write)
 }
 
 #[cfg(test)]

@@ -4,16 +4,480 @@
 //! block's own time. A right to read is judged at the moment of reading, by a named policy. Both answers give the
 //! right, or say in words why there is none.
 
-mod contract;
-mod reading;
-mod signers;
-mod signing;
+use std::collections::HashMap;
+
+use tokio::task::block_in_place;
+
+use crate::chain::{BlockRef, QueryAnswer};
+use crate::crypto::signer_id;
+use crate::directory::{Account, Directory, Granted, Lending, kept};
+use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId};
+use crate::store::{RecordRow, WaitingSigner};
+use crate::{Network, PipelineError, Plant};
+
+/// Asks the contract whether `reader` may read what `owner` sealed in an epoch. `None` if the chain's events name no token
+/// of that epoch, or there is no chain to ask.
+///
+/// # Errors
+/// [`PipelineError::Contradicted`] if the answer differs from what the events say; errors of chain and ledger.
+pub async fn ask_contract(
+    plant: &Plant,
+    network: &Network,
+    reader: Address,
+    owner: Address,
+    epoch: u64,
+) -> Result<Option<QueryAnswer>, PipelineError> {
+    if network.absent.is_some() {
+        return Ok(None);
+    }
+    let token = block_in_place(|| kept::token(&plant.ledger, &network.directory, owner, epoch))?;
+    let Some(token) = token else { return Ok(None) };
+    let answer = network.chain.data_query(reader, token, owner).await?;
+    let expected = block_in_place(|| is_covered(plant, network, reader, owner, epoch))?;
+    let claim = match answer {
+        QueryAnswer { epoch: found, .. } if found != epoch => {
+            format!("names epoch {found} for the token that {owner} registered for epoch {epoch}")
+        }
+        QueryAnswer { authorised: true, .. } if !expected => format!("lets {reader} read epoch {epoch} of {owner}"),
+        QueryAnswer { authorised: false, .. } if expected => {
+            format!("does not let {reader} read epoch {epoch} of {owner}")
+        }
+        QueryAnswer { .. } => return Ok(Some(answer)),
+    };
+    Err(PipelineError::Contradicted { claim, block: network.directory.newest() })
+}
+
+/// The contract's rule, applied to the events: a grant covers the epochs from its own on, and earlier ones that have an
+/// envelope of their own. Keys of earlier epochs may also be inside a later envelope, which the contract cannot know.
+fn is_covered(
+    plant: &Plant,
+    network: &Network,
+    reader: Address,
+    owner: Address,
+    epoch: u64,
+) -> Result<bool, PipelineError> {
+    let directory = &network.directory;
+    match may_read(directory, reader, owner, None, Policy::OwnSite) {
+        Ok(ReadingRight::Own) => Ok(true),
+        Ok(ReadingRight::Granted(grant)) => Ok(epoch >= grant.terms.epoch
+            || kept::envelopes(&plant.ledger, &grant)?.iter().any(|envelope| envelope.epoch == epoch)),
+        Err(_) => Ok(false),
+    }
+}
+
+/// What is required for reading.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// A reader's own site: a grant in force by the clock here, and the reader not suspended.
+    OwnSite,
+    /// A gateway serving others: a recent head, a grant with enough confirmations and in force by the later of the
+    /// head's time and the clock here, no announced revoke, and the reader not suspended.
+    Gateway {
+        /// The newest block; `None` if there was none lately.
+        head: Option<BlockRef>,
+        /// Required confirmations of a grant, its own block included.
+        confirmations: u64,
+        /// Whether the owner has announced a revoke that is not on the chain yet.
+        revoke_announced: bool,
+    },
+}
+
+/// The right by which someone reads.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ReadingRight {
+    /// The records are the reader's own.
+    Own,
+    /// By this grant.
+    Granted(Box<Granted>),
+}
+
+impl ReadingRight {
+    /// What the grant covers.
+    pub fn scope(&self) -> &Scope {
+        match self {
+            Self::Own => &Scope::All,
+            Self::Granted(grant) => &grant.terms.scope,
+        }
+    }
+
+    /// Whether records of a topic are covered.
+    pub fn covers(&self, topic: TopicId) -> bool {
+        self.scope().covers(topic)
+    }
+}
+
+/// Why someone may not read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
+pub enum ReadRefused {
+    /// No grant is in force.
+    #[error("{reader} has no grant of {owner}")]
+    NotGranted { owner: Address, reader: Address },
+    /// A grant is in force but does not cover the topic.
+    #[error("the grant of {owner} to {reader} does not cover this topic")]
+    NotCovered { owner: Address, reader: Address },
+    /// The reader is suspended.
+    #[error("{reader} has been suspended since block {since}")]
+    Suspended { reader: Address, since: u64 },
+    /// There was no head lately, so nobody's right is known.
+    #[error("no recent block from the chain")]
+    Stale,
+}
+
+/// Whether `reader` may read `owner`'s records of a topic (of any topic, if `topic` is `None`).
+///
+/// # Errors
+/// [`ReadRefused`] with the reason.
+pub fn may_read(
+    directory: &Directory,
+    reader: Address,
+    owner: Address,
+    topic: Option<TopicId>,
+    policy: Policy,
+) -> Result<ReadingRight, ReadRefused> {
+    if reader == owner {
+        return Ok(ReadingRight::Own);
+    }
+    let now = match policy {
+        Policy::OwnSite => directory.now(),
+        Policy::Gateway { head, .. } => {
+            let head = head.ok_or(ReadRefused::Stale)?;
+            directory.now().max(Timestamp::from_seconds(head.timestamp))
+        }
+    };
+    not_suspended(directory, reader)?;
+    let grant = directory.grant_between(owner, reader).filter(|grant| stands(grant, now, policy));
+    let grant = grant.ok_or(ReadRefused::NotGranted { owner, reader })?;
+    if topic.is_some_and(|topic| !grant.terms.scope.covers(topic)) {
+        return Err(ReadRefused::NotCovered { owner, reader });
+    }
+    Ok(ReadingRight::Granted(Box::new(grant)))
+}
+
+fn not_suspended(directory: &Directory, reader: Address) -> Result<(), ReadRefused> {
+    let since = directory.with_account(reader, |account| {
+        account.and_then(|account| account.suspended_at(None)).map(|interval| interval.from)
+    });
+    since.map_or(Ok(()), |since| Err(ReadRefused::Suspended { reader, since }))
+}
+
+fn stands(grant: &Granted, now: Timestamp, policy: Policy) -> bool {
+    let demanded = match policy {
+        Policy::OwnSite => true,
+        Policy::Gateway { head, confirmations, revoke_announced } => {
+            let deep = head.is_some_and(|head| grant.block.saturating_add(confirmations) <= head.number + 1);
+            deep && !revoke_announced
+        }
+    };
+    demanded && grant.is_active(now)
+}
+
+/// The grants by which others currently let `reader` read on its own site.
+pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
+    if not_suspended(directory, reader).is_err() {
+        return Vec::new();
+    }
+    let now = directory.now();
+    directory.grants_to(reader).into_iter().filter(|grant| grant.is_active(now)).collect()
+}
+
+/// The grant of `owner` to `grantee` currently in force, for the owner's own management.
+pub fn standing_grant(directory: &Directory, owner: Address, grantee: Address) -> Option<Granted> {
+    directory.grant_between(owner, grantee).filter(|grant| grant.is_active(directory.now()))
+}
+
+/// All grants by `owner` currently in force.
+pub fn standing_grants(directory: &Directory, owner: Address) -> Vec<Granted> {
+    let now = directory.now();
+    directory.grants_of(owner).into_iter().filter(|grant| grant.is_active(now)).collect()
+}
+
+/// What is known of the signers of some records that are looked at together.
+pub struct Signers<'a> {
+    plant: &'a Plant,
+    network: &'a Network,
+    known: HashMap<(Address, SignerId, Option<u64>), Result<PublicKey, NoRight>>,
+}
+
+impl<'a> Signers<'a> {
+    /// Nothing is known yet.
+    pub fn new(plant: &'a Plant, network: &'a Network) -> Self {
+        Self { plant, network, known: HashMap::new() }
+    }
+
+    /// The key that signed a record, see [`signer_of`].
+    ///
+    /// # Errors
+    /// Errors of chain and ledger; lack of a right is part of the answer.
+    pub fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>, PipelineError> {
+        let asked = (row.owner, row.signer, row.block);
+        if let Some(known) = self.known.get(&asked) {
+            return Ok(known.clone());
+        }
+        let signer = signer_of(self.plant, self.network, row)?;
+        self.known.insert(asked, signer.clone());
+        Ok(signer)
+    }
+}
+
+/// The moment at which a right is judged: the state after all events of a block, and that block's own time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Moment {
+    /// The block; `None` = after every known event.
+    pub block: Option<u64>,
+    /// The block's time, as stated by its maker.
+    pub time: Timestamp,
+}
+
+impl Moment {
+    /// After a block's events.
+    pub fn of_block(block: u64, time: Timestamp) -> Self {
+        Self { block: Some(block), time }
+    }
+
+    /// After every known event.
+    pub fn newest(time: Timestamp) -> Self {
+        Self { block: None, time }
+    }
+}
+
+/// The right by which a record was signed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SigningRight {
+    /// With the owner's own key.
+    Owner(PublicKey),
+    /// With the key of a device lent by the owner.
+    Device(Lending),
+}
+
+/// Why a signer had no right to sign for an owner.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
+pub enum NoRight {
+    /// The owner had not registered an identity yet.
+    #[error("{owner} was not registered yet {}", when(.block))]
+    Unregistered { owner: Address, block: Option<u64> },
+    /// The owner's identity has no valid proof.
+    #[error("the identity that {owner} had registered does not verify")]
+    Unproven { owner: Address },
+    /// The owner was suspended.
+    #[error("{owner} was suspended {}, since block {since}", when(.block))]
+    Suspended { owner: Address, since: u64, block: Option<u64> },
+    /// The owner's account was lost and another account took over.
+    #[error("{owner} was declared lost {}, and {successor} is its successor since block {since}", when(.block))]
+    Succeeded { owner: Address, successor: Address, since: u64, block: Option<u64> },
+    /// The key had been the owner's, but was replaced.
+    #[error("{owner} had replaced the signer's key {}, in block {since}", when(.block))]
+    Replaced { owner: Address, since: u64, block: Option<u64> },
+    /// The device was lent later.
+    #[error("the signer is a device that {owner} lent only in block {from}, after the record was anchored")]
+    LentLater { owner: Address, from: u64 },
+    /// The device was recalled.
+    #[error("the signer is a device that {owner} had recalled in block {recalled}")]
+    Recalled { owner: Address, recalled: u64 },
+    /// The device's loan had ended.
+    #[error("the signer is a device that {owner} had lent until {until}, but the anchoring block is dated {time}")]
+    Ended { owner: Address, until: Timestamp, time: Timestamp },
+    /// None of these.
+    #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
+    Unknown { owner: Address, block: Option<u64> },
+    /// The device was lent, but its public key is not known here.
+    #[error("the signer is a device of {owner} whose key is unknown here; ask its owner for an export")]
+    KeyUnknown { owner: Address },
+}
+
+#[allow(clippy::ref_option, reason = "as the messages above hand it over")]
+fn when(block: &Option<u64>) -> String {
+    block.map_or_else(|| "by now".to_owned(), |block| format!("at block {block}"))
+}
+
+/// Whether an account is currently suspended: then no gateway admits it, and nothing of it is passed on.
+pub fn is_suspended(directory: &Directory, account: Address) -> bool {
+    directory.account(account).is_some_and(|account| account.suspended_at(None).is_some())
+}
+
+/// Whether a loan is currently in force, by the chain's clock.
+pub fn is_lent(directory: &Directory, lending: &Lending) -> bool {
+    lending.recalled.is_none() && lending.until.is_none_or(|until| until > directory.now())
+}
+
+/// Whether the key with this id could sign for `owner` at a given moment.
+///
+/// # Errors
+/// [`NoRight`] with the reason.
+pub fn may_sign(directory: &Directory, owner: Address, signer: SignerId, at: Moment) -> Result<SigningRight, NoRight> {
+    let right = directory.with_account(owner, |account| by_block(account, owner, signer, at.block))?;
+    in_time(right, owner, at.time)
+}
+
+/// As far as blocks decide; a loan may also expire.
+fn by_block(
+    account: Option<&Account>,
+    owner: Address,
+    signer: SignerId,
+    block: Option<u64>,
+) -> Result<SigningRight, NoRight> {
+    let unregistered = NoRight::Unregistered { owner, block };
+    let account = account.ok_or(unregistered.clone())?;
+    let begun = |from: u64| block.is_none_or(|block| from <= block);
+    let identities = account.identities.iter().filter(|identity| begun(identity.block));
+    let current = identities.clone().next_back().ok_or(unregistered)?;
+    if let Some(interval) = account.suspended_at(block) {
+        let since = interval.from;
+        return Err(match interval.successor {
+            Some(successor) => NoRight::Succeeded { owner, successor, since, block },
+            None => NoRight::Suspended { owner, since, block },
+        });
+    }
+    if signer_id(&current.signing) == signer {
+        return match current.proven {
+            true => Ok(SigningRight::Owner(current.signing)),
+            false => Err(NoRight::Unproven { owner }),
+        };
+    }
+    let mut loans = account.devices.iter().filter(|lending| lending.device == signer);
+    if let Some(lending) = loans.clone().rfind(|lending| begun(lending.from)) {
+        return match lending.recalled.filter(|recalled| begun(*recalled)) {
+            Some(recalled) => Err(NoRight::Recalled { owner, recalled }),
+            None => Ok(SigningRight::Device(lending.clone())),
+        };
+    }
+    if let Some(lending) = loans.next() {
+        return Err(NoRight::LentLater { owner, from: lending.from });
+    }
+    let mut before = identities.rev().skip_while(|identity| signer_id(&identity.signing) != signer);
+    Err(match before.next() {
+        Some(_) => NoRight::Replaced { owner, since: current.block, block },
+        None => NoRight::Unknown { owner, block },
+    })
+}
+
+fn in_time(right: SigningRight, owner: Address, time: Timestamp) -> Result<SigningRight, NoRight> {
+    match &right {
+        SigningRight::Device(Lending { until: Some(until), .. }) if *until <= time => {
+            Err(NoRight::Ended { owner, until: *until, time })
+        }
+        _ => Ok(right),
+    }
+}
+
+/// The right by which a key signed for `owner`, at a block of the chain; the block's time is requested only if it
+/// matters.
+///
+/// # Errors
+/// Errors of the chain; lack of a right is part of the answer.
+pub fn right_of(
+    network: &Network,
+    owner: Address,
+    signer: SignerId,
+    block: u64,
+) -> Result<Result<SigningRight, NoRight>, PipelineError> {
+    let right = match network.directory.with_account(owner, |account| by_block(account, owner, signer, Some(block))) {
+        Ok(right) => right,
+        Err(why) => return Ok(Err(why)),
+    };
+    // Without the chain nobody knows the block's time; nothing is called verified then.
+    if matches!(right, SigningRight::Device(Lending { until: Some(_), .. })) && network.absent.is_none() {
+        return Ok(in_time(right, owner, network.time_of(block)?));
+    }
+    Ok(Ok(right))
+}
+
+/// The key that signed a record, if its signer had the right at the anchoring block. Before a record is anchored
+/// nothing is decided: then any key that its owner ever registered or lent. The chain has only the ids of devices;
+/// their keys are those known to the ledger.
+///
+/// # Errors
+/// Errors of chain and ledger; lack of a right is part of the answer.
+pub fn signer_of(
+    plant: &Plant,
+    network: &Network,
+    row: &RecordRow,
+) -> Result<Result<PublicKey, NoRight>, PipelineError> {
+    let right = match row.block {
+        Some(block) => right_of(network, row.owner, row.signer, block)?,
+        None => network.directory.with_account(row.owner, |account| ever(account, row.owner, row.signer)),
+    };
+    Ok(match right {
+        Ok(SigningRight::Owner(key)) => Ok(key),
+        Ok(SigningRight::Device(_)) => {
+            let key = plant.ledger.signer(row.signer)?.filter(|key| signer_id(key) == row.signer);
+            key.ok_or(NoRight::KeyUnknown { owner: row.owner })
+        }
+        Err(why) => Err(why),
+    })
+}
+
+/// Like [`signer_of`], without the reason.
+///
+/// # Errors
+/// See [`signer_of`].
+pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>, PipelineError> {
+    Ok(signer_of(plant, network, row)?.ok())
+}
+
+fn ever(account: Option<&Account>, owner: Address, signer: SignerId) -> Result<SigningRight, NoRight> {
+    let account = account.ok_or(NoRight::Unregistered { owner, block: None })?;
+    let own = account.identities.iter().find(|known| known.proven && signer_id(&known.signing) == signer);
+    if let Some(identity) = own {
+        return Ok(SigningRight::Owner(identity.signing));
+    }
+    let lent = account.devices.iter().find(|lending| lending.device == signer);
+    lent.map(|lending| SigningRight::Device(lending.clone())).ok_or(NoRight::Unknown { owner, block: None })
+}
+
+/// Holds back what `keeper` would anchor although its signer may not sign now, and releases what waited for a right
+/// that is back. To be called before anything is anchored.
+///
+/// # Errors
+/// Errors of the ledger; the next call does what is left.
+pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<(), PipelineError> {
+    for waiting in plant.ledger.waiting_signers(keeper)? {
+        let now = Moment::newest(network.directory.now());
+        match may_sign(&network.directory, waiting.owner, waiting.signer, now) {
+            Ok(_) if waiting.held => free(plant, keeper, waiting)?,
+            // Before an owner is registered its records wait for that, like all others.
+            Ok(_) | Err(NoRight::Unregistered { .. }) => {}
+            Err(why) if waiting.ready => hold(plant, keeper, waiting, &why)?,
+            Err(_) => {}
+        }
+    }
+    Ok(())
+}
+
+fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -> Result<(), PipelineError> {
+    let mut held = 0;
+    loop {
+        match plant.ledger.hold_signer(keeper, waiting.owner, waiting.signer)? {
+            0 => break,
+            more => held += more,
+        }
+    }
+    // Messages captured meanwhile join the waiting ones; this is reported once.
+    if held > 0 && !waiting.held {
+        plant.observer.alert(true, format!("records are kept but not anchored: {why}"));
+    }
+    if held > 0 {
+        plant.observer.records_changed();
+    }
+    Ok(())
+}
+
+fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<(), PipelineError> {
+    let mut freed = 0;
+    loop {
+        match plant.ledger.free_signer(keeper, waiting.owner, waiting.signer)? {
+            0 => break,
+            more => freed += more,
+        }
+    }
+    if freed > 0 {
+        let owner = waiting.owner;
+        plant.observer.alert(false, format!("{freed} records of {owner} resume: their signer may sign again"));
+        plant.observer.records_changed();
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests;
-mod waiting;
-
-pub use contract::ask_contract;
-pub use reading::{Policy, ReadRefused, ReadingRight, may_read, shared_with, standing_grant, standing_grants};
-pub use signers::Signers;
-pub use signing::{Moment, NoRight, SigningRight, is_lent, is_suspended, key_of, may_sign, right_of, signer_of};
-pub use waiting::settle_waiting;

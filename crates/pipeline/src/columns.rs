@@ -19,7 +19,7 @@ use crate::model::header::TAG_LENGTH;
 use crate::model::{Digest, FilterId, Head, Header, RecordKind, RecordState, RecorderPrefix};
 use crate::store::{FilterChoice, PlacedRecord, RecordRow, StoreError};
 
-use super::{Plant, proof};
+use super::{Plant, chain_proofs};
 
 /// First bytes of a record that are read for its header and, unless it is very long, its sealed head.
 pub const FRONT: usize = 2048;
@@ -408,7 +408,7 @@ fn place_difference(placed: &PlacedRecord) -> Option<&'static str> {
 /// Inconsistencies between a row and its place in a batch.
 pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> Option<&'static str> {
     let place = place.as_ref()?;
-    if !proof::is_included(place, row) {
+    if !chain_proofs::is_included(place, row) {
         return Some("place in its batch");
     }
     if row.block.is_none() || place.block.is_none() {

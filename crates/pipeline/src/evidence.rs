@@ -1,33 +1,34 @@
 //! What an evidence bundle is assembled from: records from the vault, their places in batches, and the chain's proofs
 //! of their anchors and their signers' keys.
 
+/// The most records in a bundle.
+pub use authros_evidence::MOST_RECORDS;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
+use authros_evidence::time::StampTree;
 use authros_evidence::{
-    AnchorClaim, Anchoring, BlockHeader, BundledRecord, Disclosure, Nodes, Packing, PackingError, PinnedAuthority,
-    PinnedChain, Slot, Trust, disclose,
+    AnchorClaim, Anchoring, BlockHeader, BundledRecord, Disclosure, Height, Nodes, Packing, PackingError,
+    PinnedAuthority, PinnedChain, Slot, Trust, disclose,
 };
 use tokio::task::block_in_place;
 
 use crate::chain::{Chain, ChainError, SealerKind};
-use crate::crypto::CryptoError;
+use crate::chain_proofs::{self, Anchor, Shown as Wanted};
+use crate::columns::{self, Keys};
 use crate::crypto::record::{RecordSecret, open_revealed};
-use crate::crypto::signer_id;
-use crate::model::{Address, Digest, ErrorKind, Hash, Header, PublicKey, SignerId};
-use crate::store::{RecordRow, Retained};
-
-use super::chain_proofs::{self, Anchor, Shown as Wanted};
-use super::columns::{self, Keys};
-use super::directory::kept;
-use super::evidence_heights::{self, Shown};
-use super::evidence_stamps;
-use super::reader::Reader;
-use super::retention::erasing::is_stated;
-use super::{PipelineError, authority};
-
-/// The most records in a bundle.
-pub use authros_evidence::MOST_RECORDS;
+use crate::crypto::{CryptoError, signer_id};
+use crate::directory::kept;
+use crate::model::{
+    Address, Birth, Digest, ErrorKind, Hash, Header, Heads, Heights, PublicKey, RecordState, RecorderId, SignerId,
+    TopicId,
+};
+use crate::reader::Reader;
+use crate::recorder_heads::{TOPIC, tree};
+use crate::retention::is_stated;
+use crate::store::{RecordQuery, RecordRow, Retained};
+use crate::{PipelineError, Plant, authority};
 
 /// The most kept headers after a block that are included.
 const MOST_FURTHER: u64 = 16;
@@ -82,7 +83,7 @@ pub async fn gather(
     authorities: Vec<PinnedAuthority>,
 ) -> Result<Gathered, PipelineError> {
     let (mut gathered, mut asked) = (Gathered::default(), Vec::new());
-    let Shown { rows: statements, heights, notes } = evidence_heights::shown(reader, rows).await?;
+    let Shown { rows: statements, heights, notes } = heights_shown(reader, rows).await?;
     gathered.notes = notes;
     let stated = statements.iter().map(|row| row.digest).collect::<BTreeSet<_>>();
     let known: BTreeSet<Digest> = rows.iter().map(|row| row.digest).collect();
@@ -111,7 +112,7 @@ pub async fn gather(
         gathered.packing.heights(heights).map_err(refused)?;
     }
     let roots = asked.iter().filter_map(Asked::root).collect();
-    block_in_place(|| evidence_stamps::add(reader.plant, &roots, &mut gathered))?;
+    block_in_place(|| add(reader.plant, &roots, &mut gathered))?;
     let live = match &reader.network.absent {
         None => Some(Sealers::of(&reader.network.chain).await?),
         Some(why) => {
@@ -340,4 +341,152 @@ fn suggest(
     let Sealers { addresses: signers, own: sealed_by_exporter } = sealers;
     let pinned = PinnedChain { id, genesis, contract, code_hash, signers, quorum: None, sealed_by_exporter };
     gathered.packing.suggest(&Trust { chain: pinned, persons: Vec::new(), authorities }).map_err(refused)
+}
+
+/// Adds the stamps over these roots; if batches are stamped here at all, it reports how many of these are not yet.
+///
+/// # Errors
+/// Errors of the ledger.
+pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<(), PipelineError> {
+    if plant.ledger.stamp_counts()?.newest.is_none() {
+        return Ok(());
+    }
+    let (mut stamps, mut bare): (BTreeMap<u64, Vec<Hash>>, u64) = (BTreeMap::new(), 0);
+    for root in roots {
+        match plant.ledger.stamp_of(*root)? {
+            Some(key) => stamps.entry(key).or_default().push(*root),
+            None => bare += 1,
+        }
+    }
+    for (key, wanted) in stamps {
+        let stamp = plant.ledger.stamp(key)?.filter(|stamp| !stamp.tokens.is_empty());
+        match stamp.and_then(|stamp| StampTree::new(stamp.roots).zip(Some(stamp.tokens))) {
+            Some((tree, tokens)) => {
+                gathered
+                    .packing
+                    .stamps(&tree, &wanted, &tokens)
+                    .map_err(|error| PipelineError::Refused(error.to_string()))?;
+            }
+            None => bare += wanted.len() as u64,
+        }
+    }
+    if bare > 0 {
+        let text = format!(
+            "{bare} batches have no time stamp yet, so level (d) is absent; `authros evidence stamp` requests one"
+        );
+        gathered.notes.push(text);
+    }
+    Ok(())
+}
+
+/// The most statements of one type by one recorder that are searched.
+const MOST_STATEMENTS: usize = 16;
+
+/// Statements that a bundle discloses for completeness.
+#[derive(Debug, Default)]
+pub(super) struct Shown {
+    /// The records of heads and births.
+    pub rows: Vec<RecordRow>,
+    /// Highest numbers with their paths.
+    pub heights: Vec<Height>,
+    /// What is missing, in words.
+    pub notes: Vec<String>,
+}
+
+/// What there is for these records.
+///
+/// # Errors
+/// Errors of the ledger; a statement that does not open is skipped.
+pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
+    let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
+    // The recorder of a ring states nothing: its id says that its numbers may be missing.
+    for row in rows.iter().filter(|row| row.topic != TOPIC && !row.recorder.is_ring()) {
+        topics.entry(row.recorder).or_default().insert(row.topic_id);
+    }
+    let mut shown = Shown::default();
+    for (recorder, topics) in topics {
+        if rows.len() + shown.rows.len() + 2 > MOST_RECORDS {
+            let text = format!("statements of recorder {recorder} and later ones do not fit into the bundle");
+            shown.notes.push(text);
+            break;
+        }
+        one(reader, (recorder, &topics), &mut shown).await?;
+    }
+    Ok(shown)
+}
+
+/// What there is for one recorder.
+async fn one(
+    reader: &Reader<'_>,
+    (recorder, topics): (RecorderId, &BTreeSet<TopicId>),
+    shown: &mut Shown,
+) -> Result<(), PipelineError> {
+    let before = shown.rows.len();
+    for row in statements(reader, recorder, Heads::TYPE)? {
+        let Some(heights) = heights(reader, &row).await else { continue };
+        shown.heights.extend(of_topics(row.digest, &heights, topics));
+        shown.rows.push(row);
+        break;
+    }
+    if shown.rows.len() == before {
+        shown
+            .notes
+            .push(format!("recorder {recorder} has no anchored heads record here: nothing says how far its topics go"));
+    }
+    let before = shown.rows.len();
+    for row in statements(reader, recorder, Birth::TYPE)? {
+        if body(reader, &row).await.is_some() {
+            shown.rows.push(row);
+            break;
+        }
+    }
+    if shown.rows.len() == before {
+        shown.notes.push(format!(
+            "recorder {recorder} has no anchored birth record here: nothing says which recorder it follows"
+        ));
+    }
+    Ok(())
+}
+
+/// Anchored statements of a recorder, in search order: heads from the newest, births from the oldest.
+fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>, PipelineError> {
+    let query = RecordQuery {
+        owner: Some(reader.reader.address),
+        recorder: Some(recorder),
+        topic: Some(TOPIC.to_owned()),
+        type_name: Some(type_name.to_owned()),
+        limit: MOST_STATEMENTS,
+        newest_first: type_name == Heads::TYPE,
+        ..RecordQuery::default()
+    };
+    let mut rows = block_in_place(|| reader.plant.ledger.list(&query))?.rows;
+    rows.retain(is_confirmed);
+    Ok(rows)
+}
+
+fn is_confirmed(row: &RecordRow) -> bool {
+    matches!(row.state, RecordState::Confirmed | RecordState::Verified)
+}
+
+/// The content of a statement.
+async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
+    Some(reader.open(row).await.ok()?.body)
+}
+
+/// The list of numbers under a head.
+async fn heights(reader: &Reader<'_>, row: &RecordRow) -> Option<Heights> {
+    let heads = Heads::parse(&body(reader, row).await?).ok()?;
+    let listed = block_in_place(|| reader.plant.ledger.record(heads.heights)).ok()??;
+    let heights = Heights::parse(&body(reader, &listed).await?).ok()?;
+    (tree(&heights)?.root() == heads.root).then_some(heights)
+}
+
+fn of_topics(heads: Digest, heights: &Heights, topics: &BTreeSet<TopicId>) -> Vec<Height> {
+    let Some(tree) = tree(heights) else { return Vec::new() };
+    let named = heights.topics.iter().enumerate().filter(|(_, (topic, _))| topics.contains(topic));
+    let height = |(at, (topic, number)): (usize, &(TopicId, u64))| {
+        let (topic, number, path) = (*topic, *number, tree.path(at));
+        Height { heads, topic, number, index: at as u64, path }
+    };
+    named.map(height).collect()
 }

@@ -1,30 +1,23 @@
 //! Records that come through a gateway: every claim is compared with the chain, then they are stored in vault and
 //! ledger as if they had been captured here. A gateway that lies gets nothing in.
 
-#[cfg(test)]
-mod block_tests;
-mod erased;
-
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
+use crate::authority::{self, Moment, SigningRight, may_sign};
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
-use crate::crypto::{CryptoError, SealedRecord, signer_id};
-use crate::gateway::{Entry, Fetched, Standing};
+use crate::crypto::{CryptoError, ErasedStatement, SealedRecord, check_deleted, signer_id};
+use crate::equivocation::{self, Claim};
+use crate::gateway::{Entry, ErasedRecord, Fetched, Standing};
 use crate::model::{Address, Digest, Hash, Header, RecordState, Timestamp};
-use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError};
-
-use super::authority::{self, Moment, SigningRight};
-use super::equivocation::{self, Claim};
-use super::reader::Reader;
-use super::watcher::CURSOR;
-use super::{Network, Owner, PipelineError, Plant, proof};
-
-pub use erased::{prove_erased, taken_erased};
+use crate::reader::Reader;
+use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError, TakenErased};
+use crate::watcher::CURSOR;
+use crate::{Network, Owner, PipelineError, Plant, chain_proofs};
 
 /// Length of the tag at the end of a sealed body, bytes.
 const TAG: u64 = 16;
@@ -96,7 +89,7 @@ impl Anchors {
         // The block is the transaction's, and the root must be in that very block: the right is judged by it.
         let (block, block_hash) = block_of(network, digest, &proof).await?;
         let (account, root, count) = (proof.account, inclusion.root, inclusion.count);
-        if !proof::is_root_in(&network.chain, account, root, count, block).await? {
+        if !chain_proofs::is_root_in(&network.chain, account, root, count, block).await? {
             return Err(refused("the chain does not have its root"));
         }
         let mut anchors = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -359,3 +352,87 @@ fn row_of_entry(entry: &Entry) -> RecordRow {
         deleted_at: None,
     }
 }
+
+impl Mirror<'_> {
+    /// Takes in what is left of a record that its owner had erased. Returns whether anything changed.
+    ///
+    /// # Errors
+    /// [`PipelineError::NotTakenIn`] or an error of the signature if a claim is invalid, otherwise errors of chain and ledger.
+    pub async fn take_erased(
+        &self,
+        owner: Address,
+        digest: Digest,
+        erased: ErasedRecord,
+    ) -> Result<bool, PipelineError> {
+        let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
+        let (header, _) = Header::parse(&erased.record.blob).map_err(|_| refused("its header is none"))?;
+        if header.owner != owner {
+            return Err(refused("it does not belong to the requested owner"));
+        }
+        let asked = row_of(&header, digest, &erased.record);
+        block_in_place(|| self.opener().topic_key(&asked))?;
+        let proven = prove_erased(self.plant, self.network, &self.anchors, (digest, &erased), BEHIND).await?;
+        let Some((header, proof)) = proven else { return Ok(false) };
+        let ErasedRecord { record, statement } = erased;
+        let taken = taken_erased(record.blob, &statement);
+        let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: record.signature };
+        block_in_place(|| Ok(self.note(sealed, taken)? && self.prove(owner, digest, proof)?))
+    }
+
+    fn note(&self, sealed: SealedRecord, taken: TakenErased) -> Result<bool, PipelineError> {
+        let digest = sealed.digest;
+        let row = NewRecord { local_copy: None, state: RecordState::Stored, ..NewRecord::foreign(sealed, self.keeper) };
+        self.plant.ledger.take_erased(row, taken).map_err(|error| match error {
+            StoreError::Conflict { .. } => {
+                PipelineError::NotTakenIn { digest, why: "its number belongs to another record".to_owned() }
+            }
+            error => error.into(),
+        })
+    }
+}
+
+/// What the ledger notes of an erased record.
+pub fn taken_erased(header: Vec<u8>, statement: &ErasedStatement) -> TakenErased {
+    TakenErased { header, report: statement.report, at: statement.at, statement: statement.encode() }
+}
+
+/// Holds what is left of an erased record against the chain: the record's signature, its owner's statement by the key of
+/// now, the anchor, and the signer's right at that block, which the watcher has `patience` to read. `None` if the chain may have
+/// the anchor's block later.
+///
+/// # Errors
+/// [`PipelineError::NotTakenIn`] or [`PipelineError::Crypto`] if a claim is invalid, otherwise errors of chain and ledger.
+pub async fn prove_erased(
+    plant: &Plant,
+    network: &Network,
+    anchors: &Anchors,
+    (digest, erased): (Digest, &ErasedRecord),
+    patience: Duration,
+) -> Result<Option<(Header, AnchorProof)>, PipelineError> {
+    let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
+    let ErasedRecord { record, statement } = erased;
+    let (_, length) = Header::parse(&record.blob).map_err(|_| refused("its header is none"))?;
+    let header = check_deleted(plant.provider, &record.blob, digest, &record.signature, &record.signer)?;
+    if length != record.blob.len() || !header.kind.is_content() {
+        return Err(refused("what is left of it is not the header of a message or an attachment"));
+    }
+    if header.domain != network.domain {
+        return Err(refused("it does not belong to the network"));
+    }
+    statement.check(plant.provider, &digest, &record.blob)?;
+    let now = Moment::newest(network.directory.now());
+    let right = may_sign(&network.directory, header.owner, signer_id(&statement.signer), now);
+    if !matches!(right, Ok(SigningRight::Owner(_))) {
+        return Err(refused("that it was erased is not stated with its owner's key"));
+    }
+    let proof = AnchorProof::parse(&record.proof).map_err(|_| refused("it has no proof"))?;
+    let proof = match anchors.confirm(network, &header, digest, proof).await {
+        Err(PipelineError::NotSeen { .. }) => return Ok(None),
+        confirmed => confirmed?,
+    };
+    check_right(plant, network, (&header, digest, record), (proof.block, patience)).await?;
+    Ok(Some((header, proof)))
+}
+
+#[cfg(test)]
+mod block_tests;

@@ -2,26 +2,24 @@
 //! before anything else, and nothing is shown before the last check.
 
 mod definitions;
-mod granted;
-mod own;
 
 pub use definitions::Definitions;
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
 
+use crate::authority::{self, Policy, ReadRefused, ReadingRight, may_read};
 use crate::crypto::{
     Anchor, CryptoError, Expected, GrantedKeys, IndexKey, Names, OpenedRecord, TopicKey, WrappedKeys, check,
-    check_deleted, open, topic_key, unwrap,
+    check_deleted, open, signer_id, topic_id, topic_key, unwrap,
 };
-use crate::model::{Address, Digest, GrantTerms, Header, RecordState, TopicId, Verdict};
+use crate::directory::{Granted, kept};
+use crate::model::{Address, Digest, GrantTerms, Header, PublicKey, RecordState, Scope, SignerId, TopicId, Verdict};
+use crate::retention::is_stated;
 use crate::store::{KeptEnvelope, RecordRow, Retained};
-
-use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
-use super::directory::{Granted, kept};
-use super::retention::erasing::is_stated;
-use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
+use crate::{Network, Owner, PipelineError, Plant, chain_proofs, columns};
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
@@ -133,8 +131,8 @@ impl Reader<'_> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
         let (anchored, digest) = match self.network.absent {
             _ if !confirmed => return Ok(Anchor::Unanchored),
-            None => (proof::is_anchored(self.plant, self.network, row).await?, Anchor::Chain(row.digest)),
-            Some(_) => (block_in_place(|| proof::was_sighted(self.plant, row))?, Anchor::Remembered(row.digest)),
+            None => (chain_proofs::is_anchored(self.plant, self.network, row).await?, Anchor::Chain(row.digest)),
+            Some(_) => (block_in_place(|| chain_proofs::was_sighted(self.plant, row))?, Anchor::Remembered(row.digest)),
         };
         Ok(if anchored { digest } else { Anchor::Unanchored })
     }
@@ -307,5 +305,125 @@ fn find_opening(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<(Topic
             let found = keys.iter().find(|(number, _, id, _)| (*number, *id) == (epoch, topic));
             found.map(|(_, name, _, key)| (key.clone(), Names::Given(name.clone())))
         }
+    }
+}
+
+impl Reader<'_> {
+    /// The topics of an owner that this reader may read now; `None` = none.
+    pub fn scope(&self, owner: Address) -> Option<Scope> {
+        self.right(owner, None).ok().map(|right| right.scope().clone())
+    }
+
+    /// The first epoch of a topic that this reader was given a key of; `None` = there is none.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn first_epoch(&self, owner: Address, topic: TopicId) -> Result<Option<u64>, PipelineError> {
+        let grant = match self.right(owner, Some(topic)) {
+            Ok(ReadingRight::Own) => return Ok(Some(0)),
+            Ok(ReadingRight::Granted(grant)) => grant,
+            Err(_) => return Ok(None),
+        };
+        let first = |keys: &GrantedKeys| match keys {
+            GrantedKeys::All { epochs, .. } => epochs.iter().map(|(epoch, _)| *epoch).min(),
+            GrantedKeys::Topics { keys } => {
+                keys.iter().filter(|(_, _, id, _)| *id == topic).map(|(epoch, ..)| *epoch).min()
+            }
+        };
+        Ok(self.envelopes(&grant)?.iter().filter_map(|wrapped| first(&wrapped.keys)).min())
+    }
+
+    /// The pseudonyms that a topic of an owner has, as far as this reader's keys tell.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn ids_of(&self, owner: Address, topic: &str) -> Result<BTreeSet<TopicId>, PipelineError> {
+        if owner == self.reader.address {
+            return Ok([topic_id(&self.reader.index(), topic)].into());
+        }
+        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return Ok(BTreeSet::new()) };
+        let mut ids = BTreeSet::new();
+        for wrapped in self.envelopes(&grant)? {
+            match &wrapped.keys {
+                GrantedKeys::All { index_key, .. } => ids.extend([topic_id(index_key, topic)]),
+                GrantedKeys::Topics { keys } => {
+                    ids.extend(keys.iter().filter(|(_, name, ..)| name == topic).map(|(_, _, id, _)| *id));
+                }
+            }
+        }
+        Ok(ids)
+    }
+
+    /// The names of an owner's topics that a grant of some topics tells.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn granted_names(&self, owner: Address) -> Result<BTreeMap<TopicId, String>, PipelineError> {
+        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return Ok(BTreeMap::new()) };
+        let mut names = BTreeMap::new();
+        for wrapped in self.envelopes(&grant)? {
+            if let GrantedKeys::Topics { keys } = &wrapped.keys {
+                names.extend(keys.iter().map(|(_, name, id, _)| (*id, name.clone())));
+            }
+        }
+        Ok(names)
+    }
+}
+
+impl Reader<'_> {
+    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for ledger and vault.
+    ///
+    /// # Errors
+    /// Errors of ledger and vault.
+    pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
+        Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
+    }
+
+    /// The stored bytes of a record.
+    ///
+    /// # Errors
+    /// Errors of ledger and vault.
+    pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
+        match self.plant.stored_bytes(row)? {
+            Some(blob) => Ok(Some(blob)),
+            None => Ok(self.plant.ledger.local_copy(row.digest)?),
+        }
+    }
+
+    /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open, or
+    /// if its signer wrote a false name into it.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn open_own(&self, row: &RecordRow, blob: &[u8]) -> Result<Option<OpenedRecord>, PipelineError> {
+        let Some(signer) = self.own_signer(row.signer)?.filter(|_| row.owner == self.reader.address) else {
+            return Ok(None);
+        };
+        let Ok(key) = self.topic_key(row) else { return Ok(None) };
+        let names = Names::Derived(self.reader.index());
+        let expected = Expected::any_of(self.network.domain, row.owner, names);
+        Ok(open(self.plant.provider, blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok())
+    }
+
+    fn own_signer(&self, signer: SignerId) -> Result<Option<PublicKey>, PipelineError> {
+        let registered = self.registered_keys();
+        let known = [self.reader.signing().public].into_iter().chain(registered);
+        match known.into_iter().find(|key| signer_id(key) == signer) {
+            Some(key) => Ok(Some(key)),
+            None => Ok(self.plant.ledger.signer(signer)?),
+        }
+    }
+
+    /// The signing keys that the reader's account ever registered.
+    fn registered_keys(&self) -> Vec<PublicKey> {
+        self.network.directory.with_account(self.reader.address, |account| {
+            account.map(|account| account.identities.iter().map(|known| known.signing).collect()).unwrap_or_default()
+        })
+    }
+
+    /// Whether the key with this id is, or was, the reader's own signing key, and no device's.
+    pub fn is_own_key(&self, signer: SignerId) -> bool {
+        signer_id(&self.reader.signing().public) == signer
+            || self.registered_keys().iter().any(|key| signer_id(key) == signer)
     }
 }

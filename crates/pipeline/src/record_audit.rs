@@ -4,29 +4,28 @@
 //! Pages are read from the ledger, one snapshot each, and shared by workers: memory does not grow with the store.
 
 mod batches;
-mod bound;
-mod events;
 mod records;
 mod report;
-mod scrub;
-mod sequences;
 mod stored;
 
+pub use report::{FindingKind, RecordAudit, RecordFinding};
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
 use tokio::runtime::Handle;
 
-use crate::model::{Address, ErrorKind, Timestamp};
-use crate::store::{AuditLog, StoreError};
-
-pub use report::{FindingKind, RecordAudit, RecordFinding};
-pub use scrub::{Scrubbed, scrub_round};
-
+use self::records::{Bench, Uploaded, look, read_again};
 use self::report::Tally;
-use super::columns::Keys;
-use super::{Network, Plant, audit_head};
+use crate::chain::{ChainError, Event, EventAt};
+use crate::columns::Keys;
+use crate::directory::Told;
+use crate::model::{Address, Digest, ErrorKind, RecordState, Timestamp};
+use crate::store::{AuditLog, AuditedRecord, Ledger, StoreError};
+use crate::watcher::{self, CURSOR};
+use crate::{Network, Plant, audit_head};
 
 /// The scope of an audit.
 #[derive(Clone)]
@@ -72,13 +71,13 @@ pub fn audit(
     let left_out = chain.is_some() && network.is_none();
     batches::compare(plant, network, scope, runtime, &mut tally)?;
     let reading = records::compare(plant, network, left_out, scope, runtime, &mut tally)?;
-    sequences::compare(plant, scope, &mut tally)?;
+    records::compare_sequences(plant, scope, &mut tally)?;
     if let Some(network) = network.filter(|_| scope.deep) {
         run_chain_again(network, runtime, &mut tally);
     }
     log_of(plant, log, scope, &mut tally)?;
     let seconds = begun.elapsed().as_secs_f64();
-    let hashed = bound::sm3_rate(plant.provider, reading.threads);
+    let hashed = records::sm3_rate(plant.provider, reading.threads);
     Ok(tally.report(scope.deep, seconds, reading, hashed))
 }
 
@@ -103,5 +102,184 @@ fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Re
             tally.find(FindingKind::Tampered, "audit log", &fault.to_string());
         }
     }
+    Ok(())
+}
+
+/// The most differing blocks of a page that are named one by one.
+const MOST_BLOCKS: usize = 100;
+/// What follows from a difference, and what to do.
+const ADVICE: &str = "what is verified and who may read is judged here by the ledger. The chain is read again from this \
+                      block on while the site runs (`authros serve`); then audit again, and check the node behind \
+                      chain.url";
+
+/// An event's name in the contract.
+fn name(event: &Event) -> String {
+    let text = format!("{event:?}");
+    text.split([' ', '{']).next().unwrap_or("event").to_owned()
+}
+
+/// Compares the contract's events in blocks `from` to `to`, as the chain has them, with the ledger. A block that differs
+/// is read once more: the watcher may just have been at it.
+async fn compare(
+    plant: &Plant,
+    network: &Network,
+    (from, to): (u64, u64),
+    events: &[EventAt],
+    tally: &mut Tally,
+) -> Result<Result<(), ChainError>, StoreError> {
+    let differing = differing_blocks(&plant.ledger, (from, to), events)?;
+    let mut first = None;
+    for block in differing.iter().copied().take(MOST_BLOCKS) {
+        let again = match network.chain.events(block, block).await {
+            Ok(events) => events,
+            Err(error) => return Ok(Err(error)),
+        };
+        let found = differences(&plant.ledger, (block, block), &again)?;
+        for (kind, text) in &found {
+            tally.find(*kind, &format!("block {block}"), &format!("{text}; {ADVICE}"));
+        }
+        first = first.or((!found.is_empty()).then_some(block));
+    }
+    if differing.len() > MOST_BLOCKS {
+        let text = format!("events of {} blocks from {from} to {to} differ from the ledger; {ADVICE}", differing.len());
+        tally.find(FindingKind::Missing, "chain", &text);
+    }
+    if let Some(block) = first {
+        watcher::note(&plant.ledger, block)?;
+    }
+    Ok(Ok(()))
+}
+
+fn differing_blocks(ledger: &Ledger, (from, to): (u64, u64), events: &[EventAt]) -> Result<BTreeSet<u64>, StoreError> {
+    let Some(compared) = Compared::new(ledger, (from, to), events)? else { return Ok(BTreeSet::new()) };
+    let missing = compared.missing.iter().map(|event| event.block);
+    Ok(missing.chain(compared.surplus.iter().map(|told| told.block)).chain(compared.other.iter().copied()).collect())
+}
+
+fn differences(
+    ledger: &Ledger,
+    blocks: (u64, u64),
+    events: &[EventAt],
+) -> Result<Vec<(FindingKind, String)>, StoreError> {
+    let Some(compared) = Compared::new(ledger, blocks, events)? else { return Ok(Vec::new()) };
+    let mut found = Vec::new();
+    for at in &compared.missing {
+        let text = format!("{} (event {}) is on the chain, and the ledger missed it", name(&at.event), at.log_index);
+        found.push((FindingKind::Missing, text));
+    }
+    for told in &compared.surplus {
+        let text = format!("{} (event {}) is in the ledger, and not on the chain", name(&told.event), told.place);
+        found.push((FindingKind::Tampered, text));
+    }
+    if !compared.other.is_empty() {
+        found.push((FindingKind::Tampered, "the ledger has an event of it otherwise than the chain".to_owned()));
+    }
+    Ok(found)
+}
+
+/// Chain and ledger side by side.
+struct Compared<'a> {
+    /// On the chain alone.
+    missing: Vec<&'a EventAt>,
+    /// In the ledger alone.
+    surplus: Vec<Told>,
+    /// Blocks with an event that both have, but not the same.
+    other: Vec<u64>,
+}
+
+impl<'a> Compared<'a> {
+    /// As far as the watcher has read; `None` if that is before these blocks.
+    fn new(ledger: &Ledger, (from, to): (u64, u64), events: &'a [EventAt]) -> Result<Option<Self>, StoreError> {
+        // Asked before the ledger is: what is read up to here is in it.
+        let Some((read, _)) = ledger.cursor(CURSOR)?.filter(|(read, _)| *read >= from) else { return Ok(None) };
+        let to = to.min(read);
+        let missing: Vec<&EventAt> =
+            watcher::of(ledger, events)?.into_iter().filter(|event| event.block <= to).collect();
+        let on_chain: BTreeMap<(u64, u64), &EventAt> =
+            events.iter().map(|event| ((event.block, event.log_index), event)).collect();
+        let (mut surplus, mut other) = (Vec::new(), Vec::new());
+        for row in ledger.rights_in(from, to)? {
+            let Some(told) = Told::from_row(&row) else {
+                other.push(row.block);
+                continue;
+            };
+            match on_chain.get(&(row.block, row.place)) {
+                None => surplus.push(told),
+                Some(at) if !told.is_of(at) => other.push(row.block),
+                Some(_) => {}
+            }
+        }
+        Ok(Some(Self { missing, surplus, other }))
+    }
+}
+
+/// The row after which the next round begins.
+const SCRUBBED: &str = "scrub-cursor";
+
+/// The result of a round.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Scrubbed {
+    /// Records re-hashed.
+    pub records: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Records that are tampered or missing.
+    pub bad: u64,
+}
+
+/// Re-hashes up to `most` verified records after the cursor, and moves it; at the end it starts over.
+///
+/// # Errors
+/// Errors of ledger and vault; then the cursor stays.
+pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
+    let after = plant.ledger.setting(SCRUBBED)?.and_then(|text| text.parse().ok()).unwrap_or(0);
+    let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
+    let mut done = Scrubbed::default();
+    let mut bad = Vec::new();
+    // An unreadable row is reported by the audit: it has no digest to mark.
+    for record in page.records.into_iter().flatten().filter(|record| record.row.state == RecordState::Verified) {
+        if let Some(digest) = scrub(plant, network, record, &mut done)? {
+            bad.push(digest);
+        }
+    }
+    if !bad.is_empty() {
+        mark(plant, &bad)?;
+    }
+    done.bad = u64::try_from(bad.len()).unwrap_or(u64::MAX);
+    plant.ledger.put_setting(SCRUBBED, &page.next.unwrap_or(0).to_string())?;
+    Ok(done)
+}
+
+fn scrub(
+    plant: &Plant,
+    network: &Network,
+    record: AuditedRecord,
+    done: &mut Scrubbed,
+) -> Result<Option<Digest>, StoreError> {
+    let digest = record.row.digest;
+    let bench = Bench { plant, network: Some(network), blind: false, deep: true, headers: true, keys: None };
+    let (mut tally, mut piece) = (Tally::default(), [(record, Uploaded::NotAsked)]);
+    look(bench, &piece, &mut tally)?;
+    if !tally.findings().is_empty() {
+        // Its bytes may have been deleted on purpose, or its block replaced, since its row was read.
+        if let Some(now) = read_again(plant, &piece)?.pop() {
+            piece = [(now, Uploaded::NotAsked)];
+        }
+        tally = Tally::default();
+        look(bench, &piece, &mut tally)?;
+    }
+    done.records += 1;
+    done.bytes += tally.bytes;
+    let Some(finding) = tally.findings().first() else { return Ok(None) };
+    plant
+        .observer
+        .alert(true, format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text));
+    Ok(Some(digest))
+}
+
+fn mark(plant: &Plant, bad: &[Digest]) -> Result<(), StoreError> {
+    plant.ledger.advance(bad, RecordState::Verified, RecordState::Tampered)?;
+    plant.observer.tampered(bad);
+    plant.observer.records_changed();
     Ok(())
 }

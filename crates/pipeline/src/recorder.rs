@@ -10,8 +10,8 @@ use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
 use super::losses::{Losses, Lost};
 use super::meter::Meter;
+use super::pace::Sampler;
 use super::ring::{Rings, Weighted};
-use super::sampler::Sampler;
 use super::{Author, CaptureSession, Observer, Pins};
 
 /// One message for one author, on its way to the sealer.

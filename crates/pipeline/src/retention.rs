@@ -1,21 +1,22 @@
 //! Retention: ciphertext that no rule keeps any longer is named in a signed record, and deleted when that record is
-//! confirmed on the chain. A function of the ledger: called again, it does what is left.
+//! confirmed on the chain. A function of the ledger: called again, it does what is left. Erasing takes the same way.
 
-pub mod erasing;
-mod held;
-pub mod told;
+use std::collections::{BTreeMap, HashMap};
 
-use std::collections::HashMap;
-
+use crate::authority::{Moment, SigningRight, key_of, may_sign};
+use crate::chain_proofs::anchor_proof;
+use crate::crypto::{AccountSignature, EoaSecret, ErasedStatement, SmKeyPair, signer_id};
+use crate::gateway::{ErasedRecord, ErasureNotice, Fetched};
 use crate::model::{
-    Address, Digest, Domain, Header, Keeping, RecordKind, RetentionReport, RetentionRule, Timestamp, TopicId,
+    Address, Digest, Domain, Header, Keeping, PublicKey, RecordKind, RecordState, RecorderId, RetentionReport,
+    RetentionRule, Timestamp, TopicId,
 };
-use crate::store::{KeptTopic, OldRecord};
-
-use held::Held;
-
-use super::statement::{self, Speaker, Statement};
-use super::{Owner, PipelineError, Plant};
+use crate::statement::{self, Speaker, Statement};
+use crate::store::{
+    Erasure, IncidentRow, IncidentSpan, KeptTopic, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
+    Unstated,
+};
+use crate::{Network, Owner, PipelineError, Plant};
 
 /// The name that retention records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/retention";
@@ -246,4 +247,327 @@ pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
     plant.ledger.deleted(&digests)?;
     plant.observer.records_changed();
     Ok(digests.len() as u64)
+}
+
+/// The longest reason, characters.
+pub const LONGEST_REASON: usize = 500;
+
+/// What became of the chosen records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Erased {
+    /// Named: their bytes go when the retention records are confirmed.
+    pub named: u64,
+    /// Their bytes are not here, or altered: they stay as they are.
+    pub missing: u64,
+}
+
+/// Whether a record can be erased: an own message or attachment, verified, and not deleted yet.
+pub fn can_be(row: &RecordRow) -> bool {
+    row.kind.is_content() && row.state == RecordState::Verified && row.deleted_at.is_none()
+}
+
+/// Names these records of an owner, each of which [`can_be`] erased, as erased. One caller at a time.
+///
+/// # Errors
+/// [`PipelineError::Uncovered`] without keys to seal with, errors of sealing, vault and ledger; what was named stays so.
+pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased, PipelineError> {
+    let mut topics: BTreeMap<(TopicId, RecorderId), Vec<&RecordRow>> = BTreeMap::new();
+    for row in rows {
+        topics.entry((row.topic_id, row.recorder)).or_default().push(row);
+    }
+    let mut done = Erased::default();
+    for rows in topics.values().flat_map(|rows| rows.chunks(ROUND)) {
+        let mut whole = Vec::with_capacity(rows.len());
+        for row in rows {
+            // What only a rule has named is still to be overwritten, by whom and why.
+            let retained = plant.ledger.retained(row.digest)?;
+            if retained.is_some_and(|retained| retained.deleted_at.is_some() || retained.erased.is_some()) {
+                continue;
+            }
+            match header_of(plant, row.digest)? {
+                Some(header) => whole.push((*row, header)),
+                None => done.missing += 1,
+            }
+        }
+        if !whole.is_empty() {
+            done.named += whole.len() as u64;
+            report_erased(plant, owner, whole, erasure)?;
+        }
+    }
+    plant.observer.records_changed();
+    Ok(done)
+}
+
+/// Seals and stores the retention record of some records of one topic.
+fn report_erased(
+    plant: &Plant,
+    owner: &Owner,
+    records: Vec<(&RecordRow, Vec<u8>)>,
+    erasure: &Erasure,
+) -> Result<(), PipelineError> {
+    let uncovered = || PipelineError::Uncovered(TOPIC.to_owned());
+    let keys = owner.sealing().ok_or_else(uncovered)?;
+    let place = keys.topic(TOPIC).ok_or_else(uncovered)?;
+    let Some((first, _)) = records.first() else { return Ok(()) };
+    let seqs = || records.iter().map(|(row, _)| row.seq);
+    let digests = records.iter().map(|(row, _)| row.digest);
+    let body = RetentionReport {
+        topic_id: first.topic_id,
+        topic: first.topic.clone(),
+        rule: erasure.to_string(),
+        first_seq: seqs().min().unwrap_or(0),
+        last_seq: seqs().max().unwrap_or(0),
+        count: records.len() as u64,
+        bytes: records.iter().map(|(row, _)| row.bytes).sum(),
+        rolling: rolling(plant, &keys.domain, owner.address, first.topic_id, digests),
+    }
+    .encode();
+    let speaker = Speaker {
+        domain: keys.domain,
+        owner: owner.address,
+        signing: &keys.signing,
+        epoch: keys.epoch,
+        topic_id: place.id,
+        topic_key: &place.key,
+    };
+    let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
+    let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
+    let told = named.clone();
+    statement::put(plant, &speaker, statement, |row| plant.ledger.erase(row, erasure, named))?;
+    state(plant, (&keys.signing, &owner.eoa()), erasure, &told)
+}
+
+/// Signs for readers who never had these records, and for gateways that have copies, that they were erased.
+fn state(
+    plant: &Plant,
+    keys: (&SmKeyPair, &EoaSecret),
+    erasure: &Erasure,
+    erased: &[(Digest, Vec<u8>)],
+) -> Result<(), PipelineError> {
+    let mut statements = Vec::with_capacity(erased.len());
+    for (digest, header) in erased {
+        let Some(retained) = plant.ledger.retained(*digest)? else { continue };
+        statements.push(stated(plant, keys, (digest, header), (retained.report, erasure.at))?);
+    }
+    Ok(plant.ledger.keep_erasures(statements)?)
+}
+
+/// What an owner states of one erased record, signed by d_C and by the account.
+///
+/// # Errors
+/// [`PipelineError::Crypto`].
+pub fn stated(
+    plant: &Plant,
+    (signing, account): (&SmKeyPair, &EoaSecret),
+    about: (&Digest, &[u8]),
+    when: (Digest, Timestamp),
+) -> Result<StatedErasure, PipelineError> {
+    let statement = ErasedStatement::sign(plant.provider, signing, about, when)?;
+    let signature = statement.sign_by_account(plant.provider, account, about)?;
+    let account = Some(signature.0.to_vec());
+    Ok(StatedErasure { digest: *about.0, statement: statement.encode(), account })
+}
+
+/// States again what an owner had erased under an earlier key. Returns whether nothing is left to state; as long as there is,
+/// it is to be called again.
+///
+/// # Errors
+/// Errors of signing and the ledger; what was stated so far stays.
+pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool, PipelineError> {
+    let unstated = plant.ledger.unstated(owner.address, &signing.public, ROUND)?;
+    let (keys, count) = ((signing, &owner.eoa()), unstated.len());
+    let mut statements = Vec::with_capacity(count);
+    for Unstated { digest, report, header, erasure } in unstated {
+        statements.push(stated(plant, keys, (&digest, &header), (report, erasure.at))?);
+    }
+    plant.ledger.keep_erasures(statements)?;
+    Ok(count < ROUND)
+}
+
+/// Whether a record that is gone, and whose retention record is not here, was erased as its owner states: with a key that
+/// was the owner's, if a network is there to say so.
+pub fn is_stated(plant: &Plant, network: Option<&Network>, digest: Digest, retained: &Retained) -> bool {
+    let Some(bytes) = &retained.stated else { return false };
+    let Ok(statement) = ErasedStatement::parse(bytes) else { return false };
+    let Ok((header, _)) = Header::parse(&retained.header) else { return false };
+    let signer = signer_id(&statement.signer);
+    let is_owners = network.is_none_or(|network| network.directory.registered_as(signer) == Some(header.owner));
+    let is_about = statement.report == retained.report;
+    is_owners && is_about && statement.check(plant.provider, &digest, &retained.header).is_ok()
+}
+
+/// A stretch of time: its first moment, and the first one after it.
+type Span = (Timestamp, Timestamp);
+
+/// Later than any record.
+const EVER: Timestamp = Timestamp(i64::MAX.cast_unsigned());
+
+/// A message captured this long ago is in the ledger by now, if it ever gets there, nanoseconds.
+const UNSETTLED: u64 = 60_000_000_000;
+
+/// The spans of one topic held by incidents, and their bytes as far as they were counted.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+struct Held {
+    /// In order and disjoint.
+    pub spans: Vec<Span>,
+    bytes: u64,
+    /// Everything captured before this is counted.
+    counted: Timestamp,
+}
+
+impl Held {
+    /// For a topic, by its name.
+    pub fn of(topic: &str, incidents: &[IncidentRow]) -> Self {
+        let about = |span: &&IncidentSpan| span.topics.is_empty() || span.topics.iter().any(|name| name == topic);
+        let spans = incidents.iter().map(|incident| &incident.span).filter(about);
+        Self { spans: merged(spans.map(|span| (span.since, span.until.unwrap_or(EVER))).collect()), ..Self::default() }
+    }
+
+    /// The bytes in the spans that retention has not deleted. What was captured a while ago is summed up only once.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn bytes(&mut self, plant: &Plant, topic: &KeptTopic, now: Timestamp) -> Result<u64, PipelineError> {
+        let settled = Timestamp(now.0.saturating_sub(UNSETTLED)).max(self.counted);
+        self.bytes += self.between_moments(plant, topic, (self.counted, settled))?;
+        self.counted = settled;
+        Ok(self.bytes + self.between_moments(plant, topic, (settled, EVER))?)
+    }
+
+    fn between_moments(&self, plant: &Plant, topic: &KeptTopic, (from, to): Span) -> Result<u64, PipelineError> {
+        let mut bytes = 0;
+        for &(since, until) in &self.spans {
+            let stretch = (since.max(from), until.min(to));
+            if stretch.0 < stretch.1 {
+                bytes += plant.ledger.bytes_between(topic.key, stretch)?;
+            }
+        }
+        Ok(bytes)
+    }
+
+    /// The time between the spans, within one stretch.
+    pub fn between(&self, (since, until): Span) -> Vec<Span> {
+        let mut free = Vec::with_capacity(self.spans.len() + 1);
+        let mut begin = since;
+        for &(from, to) in &self.spans {
+            free.push((begin, from.min(until)));
+            begin = begin.max(to);
+        }
+        free.push((begin, until));
+        free.retain(|(from, to)| from < to);
+        free
+    }
+}
+
+/// The same time without overlaps, in order.
+fn merged(mut spans: Vec<Span>) -> Vec<Span> {
+    spans.retain(|(since, until)| since < until);
+    spans.sort_unstable();
+    let mut merged: Vec<Span> = Vec::with_capacity(spans.len());
+    for (since, until) in spans {
+        match merged.last_mut().filter(|last| since <= last.1) {
+            Some(last) => last.1 = last.1.max(until),
+            None => merged.push((since, until)),
+        }
+    }
+    merged
+}
+
+/// A record without its message: the header in place of its bytes. `None` if its signer is unknown.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn left_of(
+    plant: &Plant,
+    network: &Network,
+    row: &RecordRow,
+    header: Vec<u8>,
+) -> Result<Option<Fetched>, PipelineError> {
+    let Some(signer) = key_of(plant, network, row)? else { return Ok(None) };
+    let placed = plant.ledger.placed(row.digest)?;
+    let proof = placed.and_then(anchor_proof).map(|proof| proof.encode()).unwrap_or_default();
+    Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
+}
+
+/// The notice of an erased record, with the statement and the account's signature that the ledger has. `None` if nobody would
+/// accept it now: its owner has another key, its anchor is in no batch of a block, or its signer is unknown.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn notice_of(
+    plant: &Plant,
+    network: &Network,
+    (digest, statement, account): (Digest, &[u8], &[u8]),
+) -> Result<Option<ErasureNotice>, PipelineError> {
+    let ledger = &plant.ledger;
+    let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
+        return Ok(None);
+    };
+    let Some(PlacedRecord { row, place }) = ledger.placed(digest)? else { return Ok(None) };
+    let is_batched = place.is_some() && row.block.is_some();
+    if !is_batched || !is_owners(network, row.owner, &statement.signer) {
+        return Ok(None);
+    }
+    let is_of_here =
+        |retained: &Retained| Header::parse(&retained.header).is_ok_and(|(header, _)| header.domain == network.domain);
+    let Some(retained) = ledger.retained(digest)?.filter(is_of_here) else { return Ok(None) };
+    let left = left_of(plant, network, &row, retained.header)?.map(|record| ErasedRecord { record, statement });
+    Ok(left.map(|left| ErasureNotice { digest, account_signature: AccountSignature(account), left }))
+}
+
+/// Whether this is the key that an owner has now.
+pub fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> bool {
+    let now = Moment::newest(network.directory.now());
+    matches!(may_sign(&network.directory, owner, signer_id(key), now), Ok(SigningRight::Owner(_)))
+}
+
+#[cfg(test)]
+mod held_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn at((since, until): (u64, u64)) -> Span {
+        (Timestamp(since), Timestamp(until))
+    }
+
+    fn covers(spans: &[Span], moment: u64) -> bool {
+        spans.iter().any(|(since, until)| (since.0..until.0).contains(&moment))
+    }
+
+    proptest! {
+        #[test]
+        fn every_moment_of_a_stretch_is_either_held_or_free(
+            spans in proptest::collection::vec((0_u64..60, 0_u64..60), 0..8),
+            stretch in (0_u64..60, 0_u64..60),
+        ) {
+            let spans: Vec<Span> = spans.into_iter().map(at).collect();
+            let held = Held { spans: merged(spans.clone()), ..Held::default() };
+            let free = held.between(at(stretch));
+            for moment in 0..70 {
+                prop_assert_eq!(covers(&held.spans, moment), covers(&spans, moment));
+                let asked = (stretch.0..stretch.1).contains(&moment);
+                prop_assert_eq!(covers(&free, moment), asked && !covers(&spans, moment));
+            }
+            prop_assert!(held.spans.windows(2).all(|two| two[0].1 < two[1].0));
+        }
+    }
+
+    #[test]
+    fn an_incident_is_about_the_topics_it_names_or_about_all() {
+        let row = |name: &str, topics: &[&str], until| IncidentRow {
+            name: name.parse().expect("a name"),
+            span: IncidentSpan {
+                since: Timestamp(5),
+                until,
+                topics: topics.iter().map(|&topic| topic.to_owned()).collect(),
+            },
+            opened_at: Timestamp(5),
+            closed_at: None,
+            notes: Vec::new(),
+        };
+        let rows = [row("a", &["/odom"], Some(Timestamp(9))), row("b", &[], Some(Timestamp(7)))];
+        assert_eq!(Held::of("/odom", &rows).spans, [at((5, 9))]);
+        assert_eq!(Held::of("/scan", &rows).spans, [at((5, 7))]);
+        assert_eq!(Held::of("/scan", &[row("c", &["/scan"], None)]).spans, [(Timestamp(5), EVER)]);
+    }
 }

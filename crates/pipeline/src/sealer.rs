@@ -3,7 +3,6 @@
 //! and tried again; the rings fill meanwhile.
 
 pub(super) mod plan;
-mod ringing;
 mod sealing;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -13,8 +13,8 @@ mod rights;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::anchorer::Anchorer;
-use super::{Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, watcher};
+use super::anchorer::{self, Anchorer};
+use super::{Network, Observer, Owner, Plant, Sender, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint, Policy};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
@@ -108,7 +108,7 @@ impl Line {
     }
 
     async fn is_anchored(&self, row: &RecordRow) -> bool {
-        proof::is_anchored(&self.plant, &self.network, row).await.expect("answer")
+        crate::chain_proofs::is_anchored(&self.plant, &self.network, row).await.expect("answer")
     }
 
     fn rows(&self, limit: usize) -> Vec<RecordRow> {
@@ -236,9 +236,9 @@ async fn both_modes_anchor_what_the_other_left() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_extra_account_registers_itself_and_anchors_for_its_owner() {
     let line = Line::new().await;
-    let extra = anchoring_accounts::extra(&line.owner.eoa(), &line.network.domain, 3).expect("keys");
+    let extra = anchorer::extra(&line.owner.eoa(), &line.network.domain, 3).expect("keys");
     for key in &extra {
-        let ready = || anchoring_accounts::ensure_ready(&line.plant, &line.network, &line.sender, &line.owner, key);
+        let ready = || anchorer::ensure_ready(&line.plant, &line.network, &line.sender, &line.owner, key);
         assert!(!ready().await.expect("registers"), "its registration is not seen yet");
         line.watch().await;
         line.sender.tend(&line.network.chain, key).await.expect("closed");

@@ -2,53 +2,44 @@
 
 #[macro_use]
 mod ask;
+
 mod administration;
-mod check;
 mod choices;
-mod evidence;
 pub mod filter;
-mod incidents;
-mod operate;
 mod playing;
 mod recordings;
 mod right;
-#[cfg(test)]
-mod right_tests;
-mod robots;
-mod secret;
-mod viewing;
-
-use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::ask::Ask;
-pub use self::check::{AuditRecords, BackUp, EraseRecords, ErasureWishes, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
-pub use self::evidence::EvidenceWishes;
 pub use self::filter::Term;
-pub use self::incidents::{
-    CloseIncident, IncidentCommand, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident,
-};
-pub use self::operate::{
-    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation, TestAlert,
-};
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{
     ExportWishes, FollowWishes, HomeWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress,
 };
 pub use self::right::{Kind, Needed};
-pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
-pub use self::secret::{SecretBytes, SecretText};
-pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
-use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
-use crate::service::reply::{
-    AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow, DeviceTopicsView, EnrolledView,
-    EvidenceView, ExportedFile, GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView,
-    PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow,
-    TransactionView,
-};
 pub use crate::store::AuditQuery;
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use zeroize::{Zeroize, ZeroizeOnDrop};
+
+use crate::model::{
+    Address, ContactName, IncidentName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TopicPattern,
+    TypeName,
+};
+use crate::reply::{
+    AdministrationView, AdmittedView, AlertTestView, AlertsView, AuditCheck, AuditView, BackupView, CaptureSummary,
+    ChainView, CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView,
+    DeviceRow, DeviceTopicsView, EnrolledView, ErasureView, EvidenceView, ExportedFile, GatewayStatusView, GatewayView,
+    GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PlayedView,
+    PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, RingPullView, RobotRow, RobotView, ServedView,
+    SiteView, StampView, TopicRow, TransactionView,
+};
+use crate::ros::readable::Exported;
 
 requests! {
     /// One request to the site, for one profile.
@@ -387,3 +378,257 @@ pub struct Request {
     /// The command.
     pub command: Command,
 }
+
+requests! {
+    /// Work on the whole store; only erasing needs the keyring.
+    #[serde(rename_all = "snake_case", tag = "of_store")]
+    enum StoreCommand by Command::OfStore;
+    /// Compare all records with their proofs and the chain.
+    AuditRecords {
+        /// Also every stored byte and every signature.
+        deep: bool,
+        /// Only records captured at this time or later.
+        since: Option<Timestamp>,
+    } => Box<RecordAudit>;
+    /// Records of all profiles of the home.
+    #[serde(rename = "list_uploads")]
+    ListAllUploads(query: UploadQuery) => RecordPage;
+    /// Write keyrings, ledger, embedded vault and chain, settings and pins into one encrypted file.
+    BackUp {
+        /// The file, absolute; must not exist.
+        file: PathBuf,
+        /// Protects the backup.
+        passphrase: SecretText,
+    } => BackupView;
+    /// Show which records would be erased, or erase them; needs the keyring.
+    EraseRecords(wishes: ErasureWishes) => ErasureView;
+}
+
+/// What is to be erased, and why.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ErasureWishes {
+    /// Messages of this topic.
+    pub topic: Option<TopicName>,
+    /// Captured at this time or later.
+    pub since: Option<Timestamp>,
+    /// Captured before this time.
+    pub until: Option<Timestamp>,
+    /// These records, by the beginnings of their digests; then nothing else decides.
+    pub records: Vec<String>,
+    /// Only those that an import of this recording sealed: its tag, 16 hexadecimal digits.
+    pub recording: Option<String>,
+    /// Why; kept with who and when.
+    pub reason: String,
+    /// Do it; else it is only shown.
+    pub sure: bool,
+}
+
+/// Own records for a bundle; all if nothing narrows it.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EvidenceWishes {
+    /// The file, absolute; must not exist. Written by the site, which runs as the same user.
+    pub file: PathBuf,
+    /// These records, by their ids.
+    pub records: Vec<String>,
+    /// Those of this topic.
+    pub topic: Option<TopicName>,
+    /// Those in this incident.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub incident: Option<IncidentName>,
+    /// Captured at or after.
+    pub since: Option<Timestamp>,
+    /// Captured before.
+    pub until: Option<Timestamp>,
+    /// The ids of records to disclose.
+    pub reveal: Vec<String>,
+}
+
+requests! {
+    /// One of these; needs no keyring.
+    #[serde(rename_all = "snake_case", tag = "incident")]
+    enum IncidentCommand by Command::OfIncident;
+    /// Keep a span together: retention does not delete its records.
+    OpenIncident {
+        /// Its name.
+        name: IncidentName,
+        /// Records captured at this time or later.
+        since: Timestamp,
+        /// Records captured before this time; `None` = until it is closed.
+        until: Option<Timestamp>,
+        /// Of these topics; empty = of all.
+        topics: Vec<TopicName>,
+        /// A description.
+        note: Option<String>,
+        /// Robots whose rings are asked for it; then the keyring is needed.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        robots: Vec<String>,
+    } => IncidentView;
+    /// All incidents of the profile, each with what it holds.
+    ListIncidents => Vec<IncidentView>;
+    /// One of them.
+    ShowIncident {
+        /// Its name.
+        name: IncidentName,
+    } => IncidentView;
+    /// Add a note.
+    NoteIncident {
+        /// Its name.
+        name: IncidentName,
+        /// The note.
+        text: String,
+    } => IncidentView;
+    /// End its span now; its records stay held.
+    CloseIncident {
+        /// Its name.
+        name: IncidentName,
+    } => IncidentView;
+    /// Remove it: its records are subject to retention again.
+    RemoveIncident {
+        /// Its name.
+        name: IncidentName,
+    } => Vec<IncidentView>;
+}
+
+requests! {
+    /// One of these.
+    #[serde(rename_all = "snake_case", tag = "operation")]
+    enum Operation by Command::Operate;
+    /// Wipe the keys for reading, granting and revoking from memory, while capture and anchoring go on. `Unlock` brings
+    /// them back.
+    Lock => IdentityView;
+    /// Pause the capture of all watched topics, or resume it; watched topics stay watched.
+    HoldCapture {
+        /// Whether it is paused.
+        hold: bool,
+    } => ();
+    /// The profile's keyring as stored on disk, under its passphrase.
+    BackUpKeys => SecretBytes;
+    /// Active alerts.
+    ListAlerts => AlertsView;
+    /// Send a test alert, marked as such, and return the reply.
+    TestAlert => AlertTestView;
+    /// Who is connected to the gateway of this site, its system keys, and its refusals.
+    GatewayStatus => GatewayStatusView;
+    /// Let an owner use the gateway of this home.
+    Admit {
+        /// The owner.
+        owner: Party,
+    } => Vec<AdmittedView>;
+    /// No longer let an owner use it.
+    Dismiss {
+        /// The owner.
+        owner: Party,
+    } => Vec<AdmittedView>;
+    /// The admitted owners.
+    ListAdmitted => Vec<AdmittedView>;
+}
+
+/// The longest policy of a robot, bytes.
+pub const LONGEST_POLICY: usize = crate::crypto::LONGEST_POLICY;
+
+requests! {
+    /// One of these; needs the keyring.
+    #[serde(rename_all = "snake_case", tag = "robot")]
+    enum RobotCommand by Command::OfRobot;
+    /// Ask a robot for a span of its ring; it sends that like other records.
+    PullRing {
+        /// Its name, or the beginning of its device's id.
+        name: String,
+        /// What was captured at this time or later; `None` = since the incident begins.
+        since: Option<Timestamp>,
+        /// Before this time; `None` = until the incident ends, or until now.
+        until: Option<Timestamp>,
+        /// Of these topics; empty = of those of the incident, or of all.
+        topics: Vec<TopicPattern>,
+        /// Takes from this incident what is not named here.
+        incident: Option<IncidentName>,
+    } => RingPullView;
+    /// The enrolled robots, each with the policy wanted and the one it works by.
+    ListRobots => Vec<RobotRow>;
+    /// One robot with its policy, topics and losses.
+    ShowRobot {
+        /// Its name, or the beginning of its device's id.
+        name: String,
+    } => RobotView;
+    /// Set the policy of a robot.
+    SetRobotPolicy {
+        /// Its name, or the beginning of its device's id.
+        name: String,
+        /// The policy, as TOML; empty = the robot's own settings alone.
+        text: String,
+    } => RobotView;
+}
+
+/// The most records of a path.
+pub const LONGEST_PATH: usize = 1_000;
+
+requests! {
+    /// Requests about opened records.
+    #[serde(rename_all = "snake_case", tag = "view")]
+    enum Viewing by Command::View;
+    /// One record, checked and opened, with its message as a file.
+    #[serde(rename = "file")]
+    ViewFile {
+        /// Its id.
+        id: String,
+        /// The format; `None` = a picture's own bytes if it is one, else the message's.
+        kind: Option<Exported>,
+    } => Box<OpenedView>;
+    /// The robot's positions, from the records of a topic up to this one.
+    #[serde(rename = "path")]
+    ViewPath {
+        /// Its id.
+        id: String,
+        /// At most this many records, including this one; 2 to [`LONGEST_PATH`].
+        records: usize,
+    } => PathView;
+}
+
+/// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
+#[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
+#[serde(transparent)]
+pub struct SecretText(String);
+
+impl SecretText {
+    /// Wraps the text.
+    pub fn new(text: String) -> Self {
+        Self(text)
+    }
+
+    /// The text itself.
+    pub fn expose(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for SecretText {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("SecretText(…)")
+    }
+}
+
+/// Secret bytes on their way to or from the site of the same user: a key file. Never in Debug.
+#[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]
+#[serde(transparent)]
+pub struct SecretBytes(Vec<u8>);
+
+impl SecretBytes {
+    /// Wraps the bytes.
+    pub fn new(bytes: Vec<u8>) -> Self {
+        Self(bytes)
+    }
+
+    /// The bytes themselves.
+    pub fn expose(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl fmt::Debug for SecretBytes {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("SecretBytes(…)")
+    }
+}
+
+#[cfg(test)]
+mod right_tests;

@@ -1,15 +1,20 @@
-//! The doctor: checks everything a home depends on, says how it is and what to do. Needs no passphrase, changes
-//! nothing, starts no robots; a part that is embedded and not running is fine.
+//! The doctor: checks everything a home depends on (files, chain, peers), says how it is and what to do. Needs no
+//! passphrase, changes nothing, starts no robots; a part that is embedded and not running is fine.
 
-mod chain;
-mod files;
-mod peers;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
 use crate::config::Config;
-use crate::model::clean;
+use crate::crypto::read_public;
+use crate::model::{Timestamp, clean, without_secrets};
 use crate::paths::Home;
-use crate::service::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
-use crate::store::SiteLock;
+use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
+use crate::ros::ros2::{Reading, Ros2Capture};
+use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
+use crate::store::vault::policy::{self, Gravity};
+use crate::store::{SiteLock, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
 /// none runs.
@@ -19,18 +24,18 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     // Held so that no site starts while its files are checked.
     let lock = if runs { None } else { SiteLock::acquire(&home.site_lock()).ok().flatten() };
     tokio::task::block_in_place(|| {
-        files::home(home, &mut sheet);
-        files::keys(home, &mut sheet);
-        files::ledger(home, &mut sheet);
-        files::disk(home, &mut sheet);
-        peers::vault(home, config, &mut sheet);
-        peers::ros(config, &mut sheet);
+        home_folder(home, &mut sheet);
+        keys(home, &mut sheet);
+        ledger(home, &mut sheet);
+        disk(home, &mut sheet);
+        vault(home, config, &mut sheet);
+        ros_master(config, &mut sheet);
         // A running site of this home is in the domain already, and says below what it sees.
         if !runs {
-            peers::second(config, &mut sheet);
+            second(config, &mut sheet);
         }
     });
-    chain::look(home, config, runs, &mut sheet).await;
+    look(home, config, runs, &mut sheet).await;
     drop(lock);
     match site {
         Some(Ok(view)) => of_site(&view, &mut sheet),
@@ -46,8 +51,8 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
 /// The state of a home's peers if no site of it runs: master and chain are asked now.
 pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
-    tokio::task::block_in_place(|| peers::ros(config, &mut ros));
-    chain::look(home, config, false, &mut chain).await;
+    tokio::task::block_in_place(|| ros_master(config, &mut ros));
+    look(home, config, false, &mut chain).await;
     let embedded = config.ros_master.is_none();
     let site = "no site is running; start one with `authros serve` or the console";
     vec![
@@ -118,5 +123,344 @@ impl Sheet {
 
     fn view(self) -> DoctorView {
         DoctorView { ok: self.checks.iter().all(|check| check.status != CheckStatus::Fail), checks: self.checks }
+    }
+}
+
+/// Seconds that a block may be ahead of this clock.
+const AHEAD: u64 = 15;
+/// Seconds beyond which things break: grants begin and end by the chain's time.
+const FAR_AHEAD: u64 = 120;
+
+/// Checks it.
+async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
+    let pinned = match pin(home) {
+        Ok(pinned) => pinned,
+        Err(reason) => return sheet.fail("chain", &reason, "restore chain-pin.json from a backup"),
+    };
+    if let Some(site) = &config.site {
+        return remote(&site.addresses, sheet).await;
+    }
+    let (endpoint, name) = match &config.chain_url {
+        Some(url) => (Endpoint::Node { url: url.clone(), roots: config.chain_roots.clone() }, without_secrets(url)),
+        None if site_runs && (pinned.is_none() || home.chain().join("chain.db").exists()) => {
+            sheet.ok("chain", "embedded; in use by the running site");
+            return if pinned.is_some() {
+                who_seals(&SealedBy::embedded(), sheet)
+            };
+        }
+        None if pinned.is_none() && !home.chain().join("chain.db").exists() => {
+            return sheet.ok("chain", "embedded; created with the first registration");
+        }
+        None => {
+            let endpoint = Endpoint::Embedded { directory: home.chain(), consensus: config.consensus };
+            (endpoint, "embedded".to_owned())
+        }
+    };
+    let has_pin = pinned.is_some();
+    let options = ChainOptions { endpoint, contract: config.contract, pinned, confirmations: config.confirmations };
+    match Chain::connect(options).await {
+        Ok(chain) => answered(&chain, &name, has_pin, sheet).await,
+        Err(error) => {
+            let text = error.to_string();
+            let (text, advice) = text.split_once(';').unwrap_or((&text, "start the node or correct chain.url"));
+            sheet.fail("chain", text.trim(), advice.trim());
+        }
+    }
+}
+
+async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
+    let head = match chain.head().await {
+        Ok(head) => head,
+        Err(error) => return sheet.fail("chain", &error.to_string(), "check the node"),
+    };
+    sheet.ok("chain", &format!("{name}, chain id {}, block {}", chain.chain_id(), head.number));
+    match chain.pin() {
+        Some(pin) if has_pin => {
+            let (contract, hash) = (pin.contract, pin.code_hash);
+            sheet.ok("contract", &format!("{contract}, its code matches the pinned hash {hash}"));
+        }
+        Some(pin) => sheet.ok("contract", &format!("{}, its code matches this program", pin.contract)),
+        None => sheet.ok("contract", "none yet; deploy it with `authros register` or `authros chain deploy`"),
+    }
+    if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
+        who_seals(&sealed_by, sheet);
+    }
+    let now = Timestamp::now().seconds();
+    let ahead = head.timestamp.saturating_sub(now);
+    let advice = "correct this machine's clock (timedatectl set-ntp true) or that of the chain's sealers";
+    let text = format!("the newest block is {ahead} s ahead of this machine's clock");
+    if ahead >= FAR_AHEAD {
+        sheet.fail("clock", &text, advice);
+    } else if ahead >= AHEAD {
+        sheet.warn("clock", &text, advice);
+    } else {
+        let age = now.saturating_sub(head.timestamp);
+        sheet.ok("clock", &format!("the newest block is {age} s old by this machine's clock; none is in the future"));
+    }
+}
+
+/// Records are anchored on it: whether that holds against its operator, too.
+fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
+    if sealed_by.alone {
+        let text = format!("records are anchored on a chain sealed by a single party: {}", sealed_by.text);
+        sheet.warn(
+            "sealers",
+            &text,
+            "if that is not sufficient evidence, set chain.url to a chain sealed by several parties",
+        );
+    } else {
+        sheet.ok("sealers", &sealed_by.text);
+    }
+}
+
+/// The first address that answers will do; the others are told in a warning.
+async fn remote(addresses: &[String], sheet: &mut Sheet) {
+    let patience = std::time::Duration::from_secs(3);
+    let mut silent = Vec::new();
+    for address in addresses {
+        match tokio::time::timeout(patience, tokio::net::TcpStream::connect(address)).await {
+            Ok(Ok(_)) => {
+                let text = format!("through the gateway at {address}, which answers");
+                return match silent.as_slice() {
+                    [] => sheet.ok("chain", &text),
+                    _ => sheet.warn(
+                        "chain",
+                        &format!("{text}; {}", silent.join("; ")),
+                        "check that line, or site.address",
+                    ),
+                };
+            }
+            Ok(Err(error)) => silent.push(format!("the gateway at {address}: {error}")),
+            Err(_) => {
+                silent.push(format!("the gateway at {address} does not answer within {} s", patience.as_secs()));
+            }
+        }
+    }
+    sheet.fail("chain", &silent.join("; "), "start it or correct site.address");
+}
+
+fn pin(home: &Home) -> Result<Option<Pin>, String> {
+    match std::fs::read(home.pin()) {
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| "chain-pin.json is damaged".to_owned()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(format!("chain-pin.json cannot be read: {error}")),
+    }
+}
+
+/// Free space below which a site soon stops acknowledging, bytes.
+const TIGHT: u64 = 1 << 30;
+/// Free space below which it cannot work, bytes.
+const FULL: u64 = 32 << 20;
+
+/// Directory and modes.
+fn home_folder(home: &Home, sheet: &mut Sheet) {
+    let root = home.root();
+    if !root.exists() {
+        return sheet.ok("home", &format!("{} does not exist yet; it is created on first use", root.display()));
+    }
+    if let Err(error) = files::private_directory(root) {
+        return sheet.fail("home", &error.to_string(), "make it writable for this user, or choose another --home");
+    }
+    let (mut open, mut looked) = (Vec::new(), 0);
+    look_at_modes(root, &mut open, &mut looked, 0);
+    match open.first() {
+        None => sheet.ok("home", &format!("{} and its {looked} files and directories are private", root.display())),
+        Some(first) => {
+            let advice = format!("chmod -R go= '{}'", root.display());
+            sheet.fail("home", &format!("{} of {looked} are accessible to others; {first}", open.len()), &advice);
+        }
+    }
+}
+
+fn look_at_modes(path: &Path, open: &mut Vec<String>, looked: &mut u64, depth: usize) {
+    *looked += 1;
+    match files::mode_advice(path) {
+        // Settings and themes contain no secrets.
+        Ok(Some(_)) if depth == 1 && !is_secret(path) => {}
+        Ok(Some(advice)) => open.push(advice),
+        Ok(None) | Err(_) => {}
+    }
+    let is_directory = path.symlink_metadata().is_ok_and(|about| about.is_dir());
+    if is_directory && depth < 6 {
+        for entry in std::fs::read_dir(path).into_iter().flatten().flatten() {
+            look_at_modes(&entry.path(), open, looked, depth + 1);
+        }
+    }
+}
+
+fn is_secret(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    ["profiles", "vault", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
+}
+
+/// Every profile's keyring.
+fn keys(home: &Home, sheet: &mut Sheet) {
+    let profiles = home.profiles();
+    if profiles.is_empty() {
+        return sheet.warn("keys", "no profile has keys yet", "authros identity create");
+    }
+    for profile in profiles {
+        let name = format!("keys {profile}");
+        match read_public(&home.keyring(&profile)) {
+            Ok(public) => sheet.ok(&name, &format!("account {}", public.address)),
+            Err(error) => {
+                sheet.fail(&name, &error.to_string(), "restore the keyring from a backup: authros restore FILE");
+            }
+        }
+    }
+}
+
+/// Whether the ledger is well-formed.
+fn ledger(home: &Home, sheet: &mut Sheet) {
+    database("ledger", &home.ledger(), sheet);
+}
+
+/// Whether a database is well-formed.
+fn database(name: &str, path: &Path, sheet: &mut Sheet) {
+    if !path.exists() {
+        return sheet.ok(name, &format!("{} does not exist yet", path.display()));
+    }
+    match snapshot::examine(path) {
+        Ok(bytes) => sheet.ok(name, &format!("{} is well-formed, {bytes} bytes", path.display())),
+        Err(error) => {
+            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
+            sheet.fail(name, &error.to_string(), advice);
+        }
+    }
+}
+
+/// Room on the disk of the home.
+fn disk(home: &Home, sheet: &mut Sheet) {
+    let mut place = home.root();
+    while !place.exists() {
+        let Some(parent) = place.parent() else { break };
+        place = parent;
+    }
+    let place = if place.as_os_str().is_empty() { Path::new(".") } else { place };
+    match rustix::fs::statvfs(place) {
+        Ok(about) => {
+            let free = about.f_bavail.saturating_mul(about.f_frsize);
+            let text = format!("{} MiB are free at {}", free >> 20, place.display());
+            match free {
+                0..FULL => sheet.fail("disk", &text, "free some space; nothing is acknowledged on a full disk"),
+                FULL..TIGHT => sheet.warn("disk", &text, "free some space before it is full"),
+                _ => sheet.ok("disk", &text),
+            }
+        }
+        Err(error) => sheet.warn("disk", &format!("{}: {error}", place.display()), "check with `df`"),
+    }
+}
+
+/// The longest look at a ROS 2 domain.
+const LOOK: Duration = Duration::from_secs(6);
+const TICK: Duration = Duration::from_millis(50);
+
+/// The vault: the embedded file, or Redis with its policy and persistence.
+fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
+    let Some(url) = &config.vault_url else {
+        return database("vault", &home.vault().join("vault.db"), sheet);
+    };
+    match policy::examine(Some(url)) {
+        Ok(findings) => {
+            if findings.is_empty() {
+                let text = format!("{} answers, does not evict and has an append-only file", without_secrets(url));
+                sheet.ok("vault", &text);
+            }
+            for finding in findings {
+                let text = format!("Redis at {} {}", finding.server, finding.text);
+                match finding.gravity {
+                    Gravity::Warning => sheet.warn("vault", &text, &finding.advice),
+                    Gravity::Refused => sheet.fail("vault", &text, &finding.advice),
+                }
+            }
+        }
+        Err(error) => {
+            let text = error.to_string();
+            let (text, advice) = text.split_once(';').unwrap_or((&text, "start it or correct vault.url"));
+            sheet.fail("vault", text.trim(), advice.trim());
+        }
+    }
+}
+
+/// Captures nothing: the doctor only looks.
+struct Nobody;
+
+impl MessageSink for Nobody {
+    fn accept(&self, _: Message) {}
+    fn notice(&self, _: CaptureNotice) {}
+}
+
+/// The participants of the ROS 2 domain, if the settings name one; it is joined for a moment.
+fn second(config: &Config, sheet: &mut Sheet) {
+    let Some(domain) = config.ros_domain.filter(|_| config.site.is_none()) else { return };
+    let capture = match Ros2Capture::start(domain, config.ros2_program.as_deref(), Arc::new(Nobody)) {
+        Ok(capture) => capture,
+        Err(error) => return sheet.fail("ros 2", &error.to_string(), "install it, or clear ros.domain"),
+    };
+    let begun = Instant::now();
+    while begun.elapsed() < LOOK && capture.standing().reading == Reading::Looking {
+        std::thread::sleep(TICK);
+    }
+    let standing = capture.standing();
+    let advice = "start a robot there; on the robot, unset FASTDDS_BUILTIN_TRANSPORTS and ROS_DISCOVERY_SERVER and use \
+                  UDP; see docs/ros2.md";
+    match &standing.reading {
+        Reading::Down { reason } => sheet.fail("ros 2", &standing.text(), &format!("fix what it reports: {reason}")),
+        Reading::Looking => {
+            sheet.fail("ros 2", &standing.text(), "the program that reads it does not respond; try again")
+        }
+        Reading::Up if standing.is_empty() => sheet.warn("ros 2", &standing.text(), advice),
+        Reading::Up => sheet.ok("ros 2", &standing.text()),
+    }
+    walls(standing.confined, sheet);
+}
+
+/// Whether what parses the network reaches nothing else of this machine.
+fn walls(confined: Option<bool>, sheet: &mut Sheet) {
+    let advice = "use a kernel of 5.13 or later with landlock among its security modules (/sys/kernel/security/lsm); until \
+                  then start the site as root, which gives the program a user of its own";
+    match confined {
+        Some(true) => sheet.ok("ros 2 walls", "the program that speaks ROS 2 can open no file and no local socket"),
+        Some(false) => sheet.warn("ros 2 walls", UNCONFINED, advice),
+        None => {}
+    }
+}
+
+/// The master, this machine's name and the host names given by publishers.
+fn ros_master(config: &Config, sheet: &mut Sheet) {
+    if config.site.is_some() {
+        return sheet.ok("ros", "is at the gateway");
+    }
+    let Some(master) = &config.ros_master else {
+        return sheet.ok("ros", "embedded master, started with the site");
+    };
+    let shown = without_secrets(master);
+    let graph = match Graph::new(master, "/authros_doctor") {
+        Ok(graph) => graph,
+        Err(error) => return sheet.fail("ros", &error.to_string(), "correct ros.master"),
+    };
+    match graph.ping() {
+        Ok(()) => sheet.ok("ros", &format!("the master at {shown} answers")),
+        Err(error) => return sheet.fail("ros", &error.to_string(), "start roscore or correct ros.master"),
+    }
+    match graph.own_name(config.ros_host.as_deref()) {
+        Ok(host) => sheet.ok("ros host", &format!("this machine announces itself to other nodes as {host}")),
+        Err((host, reason)) => {
+            let advice = "set ROS_HOSTNAME (or ros.host) to a name or address at which robots can reach this machine";
+            sheet.fail("ros host", &format!("{host} {reason}"), advice);
+        }
+    }
+    match graph.unreached() {
+        Ok((tried, unreached)) if unreached.is_empty() => {
+            sheet.ok("ros nodes", &format!("all {tried} publishers answer at the addresses they announced"));
+        }
+        Ok((tried, unreached)) => {
+            let one = |node: &crate::ros::graph::Unreached| format!("{} at {}: {}", node.node, node.place, node.reason);
+            let texts: Vec<String> = unreached.iter().map(one).collect();
+            let advice = "on that machine, set ROS_HOSTNAME or ROS_IP to something that resolves here, or remove the \
+                          dead node with rosnode cleanup";
+            sheet.warn("ros nodes", &format!("{} of {tried}: {}", unreached.len(), texts.join("; ")), advice);
+        }
+        Err(error) => sheet.warn("ros nodes", &error.to_string(), "check with `rosnode list`"),
     }
 }

@@ -1,41 +1,22 @@
 //! A site's answers: the very structures that `--json` prints.
 
-mod alerts;
-mod audit;
 mod chain;
-mod check;
-mod forging;
 mod identity;
-mod incidents;
-mod operate;
-mod parties;
 mod playing;
 mod recordings;
 mod records;
-mod robots;
 mod site;
-mod tasks;
 mod topics;
-mod viewing;
 
-use serde::{Deserialize, Serialize};
-
-pub use self::alerts::{AlertTestView, AlertView, AlertsView, EndedAlert, Severity};
-pub use self::audit::{AuditCheck, AuditView};
-pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, PricesView, ServedView, WaitingView};
-pub use self::check::{
-    BackupView, CheckStatus, DoctorCheck, DoctorView, ErasureView, FindingKind, RecordAudit, RecordFinding,
+pub use self::chain::{
+    AlarmView, BackupView, ChainView, CheckStatus, DecidedView, DeployedView, DoctorCheck, DoctorView, ErasureView,
+    FindingKind, GasView, GatewayView, HeldView, PinView, PinsView, PricesView, QuarantineView, RecordAudit,
+    RecordFinding, ServedView, WaitingView,
 };
-pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{
-    DeviceAddressesView, DeviceTopicsView, EnrolledView, EpochRecords, EpochView, IdentityView, KeyChangeView,
-    KeysView, RobotGatewayView, TransactionView,
-};
-pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
-pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
-pub use self::parties::{
-    AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
-    RecoveryView, SuccessionView,
+    AdministrationView, CompareView, ContactRow, DeviceAddressesView, DeviceRow, DeviceTopicsView, Direction,
+    EnrolledView, EpochRecords, EpochView, GrantRow, GrantState, IdentityView, KeyChangeView, KeysView, ProposalView,
+    RecoveryView, RobotGatewayView, SuccessionView, TransactionView,
 };
 pub use self::playing::{PlayEnd, PlayedView};
 pub use self::recordings::{
@@ -46,13 +27,14 @@ pub use self::records::{
     Caveat, CheckView, ContractAnswer, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView,
     Refusal, ShownState, StampView, StampedView,
 };
-pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
-pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, UnreachedView};
-pub use self::viewing::PathView;
-use super::command::SecretBytes;
-use crate::model::ErrorKind;
+
+use serde::{Deserialize, Serialize};
+
+use crate::command::SecretBytes;
+use crate::model::{Address, ErrorKind, IncidentName, ProfileName, SignerId, Timestamp};
+use crate::ros::readable::Plot;
 
 /// Why a command failed, in words for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -220,4 +202,377 @@ replies! {
     Robots(Vec<RobotRow>);
     /// To `ShowRobot` and `SetRobotPolicy`.
     Robot(RobotView);
+}
+
+/// The severity of an alert.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// Somebody should look at it today.
+    Warning,
+    /// Somebody should look at it now.
+    Critical,
+}
+
+impl Severity {
+    /// In one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Warning => "warning",
+            Self::Critical => "critical",
+        }
+    }
+}
+
+/// An alert, active or ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlertView {
+    /// The rule, and its subject if there can be several: `disk`, `robot_silent/1f2e3d4c`.
+    pub key: String,
+    /// Its severity.
+    pub severity: Severity,
+    /// What happened and what to do, without topics, names and keys.
+    pub text: String,
+    /// The beginning of the address of one of the site's accounts.
+    pub site: String,
+    /// Active since.
+    pub begun: Timestamp,
+}
+
+/// An alert that has ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EndedAlert {
+    /// Its last state.
+    #[serde(flatten)]
+    pub alert: AlertView,
+    /// When it ended.
+    pub ended: Timestamp,
+}
+
+/// All active alerts, and those that ended recently.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlertsView {
+    /// The active ones, by their keys.
+    pub alerts: Vec<AlertView>,
+    /// Those that ended in the last 15 minutes, newest first; of one process, at most 20.
+    pub over: Vec<EndedAlert>,
+    /// The destination of alerts, or that there is none.
+    pub told: String,
+    /// Deliveries that wait.
+    pub waiting: u64,
+    /// Deliveries dropped for want of room; the next one reports how many.
+    pub dropped: u64,
+}
+
+/// The result of a test alert.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlertTestView {
+    /// Where it was sent.
+    pub place: String,
+    /// The reply, cleaned.
+    pub text: String,
+}
+
+/// One line of the audit log.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditView {
+    /// Its number.
+    pub line: u64,
+    /// Its time.
+    pub at: Timestamp,
+    /// The profile.
+    pub profile: String,
+    /// The operator who did it, if it was not the profile's owner.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub operator: Option<String>,
+    /// The deed.
+    pub action: String,
+    /// Its object, cleaned.
+    pub subject: String,
+    /// Its outcome.
+    pub outcome: String,
+}
+
+impl AuditView {
+    /// Who did it: the profile, or `profile/operator`.
+    pub fn by(&self) -> String {
+        match &self.operator {
+            Some(operator) => format!("{}/{operator}", self.profile),
+            None => self.profile.clone(),
+        }
+    }
+}
+
+/// The result of a check of the audit log.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditCheck {
+    /// Whether nothing is wrong.
+    pub ok: bool,
+    /// Lines in the unbroken hash chain; 0 if it is broken.
+    pub lines: u64,
+    /// Heads of this profile that were compared.
+    pub heads: u64,
+    /// Of these, confirmed on the chain.
+    pub anchored: u64,
+    /// Lines below the newest of these heads.
+    pub covered: u64,
+    /// The first line that is wrong.
+    pub broken_line: Option<u64>,
+    /// The reason.
+    pub text: Option<String>,
+    /// Records of heads that fail their own checks, with the reasons.
+    pub unusable: Vec<String>,
+}
+
+/// A note about an incident.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IncidentNoteView {
+    /// When it was written.
+    pub at: Timestamp,
+    /// Its text. Cleaned.
+    pub text: String,
+}
+
+/// An incident's records of one topic.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SpanCoverageView {
+    /// The topic. Cleaned.
+    pub topic: String,
+    /// Captured messages that are records, without quarantined ones.
+    pub records: u64,
+    /// Bytes of these messages.
+    pub bytes: u64,
+    /// When the first of them was captured.
+    pub first: Option<Timestamp>,
+    /// When the last was.
+    pub last: Option<Timestamp>,
+    /// How many of them retention had already deleted.
+    pub deleted: u64,
+    /// Messages in quarantine.
+    pub quarantined: u64,
+    /// Messages lost in stretches of time that overlap the span.
+    pub lost: u64,
+}
+
+/// An incident and its records.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IncidentView {
+    /// Its name.
+    pub name: IncidentName,
+    /// Whether it is still open.
+    pub open: bool,
+    /// Holds records captured at this time or later.
+    pub since: Timestamp,
+    /// And before this time; `None` = it is still open.
+    pub until: Option<Timestamp>,
+    /// When it was opened.
+    pub opened_at: Timestamp,
+    /// When it was closed.
+    pub closed_at: Option<Timestamp>,
+    /// Its topics; empty = all. Cleaned.
+    pub topics: Vec<String>,
+    /// Oldest first.
+    pub notes: Vec<IncidentNoteView>,
+    /// Its records, of all topics.
+    pub records: u64,
+    /// Bytes of their messages.
+    pub bytes: u64,
+    /// Its records by topic.
+    pub coverage: Vec<SpanCoverageView>,
+}
+
+/// A name known to the gateway, and its session if it has one.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SenderView {
+    /// N, the name.
+    pub name: ProfileName,
+    /// The account it belongs to.
+    pub account: Address,
+    /// Its current sessions.
+    pub sessions: u64,
+    /// The remote address of the newest.
+    pub peer: Option<String>,
+    /// Connected since.
+    pub since: Option<Timestamp>,
+    /// When its last frame arrived.
+    pub last: Option<Timestamp>,
+    /// Frames of its sessions.
+    pub frames: u64,
+    /// Bytes of these frames.
+    pub bytes: u64,
+}
+
+/// One system key (P_S) of the published list.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SystemKeyView {
+    /// SM3 of P_S.
+    pub id: SignerId,
+    /// In use from this time.
+    pub not_before: Timestamp,
+    /// In use until this time.
+    pub not_after: Timestamp,
+    /// Whether it is in use now.
+    pub current: bool,
+}
+
+/// Refusals for one reason since the gateway was started.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RefusedView {
+    /// The reason's number in the protocol.
+    pub code: u16,
+    /// The reason in words, and what the peer should do.
+    pub text: String,
+    /// How often.
+    pub count: u64,
+}
+
+/// An owner who may use the gateway of this home.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AdmittedView {
+    /// The owner.
+    pub owner: Address,
+    /// Its name in the address book.
+    pub name: Option<String>,
+    /// Admitted since.
+    pub since: Timestamp,
+    /// The profile that admitted it, or why it is listed.
+    pub by: String,
+}
+
+/// The gateway of this site at a glance.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GatewayStatusView {
+    /// The gateway served here; `None` = no gateway runs here.
+    pub served: Option<GatewayView>,
+    /// The gateway through which this site joins a remote one.
+    pub through: Option<String>,
+    /// Connections, including those in their handshake.
+    pub connections: u64,
+    /// Names with a transport key, connected ones first.
+    pub senders: Vec<SenderView>,
+    /// The published list of system keys.
+    pub keys: Vec<SystemKeyView>,
+    /// Its version.
+    pub list_version: u64,
+    /// When it expires.
+    pub list_expires: Option<Timestamp>,
+    /// Refusals, the most frequent reason first.
+    pub refused: Vec<RefusedView>,
+}
+
+/// The state of a background task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TaskState {
+    /// At work.
+    Running,
+    /// It failed, and is restarted after a pause.
+    Resting,
+}
+
+/// One background task of the site.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskView {
+    /// Its name, followed by the profile's if each profile has one: `verifier`, `anchorer default`.
+    pub name: String,
+    /// Its state.
+    pub state: TaskState,
+    /// The number of restarts.
+    pub restarts: u64,
+    /// During the pause: whole seconds until it is restarted.
+    pub next_try: Option<u64>,
+    /// Why it ended the last time, cleaned.
+    pub reason: Option<String>,
+}
+
+/// A path over the records of a topic.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PathView {
+    /// The record it leads to.
+    pub id: String,
+    /// Its topic, cleaned.
+    pub topic: String,
+    /// Records that contained a position.
+    pub records: usize,
+    /// Records that could not be opened or decoded.
+    pub unread: usize,
+    /// The path; `None` if no record contained a position.
+    pub plot: Option<Plot>,
+}
+
+/// What a robot was asked for of its ring.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RingPullView {
+    /// N.
+    pub robot: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// What was captured at this time or later,
+    pub since: Timestamp,
+    /// and before this time.
+    pub until: Timestamp,
+    /// Of topics that match one of these; empty = of all. Cleaned.
+    pub topics: Vec<String>,
+}
+
+/// An enrolled robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RobotRow {
+    /// N.
+    pub name: ProfileName,
+    /// SM3 of its public key.
+    pub device: SignerId,
+    /// The capture of its newest record that is here, by its clock.
+    pub last_seen: Option<Timestamp>,
+    /// The first address of its gateway, host:port. Cleaned.
+    pub address: Option<String>,
+    /// Its records that are here and not verified yet.
+    pub waiting: u64,
+    /// The version of the policy that it is to work by; 0 = none was ever set.
+    pub wanted: u64,
+    /// The version that it says it works by; `None` = it never told, 0 = its own settings alone.
+    pub running: Option<u64>,
+    /// How it stands to what is wanted, in words.
+    pub standing: String,
+    /// Whether it works by another version than the wanted one.
+    pub drift: bool,
+    /// Since when.
+    pub drift_since: Option<Timestamp>,
+}
+
+/// What a robot recorded of a topic, as far as it is here.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RobotTopicRow {
+    /// The topic. Cleaned.
+    pub topic: String,
+    /// Messages.
+    pub records: u64,
+    /// Of these verified.
+    pub verified: u64,
+    /// Of these not verified yet.
+    pub waiting: u64,
+    /// Messages that the robot lost, by its newest reports.
+    pub lost: u64,
+}
+
+/// One robot in full.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RobotView {
+    /// As in the list.
+    #[serde(flatten)]
+    pub row: RobotRow,
+    /// Its gateway.
+    pub gateway: Option<RobotGatewayView>,
+    /// The topics it has keys for; empty = all.
+    pub enrolled: Vec<String>,
+    /// What it recorded, by topic.
+    pub topics: Vec<RobotTopicRow>,
+    /// Why it did not take up the last policy that it heard of. Cleaned.
+    pub refused: Option<String>,
+    /// Where its own settings say something else, and the policy counts. Cleaned.
+    pub overruled: Vec<String>,
+    /// The policy that it is to work by, as TOML; empty = its own settings alone.
+    pub policy: String,
+    /// When that was set.
+    pub set_at: Option<Timestamp>,
 }

@@ -4,9 +4,9 @@ use std::sync::LazyLock;
 
 use authros::crypto::TransportKey;
 use authros::gateway::command::{Inner, LARGEST_PART, Part};
+use authros::gateway::frame::{Assembler, Message};
 use authros::gateway::frame::{FrameDecoder, FrameKind, encode};
 use authros::gateway::hello::{self, ClientHello, GatewayHello, Hello, ListSummary};
-use authros::gateway::parts::{Assembler, Message};
 use authros::gateway::session::{Session, SessionId, SessionKeys, Side};
 use authros::gateway::{Answer, Code, Command, NetworkName, Request};
 use authros::model::{Digest, Token};

@@ -33,7 +33,7 @@ pub enum TopicsVerb {
     /// Show over time where a topic has records, losses or quarantined messages
     Coverage(crate::cli::coverage::CoverageArguments),
     /// Show the rule for each topic; --learn drafts rules from the live graph
-    Policy(crate::cli::policy::PolicyArguments),
+    Policy(crate::cli::robots::PolicyArguments),
     /// Unpin a publisher of a topic
     Unpin {
         /// Topic

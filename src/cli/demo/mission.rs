@@ -5,15 +5,14 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use super::listener::Listener;
-use super::locks::{self, Genuine};
-use super::{Robots, Story, Work};
+use super::{Genuine, Listener, Robots, Story, Work};
 use crate::cli::connect::{Context, ProfileNeed};
+use crate::cli::demo;
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, Names, open, topic_key};
 use crate::model::head::SIMULATED;
 use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
 use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner, authority, proof};
+use crate::pipeline::{Network, Owner, authority, chain_proofs};
 use crate::ros::{DomainFleet, FleetOptions};
 use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
 use crate::service::failure::internal;
@@ -273,7 +272,7 @@ impl Mission {
         // Same topic and epoch, so that one key opens both and only the named check can refuse.
         let other = records.iter().find(|record| record.topic == one.topic && record.id != one.id).unwrap_or(other);
         let (one, other) = (take(one)?, take(other)?);
-        let broken = locks::broken(plant.provider, &one, &other)?;
+        let broken = demo::broken(plant.provider, &one, &other)?;
         let unanchored = self.never_anchored_is_told(&one).await?;
         let unproven = self.path_of_another_is_refused(&one, &other)?;
         if !broken.is_empty() {
@@ -305,7 +304,7 @@ impl Mission {
 
     async fn never_anchored_is_told(&self, genuine: &Genuine) -> Result<bool, Failure> {
         let plant = &self.site.plant;
-        let (row, blob) = locks::never_anchored(plant, genuine)?;
+        let (row, blob) = demo::never_anchored(plant, genuine)?;
         block_in_place(|| plant.vault.put(&[(row.digest, &blob)]))?;
         let reader = Reader { plant, network: &self.network, reader: &self.cura_b.owner };
         let verdict = reader.open(&row).await.map(|opened| opened.verdict);
@@ -318,7 +317,7 @@ impl Mission {
     fn path_of_another_is_refused(&self, one: &Genuine, other: &Genuine) -> Result<bool, Failure> {
         let placed = block_in_place(|| self.site.plant.ledger.placed(one.row.digest))?;
         let place = placed.and_then(|placed| placed.place);
-        Ok(place.is_none_or(|place| !proof::is_included(&place, &other.row)))
+        Ok(place.is_none_or(|place| !chain_proofs::is_included(&place, &other.row)))
     }
 
     /// Every epoch key that B ever received.
@@ -377,7 +376,7 @@ impl Mission {
             let page = block_in_place(|| self.site.plant.ledger.list(&query))?;
             for row in &page.rows {
                 let in_this_mission = row.block.is_some_and(|block| block >= self.first_block);
-                if in_this_mission && proof::is_anchored(&self.site.plant, &self.network, row).await? {
+                if in_this_mission && chain_proofs::is_anchored(&self.site.plant, &self.network, row).await? {
                     anchored += 1;
                 }
             }

@@ -3,10 +3,8 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::action::{Errand, Tag};
-use super::confirm;
-use super::field::Field;
-use super::form::{Form, Line};
-use super::popup::{Confirm, Popup, Purpose};
+use super::form::{Field, Form, Line};
+use super::popup::{self, Confirm, Popup, Purpose};
 use super::state::State;
 use crate::model::Party;
 use crate::service::Command;
@@ -188,6 +186,6 @@ fn question(act: Act, mut lines: Vec<String>, errand: Errand) -> Confirm {
     lines.extend(act.meaning().iter().map(|line| (*line).to_owned()));
     lines.push("This sends a transaction from your account.".to_owned());
     let title = if act.names() { format!("{}?", act.title()) } else { act.title().to_owned() };
-    let typed = act.is_grave().then(|| confirm::Typed::new(act.word()));
+    let typed = act.is_grave().then(|| popup::Typed::new(act.word()));
     Confirm { title, lines, yes: act.word(), typed, errand }
 }

@@ -7,19 +7,12 @@ use std::path::PathBuf;
 use zeroize::Zeroizing;
 
 use super::action::{Contents, Effect, Tag};
-use super::detail;
-use super::exporting;
 use super::feed::Feed;
-use super::identity_path;
 use super::incidents::{self, Deed};
-use super::opening;
-use super::playing;
-use super::policies;
 use super::popup::Popup;
-use super::profiles;
 use super::screen::Screen;
 use super::state::State;
-use super::undo;
+use super::{identity_path, opening, paths, perform, playing, policies, profiles};
 use crate::model::{ErrorKind, Verdict};
 use crate::service::command::{self as ask, Ask, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView, PinsView, Provenance, TransactionView};
@@ -43,9 +36,9 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Register => return identity_path::registered(state, ask::Register::heard(result)),
         Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
-        Tag::Beside(Screen::Uploads, id) => detail::looked_up(state, id, ask::ShowUpload::heard(result)),
-        Tag::Beside(Screen::Topics, topic) => detail::covered(state, topic, ask::TopicCoverage::heard(result)),
-        Tag::Beside(_, id) => detail::opened(state, id, ask::OpenShared::heard(result)),
+        Tag::Beside(Screen::Uploads, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
+        Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
+        Tag::Beside(_, id) => opening::detail_opened(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
         // What the site knew before says nothing about what is still in flight now.
@@ -254,7 +247,7 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
                     None => state.filled = None,
                 }
             }
-            undo::note(state, tag);
+            perform::note(state, tag);
             for feed in touched_by(tag) {
                 state.feeds.overtake(*feed);
             }
@@ -298,7 +291,7 @@ fn written<T>(
     result: Result<T, Failure>,
     write: impl FnOnce(&State, Option<PathBuf>, T) -> Effect,
 ) -> Vec<Effect> {
-    let base = exporting::folder_of(state, tag);
+    let base = paths::folder_of(state, tag);
     match result {
         Ok(answer) => vec![write(state, base, answer)],
         Err(failure) => {

@@ -6,8 +6,8 @@ use super::action::Tag;
 use super::administration::Act;
 use super::feed::Feed;
 use super::screen::Screen;
+use super::screens::gateway::robot_of;
 use super::screens::grants::{is_active, is_given};
-use super::screens::robots::robot_of;
 use super::state::State;
 use super::verb::{Verb, entry_of};
 

@@ -8,7 +8,7 @@ use super::key::Key;
 use super::perform::copy;
 use super::popup::{Confirm, Popup, Purpose};
 use super::state::State;
-use crate::app::field::Field;
+use crate::app::form::Field;
 use crate::model::{Address, ContactName};
 use crate::service::Command;
 use crate::service::reply::ContactRow;

@@ -2,11 +2,8 @@
 //! checked checked before the question, the terms of a grant changed.
 
 use super::action::{Effect, Errand, Tag};
-use super::confirm;
-use super::field::Field;
-use super::form::Form;
-use super::forms::{self, GrantWish};
-use super::popup::{Confirm, Popup, Purpose};
+use super::form::{self, Field, Form, GrantWish};
+use super::popup::{self, Confirm, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::{day, end, is_active, is_given, other_side, scope};
 use super::state::State;
@@ -36,7 +33,7 @@ pub fn begin_for(state: &mut State, name: &str) {
 
 fn terms(row: &GrantRow) -> (String, Vec<String>) {
     let grantee = row.name.clone().unwrap_or_else(|| other_side(row).to_string());
-    let all = || vec![forms::ALL_TOPICS.to_owned()];
+    let all = || vec![form::ALL_TOPICS.to_owned()];
     let topics = match (is_given(row), row.topics.is_empty()) {
         (false, _) => Vec::new(),
         (true, true) => all(),
@@ -49,7 +46,7 @@ fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
     state.feeds.slot_mut(super::feed::Feed::Contacts).stale = true;
     // How many records the grant opens is told as of now.
     state.feeds.slot_mut(super::feed::Feed::Identity).stale = true;
-    state.popups.push(Popup::Form(Purpose::Grant, forms::grant(grantee, topics, ends, &opens(state))));
+    state.popups.push(Popup::Form(Purpose::Grant, form::grant(grantee, topics, ends, &opens(state))));
 }
 
 /// From when on a grant of the current epoch opens records, of all topics.
@@ -61,7 +58,7 @@ pub fn opens(state: &State) -> String {
 /// `grant bob /robot1/odom 30d` of the palette: the form with these terms, sent on to its question if they are valid.
 pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
     let Some((grantee, rest)) = words.split_first() else { return Vec::new() };
-    let is_topic = |word: &&str| word.starts_with('/') || *word == forms::ALL_TOPICS;
+    let is_topic = |word: &&str| word.starts_with('/') || *word == form::ALL_TOPICS;
     let (topics, ends): (Vec<&str>, Vec<&str>) = rest.iter().copied().partition(is_topic);
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));
@@ -104,9 +101,9 @@ pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
     let Some(row) = active(state, wish.grantee.address().or(contact), &name).cloned() else {
-        return confirm::grant(state, wish);
+        return popup::grant(state, wish);
     };
-    let mut question = confirm::grant(state, wish);
+    let mut question = popup::grant(state, wish);
     let tag = Tag::Revoke(row.grantee);
     let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
     let before = [
@@ -149,7 +146,7 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = match form.focus {
         GRANTEE => state.contacts.iter().map(|row| row.name.to_string()).collect(),
-        TOPICS => state.topics.rows.iter().map(|row| row.topic.clone()).chain([forms::ALL_TOPICS.to_owned()]).collect(),
+        TOPICS => state.topics.rows.iter().map(|row| row.topic.clone()).chain([form::ALL_TOPICS.to_owned()]).collect(),
         _ => return false,
     };
     complete_from(form, &names)
@@ -191,7 +188,7 @@ pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
     let ends = row.expires.map_or_else(|| "never".to_owned(), day);
-    state.popups.push(Popup::Form(Purpose::Extend, forms::extend(&who, &ends)));
+    state.popups.push(Popup::Form(Purpose::Extend, form::extend(&who, &ends)));
 }
 
 /// The command of a completed form of [`begin_extension`].

@@ -1,9 +1,10 @@
-//! The flow of records over the last hour, as far as this console has seen it: the ring behind the Overview's graphs.
+//! The flow of records over the last hour, as far as this console has seen it: the ring behind the Overview's graphs;
+//! rates of topics, and how far long work has come.
 
 use std::collections::VecDeque;
 
 use crate::model::Timestamp;
-use crate::service::reply::SiteView;
+use crate::service::reply::{LifeLine, ProgressView, SiteView};
 
 /// Nanoseconds per second.
 const SECOND: u64 = 1_000_000_000;
@@ -219,6 +220,140 @@ fn float(count: u64) -> f64 {
     count as f64
 }
 
+/// The shortest time over which a rate is computed, nanoseconds.
+const WINDOW: u64 = 2_000_000_000;
+/// After this long without news, the rates are zero, nanoseconds.
+const STILL_AFTER: u64 = 6_000_000_000;
+
+/// Stages of a record: captured, sealed, stored, anchored, confirmed, verified.
+pub const STATIONS: usize = 6;
+
+/// Records per second at each stage.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Rates {
+    base: Option<(Timestamp, [u64; STATIONS])>,
+    /// Records per second, by stage.
+    pub stations: [f64; STATIONS],
+}
+
+fn counts(life: &LifeLine) -> [u64; STATIONS] {
+    [life.captured, life.sealed, life.stored, life.anchored, life.confirmed, life.verified]
+}
+
+impl Rates {
+    /// Takes in the counts at a moment.
+    pub fn observe(&mut self, life: &LifeLine, now: Timestamp) {
+        let counts = counts(life);
+        let Some((since, before)) = self.base else {
+            self.base = Some((now, counts));
+            return;
+        };
+        let nanoseconds = now.0.saturating_sub(since.0);
+        if nanoseconds < WINDOW {
+            return;
+        }
+        self.stations =
+            std::array::from_fn(|place| per_second(counts[place].saturating_sub(before[place]), nanoseconds));
+        self.base = Some((now, counts));
+    }
+
+    /// Captured per second.
+    pub fn captured(&self) -> f64 {
+        self.stations[0]
+    }
+
+    /// Verified per second.
+    pub fn verified(&self) -> f64 {
+        self.stations[STATIONS - 1]
+    }
+
+    /// When the rates become zero unless something arrives before.
+    pub fn still_at(&self) -> Option<Timestamp> {
+        let flows = self.stations.iter().any(|rate| *rate > 0.0);
+        self.base.filter(|_| flows).map(|(since, ..)| Timestamp(since.0.saturating_add(STILL_AFTER)))
+    }
+
+    /// Sets the rates to zero when it is time.
+    pub fn settle(&mut self, now: Timestamp) {
+        if self.still_at().is_some_and(|at| at <= now) {
+            *self = Self::default();
+        }
+    }
+}
+
+fn per_second(count: u64, nanoseconds: u64) -> f64 {
+    let count = f64::from(u32::try_from(count).unwrap_or(u32::MAX));
+    count / std::time::Duration::from_nanos(nanoseconds).as_secs_f64()
+}
+
+/// A shorter run says nothing about its pace, nanoseconds.
+const LEAST: u64 = 2_000_000_000;
+
+/// One piece of work.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Run {
+    view: ProgressView,
+    /// When its present step was first seen, and its progress then.
+    seen: (Timestamp, u64),
+}
+
+/// All current runs.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Progress(Vec<Run>);
+
+impl Progress {
+    /// Takes over their present progress.
+    pub fn set(&mut self, views: Vec<ProgressView>, now: Timestamp) {
+        let before = std::mem::take(&mut self.0);
+        let same = |view: &ProgressView, run: &&Run| run.view.file == view.file && run.view.step == view.step;
+        self.0 = views
+            .into_iter()
+            .map(|view| {
+                let seen = before.iter().find(|run| same(&view, run)).map_or((now, view.done), |run| run.seen);
+                Run { view, seen }
+            })
+            .collect();
+    }
+
+    /// Whether anything runs.
+    pub fn any(&self) -> bool {
+        !self.0.is_empty()
+    }
+
+    /// A line for each.
+    pub fn lines(&self, now: Timestamp) -> Vec<String> {
+        self.0.iter().map(|run| run.line(now)).collect()
+    }
+}
+
+impl Run {
+    fn line(&self, now: Timestamp) -> String {
+        let ProgressView { step, file, done, of, messages, unit } = &self.view;
+        let share = done.saturating_mul(100).checked_div(*of).map_or_else(String::new, |share| format!(" {share} %"));
+        let left = self.left(now).map_or_else(String::new, |seconds| format!(", about {} left", length(seconds)));
+        format!("{step} {file}:{share} {messages} {unit}{left}")
+    }
+
+    /// Seconds at the pace since its step was first seen.
+    fn left(&self, now: Timestamp) -> Option<u64> {
+        let took = now.0.saturating_sub(self.seen.0.0);
+        let made = self.view.done.checked_sub(self.seen.1).filter(|made| *made > 0 && took >= LEAST)?;
+        let rest = self.view.of.checked_sub(self.view.done).filter(|rest| *rest > 0)?;
+        let left = u128::from(took) * u128::from(rest) / u128::from(made) / 1_000_000_000;
+        u64::try_from(left).ok()
+    }
+}
+
+/// Coarse, so that it does not change at each look.
+fn length(seconds: u64) -> String {
+    match seconds {
+        0..10 => "10 s".to_owned(),
+        10..60 => format!("{} s", seconds.div_ceil(10) * 10),
+        60..5_400 => format!("{} min", seconds.div_ceil(60)),
+        _ => format!("{} h", seconds.div_ceil(3_600)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -291,5 +426,71 @@ mod tests {
         let flow = history.flow(Period::Hour, 60, at(3_600));
         let known: Vec<f64> = flow.captured.iter().flatten().copied().collect();
         assert!(known.len() >= 58 && known.iter().take(58).all(|rate| (rate - 40.0).abs() < 0.5), "{known:?}");
+    }
+}
+
+#[cfg(test)]
+mod rates_tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_shows_after_two_seconds_and_goes_when_nothing_comes() {
+        let life = |captured| LifeLine { captured, ..LifeLine::default() };
+        let mut rates = Rates::default();
+        rates.observe(&life(100), Timestamp(0));
+        rates.observe(&life(140), Timestamp::from_seconds(1));
+        assert_eq!(rates.still_at(), None);
+        rates.observe(&life(180), Timestamp::from_seconds(2));
+        assert!((rates.captured() - 40.0).abs() < 1e-9);
+        assert_eq!(rates.still_at(), Some(Timestamp::from_seconds(8)));
+        rates.settle(Timestamp::from_seconds(8));
+        assert_eq!(rates, Rates::default());
+    }
+}
+
+#[cfg(test)]
+mod progress_tests {
+    use super::*;
+
+    fn view(step: &str, done: u64) -> ProgressView {
+        let (step, file, unit) = (step.to_owned(), "mission.bag".to_owned(), "messages".to_owned());
+        ProgressView { step, file, done, of: 1_000, messages: done / 10, unit }
+    }
+
+    #[test]
+    fn the_time_left_is_by_the_pace_of_the_present_step() {
+        let at = Timestamp::from_seconds;
+        let mut progress = Progress::default();
+        progress.set(vec![view("hashing", 900)], at(0));
+        progress.set(vec![view("importing", 100)], at(10));
+        assert_eq!(progress.lines(at(10)), ["importing mission.bag: 10 % 10 messages"]);
+        progress.set(vec![view("importing", 200)], at(30));
+        assert_eq!(progress.lines(at(30)), ["importing mission.bag: 20 % 20 messages, about 3 min left"]);
+        progress.set(vec![view("importing", 990)], at(188));
+        assert_eq!(progress.lines(at(188)), ["importing mission.bag: 99 % 99 messages, about 10 s left"]);
+        progress.set(Vec::new(), at(190));
+        assert!(!progress.any());
+    }
+
+    #[test]
+    fn records_are_counted_as_such() {
+        let at = Timestamp::from_seconds;
+        let told = |step: &str, file: &str, unit: &str, done, messages| ProgressView {
+            file: file.to_owned(),
+            unit: unit.to_owned(),
+            messages,
+            ..view(step, done)
+        };
+        let mut progress = Progress::default();
+        progress.set(vec![told("auditing", "this home", "records", 0, 0)], at(0));
+        progress.set(vec![told("auditing", "this home", "records", 250, 250)], at(10));
+        assert_eq!(progress.lines(at(10)), ["auditing this home: 25 % 250 records, about 30 s left"]);
+    }
+
+    #[test]
+    fn of_what_has_no_end_only_the_count_is_told() {
+        let mut progress = Progress::default();
+        progress.set(vec![ProgressView { of: 0, ..view("exporting", 5) }], Timestamp(0));
+        assert_eq!(progress.lines(Timestamp(0)), ["exporting mission.bag: 0 messages"]);
     }
 }

@@ -5,7 +5,7 @@
 
 use super::action::{Effect, Errand, Tag};
 use super::feed::Feed;
-use super::forms;
+use super::form;
 use super::popup::{Popup, Purpose};
 use super::state::State;
 use crate::service::reply::IdentityView;
@@ -149,9 +149,9 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
     }
     let mut form = if purpose == Purpose::CreateIdentity {
         notes.insert(0, "This passphrase protects your keys on this machine. It cannot be recovered.".to_owned());
-        forms::create_identity(profile, notes)
+        form::create_identity(profile, notes)
     } else {
-        forms::unlock(profile, notes)
+        form::unlock(profile, notes)
     };
     form.error = error;
     state.popups.push(Popup::Form(purpose, form));

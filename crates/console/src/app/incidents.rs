@@ -1,19 +1,15 @@
 //! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
 
 use super::action::{Effect, Errand, Tag};
-use super::command_line;
-use super::cursor;
 use super::feed::Feed;
-use super::field::Field;
-use super::form::{Form, Line};
-use super::forms::ALL_TOPICS;
-use super::granting;
+use super::form::{ALL_TOPICS, Field, Form, Line};
 use super::key::Key;
 use super::perform::{copy, go};
 use super::popup::{Confirm, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::day;
 use super::state::State;
+use super::{granting, palette, table};
 use crate::model::{IncidentName, Timestamp, TopicName};
 use crate::service::command::filter::past;
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
@@ -190,12 +186,12 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
         (Key::Char('c'), Some(row)) if changes && row.open => state.popups.push(Popup::Confirm(closing(state, &row))),
         (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
         (Key::Char('y'), Some(row)) => {
-            let line = command_line::of_words(state, &format!("incident show {}", row.name));
+            let line = palette::of_words(state, &format!("incident show {}", row.name));
             return vec![copy(state, line)];
         }
         (Key::Char('e'), Some(row)) => {
             let words = format!("evidence export {0}.authros --incident {0}", row.name);
-            let line = command_line::of_words(state, &words);
+            let line = palette::of_words(state, &words);
             return vec![copy(state, line)];
         }
         _ => {}
@@ -208,7 +204,7 @@ fn show_records(state: &mut State, name: &IncidentName) {
     go(state, Screen::Uploads);
     state.uploads.table.filter = Field::with(&format!("incident:{name}"));
     state.uploads.table.filtering = false;
-    cursor::restart_records(state);
+    table::restart_records(state);
 }
 
 /// What the row under the cursor, or the marked ones, say of an incident.

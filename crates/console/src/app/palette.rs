@@ -1,18 +1,23 @@
-//! Keys of the palette: every command by name, some with terms behind it, and what was typed before.
+//! Keys of the palette: every command by name, some with terms behind it, and what was typed before; and each act as
+//! the command line that does the same.
 
-use super::action::Effect;
+#![deny(clippy::wildcard_enum_match_arm)]
+
+use super::action::{Effect, Errand, Tag};
 use super::available::available;
-use super::columns;
-use super::field::Field;
-use super::granting;
+use super::form::Field;
 use super::key::Key;
-use super::perform::perform;
+use super::perform::{self, perform};
 use super::popup::{Palette, Popup};
-use super::profiles;
 use super::state::State;
 use super::verb::Verb;
+use super::{choosing, granting, profiles};
+use crate::model::Timestamp;
+use crate::service::command::{Administration, IncidentCommand, PlayWishes};
+use crate::service::{Command, Epochs, KeyKind};
 
 /// A key while the palette is open.
+#[allow(clippy::wildcard_enum_match_arm, reason = "any other key is typed")]
 pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {
     let matches = palette.matches(state);
     let last = matches.len().saturating_sub(1);
@@ -25,7 +30,7 @@ pub(super) fn key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effe
                 return granting::spoken(state, terms);
             }
             if let (Some(("columns", names)), Ok(())) = (with_terms(&words), available(state, Verb::Columns)) {
-                return columns::spoken(state, names);
+                return choosing::spoken(state, names);
             }
             if let Some(("profile", [name])) = with_terms(&words)
                 && let Ok(profile) = name.parse()
@@ -79,4 +84,271 @@ fn recalls(state: &State, palette: &mut Palette, earlier: bool) -> bool {
 /// A command's name and the terms after it, if there are any.
 fn with_terms<'a>(words: &'a [&'a str]) -> Option<(&'a str, &'a [&'a str])> {
     words.split_first().filter(|(_, terms)| !terms.is_empty()).map(|(name, terms)| (*name, terms))
+}
+
+/// How well `needle` matches: every word of it must be found in `text`, in order of its
+/// letters; lower is better, `None` is no match. An empty needle matches everything with 0.
+pub fn score(needle: &str, text: &str) -> Option<usize> {
+    let text: Vec<char> = text.chars().flat_map(char::to_lowercase).collect();
+    needle.split_whitespace().map(|word| word_score(word, &text)).sum()
+}
+
+/// The matching rows: those that contain every word as it is, or if there are none, those that contain its letters in
+/// order.
+pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec<T> {
+    if needle.trim().is_empty() {
+        return rows;
+    }
+    let needle = needle.to_lowercase();
+    let words: Vec<&str> = needle.split_whitespace().collect();
+    let whole: Vec<bool> = rows.iter().map(|row| holds_all(&words, &text(row))).collect();
+    let any = whole.contains(&true);
+    let kept = rows.into_iter().zip(whole);
+    kept.filter(|(row, whole)| *whole || !any && score(&needle, &text(row)).is_some()).map(|(row, _)| row).collect()
+}
+
+/// Whether `text` contains all words, which are in lower case.
+fn holds_all(words: &[&str], text: &str) -> bool {
+    let text = text.to_lowercase();
+    words.iter().all(|word| text.contains(word))
+}
+
+/// Whether `text` contains every word of `needle` as it is.
+pub fn whole_words(needle: &str, text: &str) -> bool {
+    let text = text.to_lowercase();
+    needle.split_whitespace().all(|word| text.contains(&word.to_lowercase()))
+}
+
+/// The distance of the letters from each other, and of the first one from the beginning.
+fn word_score(word: &str, text: &[char]) -> Option<usize> {
+    let word: Vec<char> = word.chars().flat_map(char::to_lowercase).collect();
+    let whole = text.windows(word.len().max(1)).position(|part| part == word.as_slice());
+    whole.map(|at| usize::from(at > 0)).or_else(|| scattered(&word, text))
+}
+
+fn scattered(word: &[char], text: &[char]) -> Option<usize> {
+    let mut from = 0;
+    let mut gaps = 10;
+    for letter in word {
+        let found = text.get(from..)?.iter().position(|other| other == letter)?;
+        gaps += found;
+        from += found + 1;
+    }
+    Some(gaps)
+}
+
+/// The act as a command line; `None` = it is no act, or one of the console alone.
+pub fn twin(state: &State, errand: &Errand) -> Option<String> {
+    let line = of_words(state, &act(errand)?);
+    // What follows a revoke is part of the same question.
+    let follows = matches!(errand.tag, Tag::Revoke(_)).then_some(state.follow_up.as_ref()).flatten();
+    let after = follows.and_then(|(_, errand)| twin(state, errand));
+    Some(after.map_or_else(|| line.clone(), |after| format!("{line} && {after}")))
+}
+
+/// These words as a command line of the console's profile.
+pub fn of_words(state: &State, words: &str) -> String {
+    match state.settings.profile.as_str() {
+        "default" => format!("authros {words}"),
+        profile => format!("authros --profile {profile} {words}"),
+    }
+}
+
+/// Copies the act of a question.
+pub fn copy(state: &mut State, errand: &Errand) -> Vec<Effect> {
+    twin(state, errand).map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
+}
+
+/// Copies the act that was sent last.
+pub fn copy_last(state: &mut State) -> Vec<Effect> {
+    state.last_act.clone().map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
+}
+
+/// The words behind `authros`.
+fn act(errand: &Errand) -> Option<String> {
+    let Errand { tag, command } = errand;
+    Some(match tag {
+        // Requests of the screens, and what only leaving or stopping a playback needs.
+        Tag::Feed(..) | Tag::OpenConsole | Tag::Beside(..) | Tag::Path(_) | Tag::HoldCapture | Tag::StopPlay => {
+            return None;
+        }
+        Tag::CreateIdentity => "identity create".to_owned(),
+        Tag::Unlock => "keys list --passphrase-file FILE".to_owned(),
+        Tag::Register => "register".to_owned(),
+        Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
+        Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
+        Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => of_right(command)?,
+        Tag::LoadKey(_) | Tag::ExportKey(_) => of_key(command)?,
+        Tag::Rotate => "keys rotate".to_owned(),
+        Tag::Lock => "identity lock".to_owned(),
+        Tag::BackUp => "keys backup --out FILE".to_owned(),
+        Tag::Administer(_) => of_administrator(command)?,
+        Tag::Deploy => "chain deploy".to_owned(),
+        Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
+        Tag::Unpin(topic) => {
+            let Command::UnpinTopic { caller_id, .. } = command else { return None };
+            format!("topics unpin {} {}", quoted(topic), quoted(caller_id))
+        }
+        Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
+        Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
+        Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
+        Tag::Show(id) => format!("uploads show {id}"),
+        Tag::Open(id) => format!("shared open {id}"),
+        Tag::Check(id) => format!("shared check {id}"),
+        Tag::Export(id) => format!("uploads export {id} --dir DIR"),
+        Tag::Contact(_) => of_contact(command)?,
+        Tag::Incident(..) => of_incident(command)?,
+        Tag::Robot(name) => format!("robots show {}", quoted(name)),
+        Tag::SetPolicy(robot, Some(file)) => {
+            format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
+        }
+        Tag::SetPolicy(robot, None) => format!("robots policy {} --clear", quoted(robot)),
+        Tag::Play(_) => {
+            let Command::Play(wishes) = command else { return None };
+            of_playback(wishes)
+        }
+    })
+}
+
+fn of_right(command: &Command) -> Option<String> {
+    if let Command::Grant { grantee, topics, epochs, expires } = command {
+        let topics = topics.iter().map(|topic| format!(" --topic {topic}")).collect::<String>();
+        let epochs = if *epochs == Epochs::All { " --epochs all" } else { "" };
+        return Some(format!("grant {grantee}{topics}{epochs}{}", expires.map_or_else(String::new, until)));
+    }
+    if let Command::ExtendGrant { grantee, expires } = command {
+        let end = expires.map_or_else(|| " --endless".to_owned(), until);
+        return Some(format!("grants extend {grantee}{end}"));
+    }
+    let Command::Revoke { grantee } = command else { return None };
+    Some(format!("revoke {grantee}"))
+}
+
+fn until(end: Timestamp) -> String {
+    format!(" --expires {end}")
+}
+
+fn of_key(command: &Command) -> Option<String> {
+    let keystore = |secret: bool| if secret { " --keystore-passphrase-file FILE" } else { "" };
+    if let Command::LoadKey { kind, path, passphrase } = command {
+        let path = quoted(&path.to_string_lossy());
+        return Some(format!("keys load --{} {path}{}", flag(*kind), keystore(passphrase.is_some())));
+    }
+    let Command::ExportKey { kind, passphrase } = command else { return None };
+    Some(format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some())))
+}
+
+fn flag(kind: KeyKind) -> &'static str {
+    match kind {
+        KeyKind::Sm4 => "sm4",
+        KeyKind::Sm2 => "sm2",
+        KeyKind::Eoa => "eoa",
+    }
+}
+
+fn of_administrator(command: &Command) -> Option<String> {
+    let Command::Administer(administration) = command else { return None };
+    Some(match administration {
+        Administration::Admit { account } => format!("chain admit {account}"),
+        Administration::Dismiss { account } => format!("chain dismiss {account}"),
+        Administration::Suspend { account } => format!("chain suspend {account}"),
+        Administration::Restore { account } => format!("chain restore {account}"),
+        Administration::Open { open: true } => "chain open".to_owned(),
+        Administration::Open { open: false } => "chain close".to_owned(),
+        Administration::Pause { paused: true, seconds } => {
+            format!("chain pause{}", seconds.map_or_else(String::new, |seconds| format!(" --for {seconds}s")))
+        }
+        Administration::Pause { paused: false, .. } => "chain resume".to_owned(),
+        Administration::Propose { lost, successor } => format!("chain succession propose {lost} {successor}"),
+        Administration::Cancel { lost } => format!("chain succession cancel {lost}"),
+        Administration::Complete { lost } => format!("chain succession complete {lost}"),
+        Administration::HandOver { account } => format!("chain hand-over {account}"),
+        Administration::Accept => "chain accept".to_owned(),
+    })
+}
+
+fn of_contact(command: &Command) -> Option<String> {
+    let with = |fingerprint: &Option<String>| {
+        fingerprint.as_ref().map_or_else(String::new, |value| format!(" --fingerprint {}", quoted(value)))
+    };
+    if let Command::AddContact { name, address, fingerprint } = command {
+        return Some(format!("contacts add {name} {address}{}", with(fingerprint)));
+    }
+    if let Command::ConfirmContact { name, fingerprint } = command {
+        return Some(format!("contacts confirm {name}{}", with(fingerprint)));
+    }
+    let Command::RemoveContact { name } = command else { return None };
+    Some(format!("contacts remove {name}"))
+}
+
+fn of_incident(command: &Command) -> Option<String> {
+    let Command::OfIncident(command) = command else { return None };
+    Some(match command {
+        IncidentCommand::OpenIncident { name, since, until, topics, note, robots } => {
+            let mut words = format!("incident open {name} --since {since}");
+            words.extend(until.map(|until| format!(" --until {until}")));
+            words.extend(topics.iter().map(|topic| format!(" --topic {topic}")));
+            words.extend(note.iter().map(|note| format!(" --note={}", quoted(note))));
+            words.extend(robots.iter().map(|robot| format!(" --robot {}", quoted(robot))));
+            words
+        }
+        IncidentCommand::NoteIncident { name, text } => format!("incident note {name} -- {}", quoted(text)),
+        IncidentCommand::CloseIncident { name } => format!("incident close {name}"),
+        IncidentCommand::RemoveIncident { name } => format!("incident remove {name} --yes"),
+        IncidentCommand::ListIncidents => "incident list".to_owned(),
+        IncidentCommand::ShowIncident { name } => format!("incident show {name}"),
+    })
+}
+
+fn of_playback(wishes: &PlayWishes) -> String {
+    let mut words = "shared play".to_owned();
+    words.extend(wishes.owner.as_ref().map(|owner| format!(" --owner {owner}")));
+    words.extend(wishes.topics.iter().map(|topic| format!(" --topic {}", quoted(&topic.to_string()))));
+    words.extend(wishes.prefix.as_ref().map(|prefix| format!(" --prefix {prefix}")));
+    format!("{words} --follow")
+}
+
+/// One word for a POSIX shell.
+fn quoted(text: &str) -> String {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-:@,+".contains(letter);
+    if !text.is_empty() && text.chars().all(plain) {
+        return text.to_owned();
+    }
+    format!("'{}'", text.replace('\'', "'\\''"))
+}
+
+#[cfg(test)]
+mod fuzzy_tests {
+    use super::*;
+
+    #[test]
+    fn words_match_in_any_order_and_letters_in_their_own() {
+        assert_eq!(score("", "anything"), Some(0));
+        assert_eq!(score("odom", "/robot1/odom"), Some(1));
+        assert!(score("r1odm", "/robot1/odom").is_some());
+        assert!(score("odom robot1", "/robot1/odom").is_some());
+        assert_eq!(score("mdo", "/robot1/odom"), None);
+        assert!(score("gr", "grant") < score("gr", "go-overview first"));
+        assert_eq!(score("X", ""), None);
+    }
+
+    #[test]
+    fn scattered_letters_count_only_where_no_whole_word_does() {
+        let narrowed = |needle| narrow(needle, vec!["/robot1/camera/odometer", "/robot1/odom"], ToString::to_string);
+        assert_eq!(narrowed("robot1/odom"), ["/robot1/odom"]);
+        assert_eq!(narrowed("rbtcmr"), ["/robot1/camera/odometer"]);
+        assert_eq!(narrowed("").len(), 2);
+    }
+}
+
+#[cfg(test)]
+mod command_line_tests {
+    use super::quoted;
+
+    #[test]
+    fn a_word_of_a_shell_stays_one() {
+        assert_eq!(quoted("/home/a/key.hex"), "/home/a/key.hex");
+        assert_eq!(quoted("a key's $HOME"), "'a key'\\''s $HOME'");
+        assert_eq!(quoted(""), "''");
+    }
 }

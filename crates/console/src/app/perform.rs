@@ -1,37 +1,23 @@
-//! What each verb does.
+//! What each verb does, and how the last act is undone, if it can be.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::action::{Contents, Effect, Errand, Tag};
-use super::administration;
 use super::available::available;
-use super::browse::Browse;
-use super::columns;
-use super::command_line;
-use super::confirm;
-use super::contacts;
-use super::cursor;
-use super::detail;
-use super::exporting;
+use super::choosing::{self, Browse};
 use super::feed::Feed;
-use super::forms;
-use super::granting;
 use super::identity_path::{self, Need};
-use super::incidents;
 use super::leaving::{self, Leaving};
-use super::lock;
-use super::mouse;
-use super::playing;
-use super::policies;
-use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
-use super::profiles;
+use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::other_side;
 use super::screens::log::LogLine;
 use super::state::State;
-use super::themes;
-use super::undo;
 use super::verb::Verb;
+use super::{
+    administration, contacts, form, granting, incidents, opening, palette, paths, playing, policies, profiles, table,
+    update,
+};
 use crate::model::TopicName;
 use crate::service::reply::TopicRow;
 use crate::service::{Command, Operation};
@@ -47,39 +33,39 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Details => return details(state),
         Verb::Open => return record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
         Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
-        Verb::Export => exporting::begin(state),
+        Verb::Export => paths::begin(state),
         Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
-        Verb::CopyCommand => return command_line::copy_last(state),
+        Verb::CopyCommand => return palette::copy_last(state),
         Verb::Quit => return quit(state),
         Verb::Play => return playing::toggle(state),
         Verb::Publishers => return publishers(state),
         Verb::Inspect => return policies::open(state),
-        Verb::Lock => return lock::lock(state),
-        Verb::Undo => return undo::undo(state),
+        Verb::Lock => return update::lock(state),
+        Verb::Undo => return undo(state),
         Verb::BackUp => return back_up(state),
-        Verb::ChooseTheme => return themes::choose(state),
+        Verb::ChooseTheme => return choosing::choose(state),
         Verb::Ascii => return vec![Effect::ToggleAscii],
-        Verb::Mouse => return mouse::toggle(state),
+        Verb::Mouse => return update::toggle(state),
         Verb::Redraw => return vec![Effect::Redraw],
         Verb::Suspend => return vec![Effect::Suspend],
-        Verb::Up | Verb::PreviousMatch => cursor::step(state, -1),
-        Verb::Down | Verb::NextMatch => cursor::step(state, 1),
-        Verb::PageUp => cursor::step(state, -page(state)),
-        Verb::PageDown => cursor::step(state, page(state)),
+        Verb::Up | Verb::PreviousMatch => table::step(state, -1),
+        Verb::Down | Verb::NextMatch => table::step(state, 1),
+        Verb::PageUp => table::step(state, -page(state)),
+        Verb::PageDown => table::step(state, page(state)),
         Verb::Go(screen) => go(state, screen),
         Verb::NextScreen => go(state, state.screen.shifted(1)),
         Verb::PreviousScreen => go(state, state.screen.shifted(-1)),
-        Verb::First => cursor::jump(state, false),
-        Verb::Last => cursor::jump(state, true),
+        Verb::First => table::jump(state, false),
+        Verb::Last => table::jump(state, true),
         Verb::Mark => mark(state),
-        Verb::MarkAll => cursor::mark_all(state),
+        Verb::MarkAll => table::mark_all(state),
         Verb::Filter => drop(state.table_mut().map(super::table::Table::begin_filter)),
-        Verb::Sort => cursor::sort(state),
-        Verb::Reverse => cursor::reverse(state),
-        Verb::Columns => columns::open(state),
+        Verb::Sort => table::sort(state),
+        Verb::Reverse => table::reverse(state),
+        Verb::Columns => choosing::open(state),
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => read_line(state),
@@ -93,9 +79,9 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::EndTour => state.tour = None,
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,
-        Verb::Pin => ask_about(state, confirm::pin),
-        Verb::Release => ask_about(state, |row, topic| confirm::decide(row, topic, false)),
-        Verb::Discard => ask_about(state, |row, topic| confirm::decide(row, topic, true)),
+        Verb::Pin => ask_about(state, popup::pin),
+        Verb::Release => ask_about(state, |row, topic| popup::decide(row, topic, false)),
+        Verb::Discard => ask_about(state, |row, topic| popup::decide(row, topic, true)),
         Verb::Unpin => unpin(state),
         Verb::Administer(act) => administration::begin(state, act),
         Verb::Freeze => freeze(state),
@@ -108,9 +94,9 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Grant => granting::begin(state),
         Verb::Extend => granting::begin_extension(state),
         Verb::Revoke => revoke(state),
-        Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, forms::load_key())),
-        Verb::ExportKey => exporting::begin_key(state),
-        Verb::Rotate => state.popups.push(Popup::Confirm(confirm::rotate())),
+        Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, form::load_key())),
+        Verb::ExportKey => paths::begin_key(state),
+        Verb::Rotate => state.popups.push(Popup::Confirm(popup::rotate())),
     }
     Vec::new()
 }
@@ -176,7 +162,7 @@ fn dismiss(state: &mut State) {
         }
     }
     if changed {
-        cursor::restart_records(state);
+        table::restart_records(state);
     }
 }
 
@@ -248,7 +234,7 @@ fn publishers(state: &mut State) -> Vec<Effect> {
     let Some((_, topic)) = selected_topic(state) else { return Vec::new() };
     let name = topic.to_string();
     state.popups.push(Popup::Publishers(Lookup::new(&name)));
-    let coverage = detail::coverage_of(&topic);
+    let coverage = opening::coverage_of(&topic);
     let command = Command::ListPins { topic: Some(topic) };
     let mut effects = vec![state.send(Errand { command, tag: Tag::Publishers(name) })];
     if !state.work.contains(&coverage.tag) {
@@ -265,7 +251,7 @@ fn ask_about(state: &mut State, question: fn(&TopicRow, TopicName) -> Confirm) {
 fn unpin(state: &mut State) {
     let Some((row, topic)) = selected_topic(state) else { return };
     let publisher = row.unpinned.first().or(row.publishers.first()).cloned().unwrap_or_default();
-    state.popups.push(Popup::Form(Purpose::Unpin, forms::unpin(topic.as_str(), &publisher)));
+    state.popups.push(Popup::Form(Purpose::Unpin, form::unpin(topic.as_str(), &publisher)));
 }
 
 /// The whole of a log line.
@@ -295,7 +281,7 @@ fn readers(state: &mut State) {
 }
 
 fn revoke(state: &mut State) {
-    let confirm = state.grants.selected().map(|row| confirm::revoke(state, row));
+    let confirm = state.grants.selected().map(|row| popup::revoke(state, row));
     state.popups.extend(confirm.map(Popup::Confirm));
 }
 
@@ -346,4 +332,77 @@ pub fn wants_grants(state: &State) -> Option<Feed> {
         .iter()
         .any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Confirm(_) | Popup::Readers(_)));
     (asks || super::tour::wants_grants(state)).then_some(Feed::Grants)
+}
+
+/// The last act, as far as undoing is concerned.
+#[expect(clippy::large_enum_variant, reason = "there is one at a time")]
+#[derive(Debug, Clone)]
+pub enum Undo {
+    /// This undoes it completely.
+    By(Errand),
+    /// A grant: revoking it is another transaction, and does not undo what was read meanwhile.
+    Granted(String),
+    /// Nothing undoes it: why.
+    Never(&'static str),
+}
+
+/// Notes the effect of the command with `tag`.
+pub fn note(state: &mut State, tag: &Tag) {
+    let topic = |name: &String| name.parse::<TopicName>().ok();
+    let undo = match tag {
+        Tag::Watch(name) => topic(name).map(|topic| {
+            Undo::By(Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name.clone()) })
+        }),
+        Tag::Unwatch(name) => topic(name).map(|topic| {
+            let command = Command::WatchTopic { topic, type_name: None };
+            Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
+        }),
+        Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
+        Tag::Extend(_) => Some(Undo::Never("it was a transaction; e changes the end of the grant (5)")),
+        Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
+        Tag::Rotate => Some(Undo::Never("a new epoch cannot be undone")),
+        Tag::LoadKey(_) => Some(Undo::Never("the replaced key is no longer in the keyring; load its file again")),
+        Tag::Release(_) => Some(Undo::Never("released messages are already being anchored; they keep their tag")),
+        Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count is on the chain")),
+        Tag::Administer(_) | Tag::Deploy => {
+            Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
+        }
+        Tag::Feed(..)
+        | Tag::OpenConsole
+        | Tag::CreateIdentity
+        | Tag::Unlock
+        | Tag::Register
+        | Tag::Lock
+        | Tag::HoldCapture => None,
+        Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Incident(deed, name) => {
+            Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))
+        }
+        Tag::SetPolicy(..) => Some(Undo::Never("a policy's version only rises; set the earlier one again (8, then p)")),
+        Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) | Tag::Robot(_) => None,
+        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
+    };
+    if undo.is_some() {
+        state.undo = undo;
+    }
+}
+
+/// Undoes the last act, or says why that is not possible.
+pub fn undo(state: &mut State) -> Vec<Effect> {
+    match state.undo.take() {
+        Some(Undo::By(errand)) => return vec![state.send(errand)],
+        Some(Undo::Granted(grantee)) => {
+            let row = state.grants.rows.iter().find(|row| {
+                let is_it = row.grantee.to_string() == grantee || row.name.as_deref() == Some(grantee.as_str());
+                is_it && super::screens::grants::is_given(row) && super::screens::grants::is_active(row)
+            });
+            match row.map(|row| popup::revoke(state, row)) {
+                Some(question) => state.popups.push(Popup::Confirm(question)),
+                None => state.inform("that grant is no longer active"),
+            }
+        }
+        Some(Undo::Never(why)) => state.inform(format!("cannot be undone: {why}")),
+        None => state.inform("nothing to undo"),
+    }
+    Vec::new()
 }

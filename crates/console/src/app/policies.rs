@@ -4,12 +4,11 @@
 use std::path::{Path, PathBuf};
 
 use super::action::{Effect, Errand, Tag};
-use super::command_line;
 use super::feed::Feed;
-use super::field::Field;
-use super::form::{Form, Line};
+use super::form::{Field, Form, Line};
 use super::granting::complete_from;
 use super::key::Key;
+use super::palette;
 use super::paths::{self, PathKind};
 use super::perform::copy;
 use super::popup::{Confirm, Lookup, Popup, Purpose};
@@ -208,7 +207,7 @@ pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Ef
     match key {
         Key::Char('p') if !state.settings.read_only => ask(state, &name),
         Key::Char('y') => {
-            let line = command_line::of_words(state, &format!("robots show {name}"));
+            let line = palette::of_words(state, &format!("robots show {name}"));
             return vec![copy(state, line)];
         }
         _ => {}

@@ -1,31 +1,16 @@
 //! Keys while a popup lies over the screen.
 
 use super::action::{Effect, Tag};
-use super::administration;
-use super::browse;
-use super::columns;
-use super::command_line;
-use super::confirm;
-use super::contacts;
-use super::exporting;
-use super::form::{Form, FormStep};
-use super::forms;
+use super::form::{self, Form, FormStep};
 use super::granting::{self, Extension};
 use super::identity_path::{self, Need};
-use super::incidents;
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
-use super::leaving;
-use super::opening;
-use super::palette;
-use super::paths;
 use super::perform::{copy, perform};
-use super::policies;
-use super::popup::{Confirm, Help, Lookup, Popup, Purpose};
-use super::profiles;
+use super::popup::{self, Confirm, Help, Lookup, Popup, Purpose};
 use super::state::State;
-use super::themes;
 use super::verb::Verb;
+use super::{administration, choosing, contacts, incidents, leaving, opening, palette, paths, policies, profiles};
 use crate::service::reply::PinsView;
 
 /// A popup's keys, for the bottom bar: key and what it does.
@@ -50,11 +35,11 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
             moves.into_iter().chain([("r", "usual"), ("enter", "keep"), ("esc", "cancel")]).collect()
         }
         Popup::Confirm(confirm) if confirm.typed.is_some() => {
-            let twin = command_line::twin(state, &confirm.errand).map(|_| ("ctrl-y", "copy as command"));
+            let twin = palette::twin(state, &confirm.errand).map(|_| ("ctrl-y", "copy as command"));
             [("enter", confirm.yes)].into_iter().chain(twin).chain([("esc", "cancel")]).collect()
         }
         Popup::Confirm(confirm) => {
-            let twin = command_line::twin(state, &confirm.errand).map(|_| ("Y", "copy as command"));
+            let twin = palette::twin(state, &confirm.errand).map(|_| ("Y", "copy as command"));
             [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
         }
         Popup::Form(_, form) => {
@@ -87,10 +72,10 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
         Popup::Quit(leaving) => leaving::key(state, leaving, key),
         Popup::Chord(begun) => chord_key(state, begun, key),
-        Popup::Themes(choice) => themes::key(state, choice, key),
-        Popup::Columns(choice) => columns::key(state, choice, key),
+        Popup::Themes(choice) => choosing::themes_key(state, choice, key),
+        Popup::Columns(choice) => choosing::columns_key(state, choice, key),
         Popup::Record(opening) => opening::key(state, opening, key),
-        Popup::Browse(browse) => browse::key(state, browse, key),
+        Popup::Browse(browse) => choosing::key(state, browse, key),
         Popup::Contacts(book) => contacts::key(state, book, key),
         Popup::Incidents(list) => incidents::key(state, list, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
@@ -220,7 +205,7 @@ fn copies(confirm: &Confirm) -> Key {
 
 fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect> {
     if key == copies(&confirm) {
-        let effects = command_line::copy(state, &confirm.errand);
+        let effects = palette::copy(state, &confirm.errand);
         state.popups.push(Popup::Confirm(confirm));
         return effects;
     }
@@ -329,16 +314,16 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
 
 fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect>, (usize, String)> {
     let errand = match purpose {
-        Purpose::CreateIdentity => forms::read_create(form)?,
-        Purpose::Unlock => forms::read_unlock(form)?,
+        Purpose::CreateIdentity => form::read_create(form)?,
+        Purpose::Unlock => form::read_unlock(form)?,
         Purpose::ExportKey => {
-            let errand = forms::read_export(form)?;
-            exporting::goes_to(state, &errand.tag, form, 3);
+            let errand = form::read_export(form)?;
+            paths::goes_to(state, &errand.tag, form, 3);
             return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
         }
-        Purpose::Export => return Ok(exporting::submit(state, form)),
+        Purpose::Export => return Ok(paths::submit(state, form)),
         Purpose::Grant => {
-            let wish = forms::read_grant(form, state.address(), state.now)?;
+            let wish = form::read_grant(form, state.address(), state.now)?;
             granting::check(state, &wish)?;
             let question = granting::question(state, wish);
             state.popups.push(Popup::Confirm(question));
@@ -352,7 +337,7 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
                 return Ok(Vec::new());
             }
         },
-        Purpose::Unpin => forms::read_unpin(form)?,
+        Purpose::Unpin => form::read_unpin(form)?,
         Purpose::AddContact => contacts::read(form)?,
         Purpose::OpenIncident => incidents::read(state, form)?,
         Purpose::NoteIncident => incidents::read_note(form)?,
@@ -367,8 +352,8 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             return Ok(Vec::new());
         }
         Purpose::LoadKey => {
-            let wish = forms::read_load(form, &state.settings)?;
-            state.popups.push(Popup::Confirm(confirm::load_key(wish)));
+            let wish = form::read_load(form, &state.settings)?;
+            state.popups.push(Popup::Confirm(popup::load_key(wish)));
             return Ok(Vec::new());
         }
     };

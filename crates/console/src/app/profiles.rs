@@ -1,8 +1,7 @@
 //! Speaking for another profile of the same home, without leaving the console.
 
 use super::action::Effect;
-use super::field::Field;
-use super::form::{Form, Line};
+use super::form::{Field, Form, Line};
 use super::popup::{Popup, Purpose};
 use super::screen::Screen;
 use super::state::State;

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::columns;
-use super::field::Field;
+use super::choosing;
+use super::form::Field;
 use super::screen::Screen;
 use super::screens::{gateway, grants, topics};
 use super::state::State;
@@ -88,7 +88,7 @@ pub fn recall(state: &mut State, kept: &Kept) {
         table.reversed = kept.reversed;
         table.sort = if kept.sort < orders { kept.sort } else { 0 };
         let names = kept.columns.iter().map(String::as_str);
-        table.columns = columns::known(screen, names).unwrap_or_default();
+        table.columns = choosing::known(screen, names).unwrap_or_default();
     }
     state.log.least = match kept.level {
         1 => NoticeLevel::Warning,

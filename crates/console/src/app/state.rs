@@ -3,31 +3,27 @@
 use std::path::PathBuf;
 
 use super::action::{Effect, Errand, Tag};
-use super::ahead::{self, Ahead};
-use super::alerts::AlertBook;
-use super::detail::Detail;
-use super::exporting::Exports;
+use super::alerts::{AlertBook, Toasts};
 use super::feed::{Feed, Feeds};
 use super::form::Form;
-use super::history::{History, Period};
+use super::history::{History, Period, Progress, Rates};
 use super::identity_path::IdentityPath;
 use super::incidents::{self, Incidents};
 use super::keymap::Keymap;
-use super::opening::Opening;
+use super::opening::{Detail, Opening};
+use super::paths::Exports;
+use super::perform::Undo;
 use super::policies;
 use super::popup::{Popup, Purpose};
-use super::progress::Progress;
-use super::rates::Rates;
 use super::screen::Screen;
 use super::screens::gateway::Gateway;
 use super::screens::grants::Grants;
 use super::screens::log::Log;
 use super::screens::records::Records;
 use super::screens::topics::Topics;
-use super::toast::Toasts;
 use super::tour::{Cast, Tour};
-use super::undo::Undo;
-use super::zone::Zone;
+use super::update::{self, Ahead};
+use super::when::Zone;
 use crate::model::{Address, ProfileName, Timestamp};
 use crate::service::reply::{ChainView, ContactRow, IdentityView, KeysView, SiteView};
 use crate::service::{Failure, NoticeLevel};
@@ -248,12 +244,12 @@ impl State {
             self.toasts.next_expiry(),
             self.feeds.next_retry(),
             self.rates.still_at(),
-            super::lock::due(self),
-            ahead::gives_up_at(self),
+            super::update::due(self),
+            update::gives_up_at(self),
             ages.and_then(|()| self.topics.older_at(self.now)),
             self.alerts.forgotten_at(),
-            super::detail::due(self),
-            super::countdown::moves_at(self),
+            super::opening::due(self),
+            super::when::moves_at(self),
             self.progress_asked_at(),
             incidents::asked_at(self),
             policies::asked_at(self),
@@ -354,7 +350,7 @@ impl State {
             self.popups.push(Popup::Record(Opening::new(id)));
         }
         if errand.tag.is_work()
-            && let Some(line) = super::command_line::twin(self, &errand)
+            && let Some(line) = super::palette::twin(self, &errand)
         {
             self.last_act = Some(line);
         }

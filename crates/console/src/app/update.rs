@@ -1,29 +1,19 @@
-//! One action in, the state changed, effects out. Never waits, never fails.
+//! One action in, the state changed, effects out. Never waits, never fails. Mouse, keys typed ahead of the rows they
+//! are for, and locking are here too.
 
 use super::action::{Action, Effect, Errand, Tag};
-use super::ahead;
-use super::alerts;
 use super::answer::answered;
-use super::countdown;
-use super::cursor;
-use super::detail;
 use super::feed::Feed;
-use super::incidents;
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
-use super::leaving;
-use super::lock;
-use super::mouse;
-use super::paths;
 use super::perform::{perform, wants_grants};
-use super::policies;
 use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
 use super::screen::Screen;
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
-use super::tour;
 use super::verb::Verb;
+use super::{alerts, incidents, leaving, opening, paths, policies, table, tour, when};
 use crate::model::{RecordState, Timestamp};
 use crate::service::command::{AuditQuery, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
@@ -46,7 +36,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
         state.ahead.clear();
     }
     let mut effects = act(state, action);
-    for key in ahead::ready(state) {
+    for key in ready(state) {
         effects.extend(pressed(state, key));
     }
     state.topics.refresh(false);
@@ -56,7 +46,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     if leaving::is_over(state) {
         effects.push(Effect::Quit);
     }
-    effects.extend(detail::follow(state));
+    effects.extend(opening::follow(state));
     effects.extend(pull(state));
     effects
 }
@@ -67,7 +57,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Key(key) => return pressed(state, key),
         Action::Answered { tag, result } => return answered(state, &tag, *result),
         Action::Told(event) => return told(state, event),
-        Action::Paste(text) if state.popups.is_empty() => cursor::filter_paste(state, &text),
+        Action::Paste(text) if state.popups.is_empty() => table::filter_paste(state, &text),
         Action::Paste(text) => popup_paste(state, &text),
         Action::Resize { columns, rows } => resize(state, columns, rows),
         Action::Tick(now) => return tick(state, now),
@@ -81,8 +71,8 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::PathsFound(sought, found) => paths::found(state, &sought, found),
         Action::TextRead(path, read) => policies::text_read(state, &path, read),
         Action::ThemeIs(name) => state.theme = name,
-        Action::Wheel { up } => return mouse::wheel(state, up),
-        Action::Click { column, row } => mouse::click(state, column, row),
+        Action::Wheel { up } => return wheel(state, up),
+        Action::Click { column, row } => click(state, column, row),
         Action::Resumed => {
             state.feeds.touch_all();
             state.inform("resumed; a site hosted by this console was stopped meanwhile");
@@ -105,7 +95,7 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     if state.table().is_some_and(|table| table.filtering) && key != Key::Control('c') {
         return filter_or_move(state, key);
     }
-    if ahead::keeps(state, key) {
+    if keeps(state, key) {
         return Vec::new();
     }
     match state.settings.keymap.meaning(&[key], state.screen) {
@@ -133,11 +123,11 @@ fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
     match key {
         // In an empty filter the arrows go through earlier ones, otherwise through the rows.
         Key::Up | Key::Down if state.table_mut().is_some_and(|table| table.recall(key == Key::Up)) => {
-            cursor::restart_records(state);
+            table::restart_records(state);
         }
         Key::Up => return perform(state, Verb::Up),
         Key::Down => return perform(state, Verb::Down),
-        _ => cursor::filter_key(state, key),
+        _ => table::filter_key(state, key),
     }
     Vec::new()
 }
@@ -147,7 +137,7 @@ fn told(state: &mut State, event: Event) -> Vec<Effect> {
         Event::Changed { part } => {
             state.feeds.touch(part);
             if part == Part::Uploads {
-                detail::touch(state);
+                opening::touch(state);
                 state.gateway.robots_told = true;
             }
             if part == Part::Uploads { refresh_provenance(state) } else { Vec::new() }
@@ -200,11 +190,11 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.toasts.expire(now);
     state.feeds.retry(now);
     state.rates.settle(now);
-    countdown::tick(state);
+    when::tick(state);
     state.ask_for_progress();
     incidents::tick(state);
     policies::tick(state);
-    lock::tick(state)
+    lock_tick(state)
 }
 
 /// The tasks popup shows the lanes, imports and exports.
@@ -293,4 +283,184 @@ pub fn under_way(state: &State) -> Option<String> {
     let first = work.next()?;
     let more = work.count();
     Some(if more > 0 { format!("{} and {more} more", first.words()) } else { first.words() })
+}
+
+/// Rows above the first row of a list: header, screens, title, columns.
+const ABOVE: u16 = 4;
+
+/// Takes the mouse, or leaves it to the terminal.
+pub fn toggle(state: &mut State) -> Vec<Effect> {
+    state.mouse = !state.mouse;
+    let text = if state.mouse {
+        "mouse on; hold shift to select text in most terminals"
+    } else {
+        "mouse off; the terminal handles text selection again"
+    };
+    state.inform(text);
+    vec![Effect::Mouse(state.mouse)]
+}
+
+/// The wheel was turned.
+pub fn wheel(state: &mut State, up: bool) -> Vec<Effect> {
+    if state.popups.is_empty() {
+        return perform(state, if up { Verb::Up } else { Verb::Down });
+    }
+    popup_key(state, if up { Key::Up } else { Key::Down })
+}
+
+/// A cell was clicked.
+pub fn click(state: &mut State, column: u16, row: u16) {
+    if !state.popups.is_empty() {
+        return;
+    }
+    if row == 1 {
+        if let Some(screen) = named_at(state.size.0, column) {
+            state.screen = screen;
+        }
+        return;
+    }
+    // The rows of this screen begin lower, and are in two parts.
+    if state.screen == Screen::Gateway {
+        return;
+    }
+    let Some(line) = row.checked_sub(ABOVE).map(usize::from).filter(|line| *line < state.page_rows()) else { return };
+    let keys = state.row_keys();
+    let page = state.page_rows();
+    if let Some(table) = state.table() {
+        let here = table.position(&keys);
+        let wanted = here - here % page + line;
+        if wanted < keys.len() {
+            super::table::select(state, wanted);
+        }
+    }
+}
+
+/// The screen whose name is there; if names do not fit, nothing can be clicked.
+fn named_at(columns: u16, column: u16) -> Option<Screen> {
+    let gap = Screen::ALL.iter().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
+    let mut left = 0;
+    let wide_enough = columns >= 80;
+    Screen::ALL.into_iter().filter(|_| wide_enough).find(|screen| {
+        let from = left;
+        left += screen.title().len() + 2 + usize::from(gap);
+        (from..left - 1).contains(&usize::from(column))
+    })
+}
+
+/// The longest wait for the rows, nanoseconds.
+const LONGEST: u64 = 3_000_000_000;
+/// The most keys that wait.
+const MOST: usize = 64;
+
+/// Keys that wait for rows.
+#[derive(Debug, Default)]
+pub struct Ahead {
+    keys: Vec<Key>,
+    since: Timestamp,
+}
+
+impl Ahead {
+    /// What waits is not done.
+    pub fn clear(&mut self) {
+        self.keys.clear();
+    }
+}
+
+/// Keeps `key` back if it is for rows that are not here yet, or comes after one that is. Esc takes back what waits;
+/// Ctrl-C never waits.
+pub fn keeps(state: &mut State, key: Key) -> bool {
+    if !state.awaits_rows() {
+        return false;
+    }
+    let waiting = !state.ahead.keys.is_empty();
+    if matches!(key, Key::Escape | Key::Control('c')) {
+        state.ahead.clear();
+        return waiting && key == Key::Escape;
+    }
+    if !waiting && !is_for_a_row(state, key) {
+        return false;
+    }
+    if !waiting {
+        state.ahead.since = state.now;
+    }
+    if state.ahead.keys.len() < MOST {
+        state.ahead.keys.push(key);
+    }
+    true
+}
+
+/// The keys whose rows are here. Those whose rows do not come are given up, and the operator is told.
+pub fn ready(state: &mut State) -> Vec<Key> {
+    if state.ahead.keys.is_empty() {
+        return Vec::new();
+    }
+    if !state.awaits_rows() {
+        let keys = std::mem::take(&mut state.ahead.keys);
+        let shown = state.popups.is_empty() && state.rows_are_here();
+        return if shown { keys } else { given_up(state) };
+    }
+    if gives_up_at(state).is_some_and(|at| at <= state.now) { given_up(state) } else { Vec::new() }
+}
+
+/// When the wait is over, if anything waits.
+pub fn gives_up_at(state: &State) -> Option<Timestamp> {
+    (!state.ahead.keys.is_empty()).then(|| Timestamp(state.ahead.since.0.saturating_add(LONGEST)))
+}
+
+fn given_up(state: &mut State) -> Vec<Key> {
+    state.ahead.clear();
+    state.inform("not done: the list was not here yet");
+    Vec::new()
+}
+
+fn is_for_a_row(state: &State, key: Key) -> bool {
+    let Meaning::Does(verb) = state.settings.keymap.meaning(&[key], state.screen) else { return false };
+    matches!(
+        verb,
+        Verb::Details
+            | Verb::Open
+            | Verb::Check
+            | Verb::Export
+            | Verb::Mark
+            | Verb::MarkAll
+            | Verb::Readers
+            | Verb::Play
+            | Verb::Incident
+            | Verb::Copy
+            | Verb::WriteFile
+    )
+}
+
+/// Asks the site to wipe the keys, and takes everything decrypted off the screen.
+pub fn lock(state: &mut State) -> Vec<Effect> {
+    state.popups.retain(|popup| match popup {
+        Popup::Record(_) | Popup::Confirm(_) => false,
+        Popup::Form(purpose, _) => *purpose == Purpose::Unlock,
+        _ => true,
+    });
+    (state.identity_path, state.filled) = (None, None);
+    state.detail.clear();
+    state.ahead.clear();
+    if state.work.contains(&Tag::Lock) {
+        return Vec::new();
+    }
+    vec![state.send(Errand { command: Command::Operate(Operation::Lock), tag: Tag::Lock })]
+}
+
+/// When the keyring locks unless a key is pressed first.
+pub fn due(state: &State) -> Option<Timestamp> {
+    let after = state.settings.lock_after?;
+    let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
+    let begun = state.work.contains(&Tag::Lock);
+    (open && !begun && state.touched.0 > 0).then(|| Timestamp(state.touched.0.saturating_add(after)))
+}
+
+/// Locks when it is time.
+pub fn lock_tick(state: &mut State) -> Vec<Effect> {
+    if due(state).is_none_or(|at| at > state.now) {
+        return Vec::new();
+    }
+    let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
+    state.warn(format!("locked after {minutes} minutes without a key press; a running capture continues, u unlocks"));
+    lock(state)
 }

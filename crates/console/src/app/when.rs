@@ -1,6 +1,11 @@
-//! Parsing a grant's end as a person writes it: `30d`, `12h`, `2036-12-31`.
+//! Times: a grant's end as a person writes it (`30d`, `12h`, `2036-12-31`), the operator's own clock beside UTC, and
+//! the seconds until a part of the site is tried again.
 
+use jiff::tz::TimeZone;
+
+use super::state::State;
 use crate::model::{Timestamp, positive_span};
+use crate::service::reply::PartHealth;
 
 /// The moment `text` means, counted from `now` and rounded up to the whole second; `None` in the answer = no end
 /// (empty text).
@@ -24,6 +29,61 @@ fn date(text: &str) -> Option<Timestamp> {
     serde_json::from_value(serde_json::Value::String(format!("{text}T00:00:00Z"))).ok()
 }
 
+/// A time zone, or none.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Zone(Option<TimeZone>);
+
+impl Zone {
+    /// This zone.
+    pub fn new(zone: TimeZone) -> Self {
+        Self(Some(zone))
+    }
+
+    /// `15:04:05` there, at that moment.
+    pub fn clock(&self, moment: Timestamp) -> Option<String> {
+        let zone = self.0.as_ref()?;
+        let nanoseconds = i128::from(moment.0);
+        let there = jiff::Timestamp::from_nanosecond(nanoseconds).ok()?.to_zoned(zone.clone());
+        Some(format!("{:02}:{:02}:{:02}", there.hour(), there.minute(), there.second()))
+    }
+}
+
+/// Nanoseconds.
+const SECOND: u64 = 1_000_000_000;
+/// The words before the seconds.
+const BEGINS: &str = "retry in ";
+
+/// When a countdown on screen goes on; `None` = there is none.
+pub fn moves_at(state: &State) -> Option<Timestamp> {
+    let parts = state.site.iter().flat_map(|site| &site.health);
+    let gone = gone(state);
+    let goes_on = parts.filter_map(|part| part.retry).any(|seconds| seconds > gone + 1);
+    (goes_on && !state.is_frozen()).then(|| Timestamp(state.site_at.0.saturating_add((gone + 1) * SECOND)))
+}
+
+/// Says the seconds that are left now. The last one stays until the site says what came of the attempt.
+pub fn tick(state: &mut State) {
+    let gone = gone(state);
+    if state.is_frozen() {
+        return;
+    }
+    for part in state.site.iter_mut().flat_map(|site| &mut site.health) {
+        if let Some(text) = said(part, gone) {
+            part.text = text;
+        }
+    }
+}
+
+fn said(part: &PartHealth, gone: u64) -> Option<String> {
+    let (seconds, after) = (part.retry?, part.text.strip_prefix(BEGINS)?.split_once(' ')?.1);
+    Some(format!("{BEGINS}{} {after}", seconds.saturating_sub(gone).max(1)))
+}
+
+/// Whole seconds since the site said it.
+fn gone(state: &State) -> u64 {
+    state.now.0.saturating_sub(state.site_at.0) / SECOND
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -39,5 +99,17 @@ mod tests {
         for bad in ["2020-01-01", "d", "0d", "-1d", "12", "99999999999999999999d", "é", "soon"] {
             assert!(expiry(bad, now).is_err(), "{bad}");
         }
+    }
+}
+
+#[cfg(test)]
+mod zone_tests {
+    use super::*;
+
+    #[test]
+    fn a_zone_has_its_own_clock() {
+        let zone = Zone::new(TimeZone::fixed(jiff::tz::offset(8)));
+        assert_eq!(zone.clock(Timestamp::from_seconds(1_700_000_000)).as_deref(), Some("06:13:20"));
+        assert_eq!(Zone::default().clock(Timestamp::from_seconds(1)), None);
     }
 }

@@ -1,15 +1,20 @@
-//! Files of the operator: written without ever overwriting one, readable by the owner alone; and names in folders, to
-//! complete a path.
+//! Files of the operator: written without ever overwriting one, readable by the owner alone; names in folders, to
+//! complete a path; the clipboard, and what a console keeps for the next one.
 
 use std::fs::{DirBuilder, OpenOptions};
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, ErrorKind, Read as _, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+
 use crate::app::Contents;
 use crate::app::paths::{Candidate, Found, PathKind, Sought};
+use crate::app::resume::Kept;
 use crate::model::clean;
 use crate::service::command::LONGEST_POLICY;
+use crate::store::files;
 
 /// The most entries of a folder that are read to complete a path.
 const MOST_READ: usize = 20_000;
@@ -125,6 +130,35 @@ fn cannot(path: &Path, error: &io::Error) -> String {
     format!("{} cannot be written: {error}; choose a directory you can write to", path.display())
 }
 
+/// The most bytes sent; longer texts should be written to files.
+const MOST: usize = 4_096;
+
+/// The sequence that offers `text` to the terminal's clipboard.
+pub fn sequence(text: &str) -> String {
+    let text = &text[..text.floor_char_boundary(MOST)];
+    format!("\x1b]52;c;{}\x07", STANDARD.encode(text))
+}
+
+/// The longest file read, bytes.
+const LONGEST: u64 = 64 * 1024;
+
+/// The state left by the last run.
+pub(super) fn read(path: &Path) -> Option<Kept> {
+    let mut text = String::new();
+    std::fs::File::open(path).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+/// Saves it for the next run.
+pub(super) fn write(path: &Path, kept: &Kept) {
+    let Some(directory) = path.parent() else { return };
+    let Ok(text) = serde_json::to_vec_pretty(kept) else { return };
+    // A home that cannot be written has been reported before.
+    if files::private_directory(directory).is_ok() {
+        drop(files::atomic_write(path, &text));
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -219,5 +253,36 @@ mod tests {
     fn what_cannot_be_written_says_so() {
         let error = write_all(Path::new("/proc/none"), None, &[file("a", b"")]).expect_err("refused");
         assert!(error.contains("/proc/none/a") && error.contains("directory you can write to"), "{error}");
+    }
+}
+
+#[cfg(test)]
+mod clipboard_tests {
+    use super::*;
+
+    #[test]
+    fn rfc4648_examples() {
+        let pairs = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")];
+        for (text, wanted) in pairs {
+            assert_eq!(sequence(text), format!("\x1b]52;c;{wanted}\x07"));
+        }
+        assert!(sequence(&"é".repeat(5_000)).len() < 6_000);
+    }
+}
+
+#[cfg(test)]
+mod kept_tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_is_read_back_and_rubbish_is_nothing() {
+        let home = tempfile::tempdir().expect("a directory");
+        let path = home.path().join("console").join("default.json");
+        assert_eq!(read(&path), None);
+        let kept = Kept { screen: "Grants".to_owned(), local_time: true, ..Kept::default() };
+        write(&path, &kept);
+        assert_eq!(read(&path), Some(kept));
+        std::fs::write(&path, "{ not json").expect("written");
+        assert_eq!(read(&path), None);
     }
 }

@@ -6,9 +6,6 @@
 
 pub mod ask;
 pub mod backend;
-pub mod budget;
-pub mod clipboard;
-pub mod colour;
 pub mod encode;
 pub mod files;
 pub mod guard;
@@ -16,11 +13,7 @@ pub mod host;
 pub mod input;
 pub mod pixels;
 pub mod renderer;
-pub mod signals;
-mod size;
-pub mod stage;
 
-mod kept;
 #[cfg(test)]
 mod library;
 mod session;

@@ -1,21 +1,20 @@
-//! The thread that owns the screen: draws only the newest frame, and only when something changed.
+//! The thread that owns the screen: draws only the newest frame, only when something changed, and within its budget.
 
 use std::io;
-use std::sync::{Arc, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use ratatui::Terminal;
 use ratatui::backend::Backend as _;
 use ratatui::layout::Size;
 
 use super::backend::FrameBackend;
-use super::budget::Budget;
-use super::colour::Depth;
+use super::encode::Depth;
 use super::guard::{self, THREAD_PREFIX};
 use super::pixels::Pixels;
-use super::stage::{Scene, Stage, Wish};
-use crate::ui;
+use crate::app::State;
+use crate::ui::{self, Theme};
 
 /// Draws frames into bytes.
 #[derive(Debug)]
@@ -157,6 +156,128 @@ fn is_given_away(stage: &Stage) -> bool {
     scene.suspended || scene.over
 }
 
+/// How urgently a frame is wanted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Wish {
+    /// Not at all.
+    #[default]
+    None,
+    /// Data changed: within the byte budget.
+    Data,
+    /// A key was pressed: at once.
+    Now,
+}
+
+/// The current scene.
+#[derive(Debug)]
+pub struct Scene {
+    /// Everything the console knows.
+    pub state: State,
+    /// Its appearance.
+    pub theme: Theme,
+    /// Whether and how urgently a frame is wanted.
+    pub wish: Wish,
+    /// Redraw everything, not only what changed.
+    pub anew: bool,
+    /// Bytes to send besides the frame.
+    pub extra: String,
+    /// The terminal belongs to the shell for now.
+    pub suspended: bool,
+    /// The renderer is to end.
+    pub over: bool,
+}
+
+/// A scene, and a bell that rings when it changed.
+#[derive(Debug)]
+pub struct Stage {
+    scene: Mutex<Scene>,
+    bell: Condvar,
+    /// Held while bytes are written to the terminal.
+    pub output: Mutex<()>,
+}
+
+impl Stage {
+    /// With a first frame wanted.
+    pub fn new(state: State, theme: Theme) -> Self {
+        let scene =
+            Scene { state, theme, wish: Wish::Now, anew: false, extra: String::new(), suspended: false, over: false };
+        Self { scene: Mutex::new(scene), bell: Condvar::new(), output: Mutex::new(()) }
+    }
+
+    /// The scene, to read or to change. It is never held while anything waits.
+    pub fn scene(&self) -> MutexGuard<'_, Scene> {
+        self.scene.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The scene, once nobody shares it any more.
+    #[cfg(test)]
+    pub fn into_scene(self) -> Scene {
+        self.scene.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes the scene and wakes the renderer.
+    pub fn change<T>(&self, wish: Wish, change: impl FnOnce(&mut Scene) -> T) -> T {
+        let mut scene = self.scene();
+        let result = change(&mut scene);
+        scene.wish = scene.wish.max(wish);
+        drop(scene);
+        self.bell.notify_all();
+        result
+    }
+
+    /// Waits for the bell, at most this long.
+    pub fn wait<'a>(&self, scene: MutexGuard<'a, Scene>, longest: Option<Duration>) -> MutexGuard<'a, Scene> {
+        match longest {
+            Some(longest) => self.bell.wait_timeout(scene, longest).unwrap_or_else(PoisonError::into_inner).0,
+            None => self.bell.wait(scene).unwrap_or_else(PoisonError::into_inner),
+        }
+    }
+}
+
+/// The default over SSH, bytes a second.
+pub const OVER_SSH: u32 = 4_000;
+/// The shortest time between two frames for data.
+const LEAST_GAP: Duration = Duration::from_millis(50);
+/// A frame for data takes the line for one part of a second in this many.
+const IN_FLIGHT: u32 = 10;
+
+/// Bytes sent and still to be paid for by waiting.
+#[derive(Debug)]
+pub struct Budget {
+    bytes_per_second: Option<u32>,
+    next: Instant,
+}
+
+impl Budget {
+    /// This many bytes a second; `None` = only the gap counts.
+    pub fn new(bytes_per_second: Option<u32>, now: Instant) -> Self {
+        Self { bytes_per_second: bytes_per_second.filter(|bytes| *bytes > 0), next: now }
+    }
+
+    /// The most bytes of a frame for data, whole rows beyond it not counted: what is on its way when a key is pressed
+    /// delays the answer. `None` = no limit.
+    pub fn most_at_once(&self) -> Option<usize> {
+        let rate = self.bytes_per_second?;
+        usize::try_from(rate / IN_FLIGHT).ok()
+    }
+
+    /// How long a frame for data has to wait.
+    pub fn wait(&self, now: Instant) -> Duration {
+        self.next.saturating_duration_since(now)
+    }
+
+    /// This many bytes were sent, for a key or for data.
+    pub fn spend(&mut self, bytes: usize, now: Instant) {
+        let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
+        let cost = self
+            .bytes_per_second
+            .map_or(Duration::ZERO, |rate| Duration::from_secs_f64(f64::from(bytes) / f64::from(rate)));
+        // The debt of earlier frames is kept: keys draw at once, data pays for them.
+        self.next = self.next.max(now) + cost;
+        self.next = self.next.max(now + LEAST_GAP);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -234,5 +355,46 @@ mod tests {
         assert!(painter.paint(&mut scene).contains("\x1b[2J"));
         drop(update(&mut scene.state, Action::Resize { columns: 0, rows: 0 }));
         painter.paint(&mut scene);
+    }
+}
+
+#[cfg(test)]
+mod budget_tests {
+    use super::*;
+
+    #[test]
+    fn data_waits_until_its_bytes_are_paid() {
+        let start = Instant::now();
+        let mut budget = Budget::new(Some(4_000), start);
+        assert_eq!(budget.wait(start), Duration::ZERO);
+        budget.spend(1_000, start);
+        assert_eq!(budget.wait(start), Duration::from_millis(250));
+        budget.spend(1_000, start);
+        assert_eq!(budget.wait(start), Duration::from_millis(500));
+        assert_eq!(budget.wait(start + Duration::from_millis(500)), Duration::ZERO);
+    }
+
+    #[test]
+    fn a_second_of_frames_stays_within_the_budget() {
+        let start = Instant::now();
+        let mut budget = Budget::new(Some(4_000), start);
+        let (mut now, mut sent) = (start, 0);
+        while now < start + Duration::from_secs(10) {
+            if budget.wait(now).is_zero() {
+                budget.spend(700, now);
+                sent += 700;
+            }
+            now += Duration::from_millis(1);
+        }
+        assert!((38_000..=40_700).contains(&sent), "{sent}");
+    }
+
+    #[test]
+    fn without_a_limit_frames_keep_their_distance() {
+        let start = Instant::now();
+        let mut budget = Budget::new(None, start);
+        budget.spend(1_000_000, start);
+        assert_eq!(budget.wait(start), LEAST_GAP);
+        assert_eq!(budget.wait(start + LEAST_GAP), Duration::ZERO);
     }
 }

@@ -11,15 +11,13 @@ use std::time::{Duration, Instant};
 
 use tokio::runtime::Handle;
 
-use super::budget::{Budget, OVER_SSH};
-use super::colour::Depth;
+use super::encode::Depth;
 use super::host::{Host, Message, sender};
+use super::input::{self, Listener};
 use super::pixels::{self, Pixels};
-use super::renderer::{self, Painter};
-use super::signals::{self, Listener};
-use super::stage::{Stage, Wish};
-use super::{ConsoleOptions, ExitReason, TermError, clipboard, guard, input, size};
-use crate::app::zone::Zone;
+use super::renderer::{self, Budget, OVER_SSH, Painter, Stage, Wish};
+use super::{ConsoleOptions, ExitReason, TermError, backend, files, guard};
+use crate::app::when::Zone;
 use crate::app::{Action, Effect, Settings, State, update};
 use crate::config::Pictures;
 use crate::model::{ProfileName, Timestamp};
@@ -59,13 +57,13 @@ impl Session {
         let directory = std::env::current_dir()?;
         let mut state = first_state(&client, options, &directory);
         state.theme.clone_from(&theme.name);
-        if let Some(kept) = super::kept::read(&options.kept) {
+        if let Some(kept) = super::files::read(&options.kept) {
             crate::app::resume::recall(&mut state, &kept);
         }
-        let (size, reported) = size::size()?;
+        let (size, reported) = backend::size()?;
         state.size = size;
         if !reported {
-            state.warn(size::ADVICE);
+            state.warn(backend::ADVICE);
         }
         let (sending, messages) = channel();
         let signals = Listener::start(sender(&sending, Message::Signal))?;
@@ -139,9 +137,9 @@ impl Session {
                 None
             }
             Message::Act(action) => self.act(action),
-            Message::Signal(signal) if signals::ends(signal) => Some(Ok(ended_by(signal))),
-            Message::Signal(signal) if signals::suspends(signal) => self.suspend(),
-            Message::Signal(signal) if signals::continues(signal) => self.retake(),
+            Message::Signal(signal) if input::ends(signal) => Some(Ok(ended_by(signal))),
+            Message::Signal(signal) if input::suspends(signal) => self.suspend(),
+            Message::Signal(signal) if input::continues(signal) => self.retake(),
             Message::Signal(_) => None,
             Message::TerminalFailed if io::stdin().is_terminal() => {
                 Some(Err(TermError::Fault("the terminal accepts no more output".to_owned())))
@@ -197,7 +195,7 @@ impl Session {
                 Effect::ToggleAscii => self.stage.change(Wish::Now, |scene| scene.theme.ascii = !scene.theme.ascii),
                 Effect::Mouse(taken) => self.take_mouse(taken),
                 Effect::CopyText(text) => {
-                    self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
+                    self.stage.change(Wish::Now, |scene| scene.extra.push_str(&files::sequence(&text)));
                 }
                 Effect::SpeakFor(profile) => self.host.speak_for(profile),
                 Effect::WriteFiles { base, directory, files } => self.host.write(base, directory, files),
@@ -230,7 +228,7 @@ impl Session {
         let stopped = {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
             guard::restore();
-            signals::stop_here()
+            input::stop_here()
         };
         if let Err(error) = stopped {
             return Some(Err(error.into()));
@@ -243,7 +241,7 @@ impl Session {
     fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
         let taken = {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
-            guard::take().and_then(|()| size::size())
+            guard::take().and_then(|()| backend::size())
         };
         self.stage.change(Wish::Now, |scene| scene.anew = true);
         if self.mouse {
@@ -268,7 +266,7 @@ impl Session {
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
         if *self.host.client.profile() == self.profile {
-            super::kept::write(&self.kept, &crate::app::resume::kept(&self.stage.scene().state));
+            super::files::write(&self.kept, &crate::app::resume::kept(&self.stage.scene().state));
         }
         self.stage.change(Wish::None, |scene| scene.over = true);
         let writing = finished(&self.stage);
@@ -316,7 +314,7 @@ fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
 }
 
 fn ended_by(signal: i32) -> ExitReason {
-    let gone = signals::hangs_up(signal) || !io::stdin().is_terminal();
+    let gone = input::hangs_up(signal) || !io::stdin().is_terminal();
     if gone { ExitReason::TerminalGone } else { ExitReason::Signal(signal) }
 }
 

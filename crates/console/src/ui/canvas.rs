@@ -1,4 +1,5 @@
-//! The one place where text becomes cells: everything is cleaned here, whatever happened to it before.
+//! The one place where text becomes cells: everything is cleaned here, whatever happened to it before. Also frames
+//! for terminals without box characters.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
@@ -6,7 +7,7 @@ use ratatui::style::Style;
 use ratatui::widgets::{Block, Clear, Widget};
 use unicode_width::UnicodeWidthStr;
 
-use super::raster::Placement;
+use super::plot::Placement;
 use super::theme::{Role, Shades, Theme};
 use crate::model::clean;
 
@@ -140,6 +141,47 @@ impl<'a> Canvas<'a> {
     /// Clears `area`.
     pub fn wipe(&mut self, area: Rect) {
         Clear.render(area.intersection(*self.buffer.area()), self.buffer);
+    }
+}
+
+/// Replaces every cell that is not ASCII.
+pub fn flatten(buffer: &mut Buffer) {
+    for cell in &mut buffer.content {
+        if !cell.symbol().is_ascii() {
+            let plain = cell.symbol().chars().next().map_or(' ', plain);
+            cell.set_char(plain);
+        }
+    }
+}
+
+fn plain(character: char) -> char {
+    match character {
+        '─' => '-',
+        '│' => '|',
+        '┌' | '┐' | '└' | '┘' => '+',
+        '●' | '•' | '✓' => '*',
+        '◐' | '…' => '~',
+        '○' => 'o',
+        '↑' => '^',
+        '↓' => 'v',
+        '✖' => 'X',
+        '▌' | '›' => '>',
+        '▁' | '▂' => '_',
+        '▃' | '▄' | '▅' => '=',
+        '▆' | '▇' | '█' => '#',
+        '▀' => '"',
+        '\u{2800}' => ' ',
+        '\u{2801}'..='\u{28ff}' => dots(character),
+        _ => '?',
+    }
+}
+
+/// A Braille pattern by how many of its eight dots are set.
+fn dots(pattern: char) -> char {
+    match (u32::from(pattern) & 0xff).count_ones() {
+        1 | 2 => '.',
+        3..=5 => ':',
+        _ => '#',
     }
 }
 

@@ -7,13 +7,13 @@ use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, 
 use super::theme::Role;
 use super::topics::watched;
 use super::words::{count, kilobytes, moment, rate, size, wrap};
-use super::{bottom, graph, policies};
+use super::{bars, gateway, plot};
 use crate::app::popup::Lookup;
 use crate::app::screens::grants::{end, is_active, is_given, scope, soon};
 use crate::app::screens::log::level_word;
 use crate::app::screens::records::Records;
 use crate::app::screens::topics::KEPT_SAMPLES;
-use crate::app::{Screen, State, detail};
+use crate::app::{Screen, State, opening};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
 
@@ -24,10 +24,10 @@ const GRAPH: u16 = 8;
 
 /// Draws the pane if there is one; returns the space left for the list.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
-    if !detail::is_shown(state) {
+    if !opening::is_shown(state) {
         return area;
     }
-    let list = Rect { width: detail::list_width(state).min(area.width), ..area };
+    let list = Rect { width: opening::list_width(state).min(area.width), ..area };
     let pane = right_of(area, list.width);
     for line in 0..pane.height {
         canvas.put(row(pane, line), "│", Role::Border);
@@ -76,7 +76,7 @@ fn draw_topic(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.put(here, &text, Role::Title);
     let width = area.width.min(u16::try_from(KEPT_SAMPLES).unwrap_or(u16::MAX));
     let bars = Rect { height: GRAPH.min(here.height.saturating_sub(1)), width, ..below(here, 1) };
-    graph::draw(canvas, bars, &values, most, Role::Accent);
+    plot::draw_graph(canvas, bars, &values, most, Role::Accent);
     let lines: Vec<Vec<Piece>> =
         coverage_lines(state, &topic.topic).into_iter().map(|(text, role)| vec![(text, role)]).collect();
     put_lines(canvas, below(here, bars.height + 2), &lines, 0);
@@ -169,11 +169,11 @@ fn ends(row: &GrantRow, now: Timestamp) -> String {
 
 /// The robot or sender under the cursor.
 fn draw_gateway(canvas: &mut Canvas, area: Rect, state: &State) {
-    let plain = |facts: Vec<policies::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
+    let plain = |facts: Vec<gateway::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
     let (title, told) = match state.gateway.selected() {
         None => ("Sender", Vec::new()),
         Some(member) => {
-            let robot = member.robot.map(|robot| plain(policies::row_facts(robot, state.shown_at())));
+            let robot = member.robot.map(|robot| plain(gateway::row_facts(robot, state.shown_at())));
             let title = if robot.is_some() { "Robot" } else { "Sender" };
             let told = robot.into_iter().chain(member.sender.map(sender)).flatten();
             (title, [("name", member.name())].into_iter().chain(told).collect())
@@ -198,7 +198,8 @@ fn sender(row: &SenderView) -> Vec<(&'static str, String)> {
 fn draw_line(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(line) = state.log.selected() else { return };
     canvas.put(area, &format!("{}  {}  {}", line.at, level_word(line.level), line.key), Role::Dim);
-    let role = if line.level == crate::service::NoticeLevel::Info { Role::Body } else { bottom::level(line.level).1 };
+    let role =
+        if line.level == crate::service::NoticeLevel::Info { Role::Body } else { bars::bottom_level(line.level).1 };
     let lines: Vec<Vec<Piece>> = wrap(&line.text, area.width).into_iter().map(|text| vec![(text, role)]).collect();
     put_lines(canvas, below(area, 2), &lines, 0);
 }

@@ -1,4 +1,4 @@
-//! The Gateway screen: what is served, system keys and their dates, refusals, robots and senders.
+//! The Gateway screen: what is served, system keys and their dates, refusals, robots, their policies, and senders.
 
 use ratatui::layout::Rect;
 
@@ -7,14 +7,15 @@ use super::keys::line;
 use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::topics::empty;
-use super::{policies, words};
+use super::words;
 use crate::app::State;
 use crate::app::feed::Feed;
+use crate::app::policies::{Standing, words as stands};
 use crate::app::screens::gateway::{Member, SORTS};
 use crate::app::screens::grants::day;
 use crate::app::words::counted;
 use crate::model::{Timestamp, clean};
-use crate::service::reply::{GatewayStatusView, SenderView, SystemKeyView};
+use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
 
 /// The most reasons of refusals shown.
 const MOST_REASONS: usize = 4;
@@ -188,7 +189,7 @@ fn cells(state: &State, row: &Member, policy: bool) -> Vec<(String, Role)> {
     let of = |text: fn(&SenderView) -> String| row.sender.map(text).unwrap_or_default();
     let mut cells = vec![(word.to_owned(), role), (row.name(), Role::Body)];
     if policy {
-        cells.push(row.robot.map(policies::standing).unwrap_or_default());
+        cells.push(row.robot.map(standing).unwrap_or_default());
     }
     cells.extend([
         (of(|sender| sender.account.short()), Role::Accent),
@@ -207,7 +208,7 @@ fn cells_of_owner(state: &State, row: &Member) -> Vec<(String, Role)> {
     let waiting = row.robot.map_or(0, |robot| robot.waiting);
     vec![
         (row.name(), Role::Body),
-        row.robot.map(policies::standing).unwrap_or_default(),
+        row.robot.map(standing).unwrap_or_default(),
         (row.robot.and_then(|robot| robot.address.clone()).unwrap_or_else(|| "-".to_owned()), Role::Dim),
         (words::count(waiting), if waiting > 0 { Role::Body } else { Role::Dim }),
         last(state, row),
@@ -221,4 +222,75 @@ fn last(state: &State, row: &Member) -> (String, Role) {
 /// The clock of today; how long ago, if that is longer than a day.
 fn when(last: Timestamp, now: Timestamp) -> String {
     if now.0.saturating_sub(last.0) < DAY { last.clock() } else { format!("{} ago", words::age(last, now)) }
+}
+
+/// A name of what is known, the words, and their role.
+pub type Fact = (&'static str, String, Role);
+
+/// Mark, words and role of how a robot stands to its policy.
+pub fn standing(row: &RobotRow) -> (String, Role) {
+    let (mark, role) = match Standing::of(row) {
+        Standing::Unset => return (stands(row), Role::Dim),
+        Standing::Wrong => ("✖", Role::Bad),
+        Standing::Drifts => ("◐", Role::Warning),
+        Standing::InForce => ("●", Role::Good),
+    };
+    (format!("{mark} {}", stands(row)), role)
+}
+
+/// What the list knows of a robot.
+pub fn row_facts(row: &RobotRow, now: Timestamp) -> Vec<Fact> {
+    let (text, role) = standing(row);
+    let wanted = match row.wanted {
+        0 => "no policy was set".to_owned(),
+        _ => text,
+    };
+    let mut facts = vec![("policy", wanted, role), runs(row)];
+    facts.extend(drift(row, now));
+    facts.push(("waiting", format!("{} of it here", counted(row.waiting, "record")), Role::Body));
+    facts
+}
+
+fn runs(row: &RobotRow) -> Fact {
+    let text = match row.running {
+        None => "it has not told yet what it works by".to_owned(),
+        Some(0) => "it works by its own settings alone".to_owned(),
+        Some(version) => format!("it works by version {version}"),
+    };
+    ("runs", text, Role::Body)
+}
+
+fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
+    let since = row.drift_since?;
+    Some(("drift", format!("since {}, for {}", words::second(since), words::age(since, now)), Role::Warning))
+}
+
+/// All that is known of a robot, besides its topics and the policy's text.
+pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
+    let row = &view.row;
+    let seen = row.last_seen.map_or_else(
+        || "never".to_owned(),
+        |at| {
+            format!("{}, {} ago; {} wait here", words::second(at), words::age(at, now), counted(row.waiting, "record"))
+        },
+    );
+    let (stands, role) = standing(row);
+    let policy = match (row.wanted, view.set_at) {
+        (0, _) => ("policy", "no policy was set".to_owned(), Role::Dim),
+        (_, Some(at)) => ("policy", format!("{stands}; set {}", words::second(at)), role),
+        (_, None) => ("policy", stands, role),
+    };
+    let mut facts = vec![policy, runs(row)];
+    facts.extend(drift(row, now));
+    facts.extend(view.refused.iter().map(|why| ("refused", format!("it refused: {}", clean(why, 300)), Role::Bad)));
+    let overruled = view.overruled.iter();
+    facts.extend(overruled.map(|what| ("overruled", format!("on the robot: {}", clean(what, 300)), Role::Body)));
+    facts.push(("last seen", seen, Role::Body));
+    facts.push(("device", row.device.to_hex(), Role::Dim));
+    for address in view.gateway.iter().flat_map(|gateway| &gateway.addresses) {
+        facts.push(("gateway", clean(address, 255), Role::Body));
+    }
+    let enrolled = if view.enrolled.is_empty() { "all topics".to_owned() } else { view.enrolled.join(" ") };
+    facts.push(("enrolled", enrolled, Role::Body));
+    facts
 }

@@ -5,7 +5,7 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, below, right_of, row};
 use super::theme::Role;
 use crate::app::feed::Feed;
-use crate::app::{State, standing};
+use crate::app::{State, leaving};
 use crate::service::reply::{EpochView, IdentityView, KeysView};
 
 /// Columns of the labels.
@@ -84,5 +84,5 @@ fn draw_keys(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
 
 /// What goes on is said only if it is known.
 fn locked(state: &State) -> &'static str {
-    if standing::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
+    if leaving::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
 }

@@ -13,25 +13,17 @@
 //! space mark  w watch  / filter  s sort  ? help  q quit                           bottom
 //! ```
 
-pub mod ascii;
-pub mod bottom;
+pub mod bars;
 pub mod canvas;
 pub mod chain;
 pub mod detail;
-pub mod first_run;
-pub mod flow;
 pub mod gateway;
 pub mod grants;
-pub mod graph;
-pub mod header;
 pub mod keys;
 pub mod log;
 pub mod overview;
-pub mod palette;
 pub mod plot;
-pub mod policies;
 pub mod popups;
-pub mod raster;
 pub mod records;
 pub mod table;
 pub mod theme;
@@ -45,9 +37,9 @@ mod tests;
 use ratatui::Frame;
 use ratatui::layout::Rect;
 
+pub use self::plot::{BAYER, Placement};
 use crate::app::{Screen, State};
 use canvas::Canvas;
-pub use raster::{BAYER, Placement};
 pub use theme::{Role, Theme, ThemeError, Themes};
 
 /// The smallest terminal the screens are made for, columns.
@@ -67,7 +59,7 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement
     }
     let (cursor, placement) = (canvas.cursor(), canvas.placement());
     if theme.ascii {
-        ascii::flatten(frame.buffer_mut());
+        canvas::flatten(frame.buffer_mut());
     }
     if let Some(position) = cursor {
         frame.set_cursor_position(position);
@@ -78,9 +70,9 @@ pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement
 fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     let strip = crate::app::tour::rows(state);
     let content = Rect { y: area.y + 2, height: area.height - 4 - strip, ..area };
-    header::draw(canvas, Rect { height: 2, ..area }, state);
+    bars::draw(canvas, Rect { height: 2, ..area }, state);
     // A message of several lines never lies over the row under the cursor: the list is shorter for so long.
-    let covered = bottom::covered(state, area.width).saturating_sub(strip).min(content.height / 2);
+    let covered = bars::covered(state, area.width).saturating_sub(strip).min(content.height / 2);
     draw_content(canvas, Rect { height: content.height - covered, ..content }, state);
     if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
@@ -89,7 +81,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
         tour::draw(canvas, Rect { y: content.bottom(), height: strip, ..area }, tour);
     }
     // A message of several lines takes precedence over the strip.
-    bottom::draw(canvas, area, state);
+    bars::draw_bottom(canvas, area, state);
 }
 
 /// Draws the screen in view without header, messages and bar.

@@ -1,10 +1,13 @@
-//! Points of a plane in Braille dots, two by four to a cell, both axes to one scale; the ends of the axes beside it.
+//! Plots: points of a plane in Braille dots, two by four to a cell, both axes to one scale, the ends of the axes
+//! beside it; a graph of one line; pixels as half blocks.
 
 use ratatui::layout::Rect;
+use ratatui::style::{Color, Style};
 
+use super::bars;
 use super::canvas::{Canvas, below, row};
-use super::theme::Role;
-use crate::ros::readable::Plot;
+use super::theme::{Rgb, Role, SIXTEEN, Shades, distance};
+use crate::ros::readable::{Plot, Raster};
 
 /// The smallest width that is plotted, metres or the unit of the axes.
 const LEAST: f64 = 0.1;
@@ -123,6 +126,118 @@ fn between(from: (u16, u16), to: (u16, u16)) -> impl Iterator<Item = (u16, u16)>
     (0..=steps).map(move |step| (along(from.0, to.0, step), along(from.1, to.1, step)))
 }
 
+/// Bars in eighths of a cell.
+const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+
+/// One row of bars against a given scale, so that adjacent rows can be compared.
+pub fn sparkline(samples: &[f64], scale: f64) -> String {
+    samples.iter().map(|sample| bar(Some(*sample), scale, 0, 1)).collect()
+}
+
+/// Fills `area` with bars against `scale`, the newest value at its right edge.
+pub fn draw_graph(canvas: &mut Canvas, area: Rect, values: &[Option<f64>], scale: f64, role: Role) {
+    let shown = values.get(values.len().saturating_sub(usize::from(area.width))..).unwrap_or(values);
+    for level in 0..area.height {
+        let line: String = shown.iter().map(|value| bar(*value, scale, level, area.height)).collect();
+        canvas.put(row(area, area.height - 1 - level), &line, role);
+    }
+}
+
+/// The character of a value in a row of a graph, `level` rows above its ground.
+fn bar(value: Option<f64>, scale: f64, level: u16, rows: u16) -> char {
+    let Some(value) = value.filter(|value| value.is_finite()) else { return ' ' };
+    if value <= 0.0 || scale <= 0.0 {
+        return if level == 0 { '.' } else { ' ' };
+    }
+    let eighths = (value / scale).min(1.0) * f64::from(rows) * 8.0;
+    // Any value above zero has at least an eighth.
+    let eighths = eighths.max(1.0) - f64::from(level) * 8.0;
+    let filled = (1u8..=8).take_while(|eighth| eighths + 0.5 > f64::from(*eighth)).count();
+    filled.checked_sub(1).and_then(|place| BARS.get(place)).copied().unwrap_or(' ')
+}
+
+/// Characters from dark to bright.
+const RAMP: &[u8] = b" .:-=+*#%@";
+
+/// Thresholds of ordered dithering, 0 to 15.
+pub const BAYER: [[u8; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
+
+/// A picture that the terminal draws itself, and where.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Placement {
+    /// The cells it fills, all of them empty.
+    pub area: Rect,
+    /// Its pixels.
+    pub raster: Raster,
+}
+
+/// Draws a picture into the upper left of `area`, as large as fits while keeping its shape.
+pub fn draw_raster(canvas: &mut Canvas, area: Rect, raster: &Raster) {
+    let cells = (usize::from(area.width), usize::from(area.height));
+    if canvas.draws_pixels() {
+        return place(canvas, area, raster);
+    }
+    let shades = canvas.shades();
+    if shades == Shades::None {
+        // A cell is about twice as high as wide.
+        let fitted = raster.fit((cells.0, cells.1 * 2));
+        each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
+            let bright = usize::midpoint(brightness(fitted.pixel(x, y * 2)), brightness(fitted.pixel(x, y * 2 + 1)));
+            let letter = RAMP.get(bright * RAMP.len() / 256).copied().unwrap_or(b'@');
+            canvas.paint(cell, char::from(letter), Style::default());
+        });
+        return;
+    }
+    let fitted = raster.fit((cells.0, cells.1 * 2));
+    each(area, (fitted.width, fitted.height.div_ceil(2)), |x, y, cell| {
+        let colour = |y: usize| coloured(fitted.pixel(x, y), (x, y), shades);
+        let style = Style::default().fg(colour(y * 2)).bg(colour(y * 2 + 1));
+        canvas.paint(cell, '▀', style);
+    });
+}
+
+/// The place that half-blocks would take, clear of the messages, which come and go.
+fn place(canvas: &mut Canvas, area: Rect, raster: &Raster) {
+    let area = area.intersection(bars::above(canvas.screen()));
+    let (width, height) = raster.size_within((usize::from(area.width), usize::from(area.height) * 2));
+    let (Ok(width), Ok(height)) = (u16::try_from(width), u16::try_from(height.div_ceil(2))) else { return };
+    let area = Rect { width, height, ..area };
+    if !area.is_empty() {
+        canvas.place(Placement { area, raster: raster.clone() });
+    }
+}
+
+fn each(area: Rect, size: (usize, usize), mut paint: impl FnMut(usize, usize, Rect)) {
+    for y in 0..size.1 {
+        for x in 0..size.0 {
+            let (Ok(right), Ok(down)) = (u16::try_from(x), u16::try_from(y)) else { continue };
+            paint(x, y, Rect { x: area.x + right, y: area.y + down, width: 1, height: 1 });
+        }
+    }
+}
+
+fn brightness(pixel: [u8; 3]) -> usize {
+    let [red, green, blue] = pixel.map(usize::from);
+    (red * 299 + green * 587 + blue * 114) / 1000
+}
+
+fn coloured(pixel: [u8; 3], place: (usize, usize), shades: Shades) -> Color {
+    let (red, green, blue) = match shades {
+        Shades::Sixteen => dithered(pixel, place),
+        // Fewer steps make more neighbours equal, and equal cells are not sent again.
+        _ => (pixel[0] & 0xf8, pixel[1] & 0xf8, pixel[2] & 0xf8),
+    };
+    Color::Rgb(red, green, blue)
+}
+
+/// One of the sixteen colours, depending on the place: an area of them approximates the colour.
+fn dithered(pixel: [u8; 3], place: (usize, usize)) -> Rgb {
+    let shift = (i16::from(BAYER[place.1 % 4][place.0 % 4]) - 8) * 6;
+    let part = |part: u8| u8::try_from((i16::from(part) + shift).clamp(0, 255)).unwrap_or(part);
+    let wanted = (part(pixel[0]), part(pixel[1]), part(pixel[2]));
+    SIXTEEN.into_iter().min_by_key(|colour| distance(wanted, *colour)).unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -155,5 +270,103 @@ mod tests {
             assert_eq!(rows.len(), 10);
         }
         assert!(drawn(vec![(2.0, 2.0)], false, None).concat().contains(|c| ('\u{2801}'..='\u{28ff}').contains(&c)));
+    }
+}
+
+#[cfg(test)]
+mod graph_tests {
+    use super::*;
+    use crate::ui::Theme;
+    use ratatui::buffer::Buffer;
+
+    #[test]
+    fn bars_are_compared_on_one_scale_and_a_stop_is_a_dot() {
+        assert_eq!(sparkline(&[0.0, 14.0, 58.0, 116.0], 116.0), ".▁▄█");
+        assert_eq!(sparkline(&[14.0, 14.0, 0.0], 116.0), "▁▁.");
+        assert_eq!(sparkline(&[0.0, 0.0], 0.0), "..");
+        assert_eq!(sparkline(&[0.001], 1e9), "▁", "little is not nothing");
+        assert_eq!(sparkline(&[f64::NAN, f64::INFINITY], 1.0), "  ");
+    }
+
+    #[test]
+    fn a_graph_stands_on_its_ground_and_leaves_out_what_is_not_known() {
+        let theme = Theme::named("night").expect("embedded");
+        let area = Rect::new(0, 0, 4, 2);
+        let mut buffer = Buffer::empty(area);
+        let values = [Some(9.0), None, Some(0.0), Some(8.0), Some(16.0)];
+        draw_graph(&mut Canvas::new(&mut buffer, &theme), area, &values, 16.0, Role::Accent);
+        let rows: Vec<String> = (0..2).map(|y| (0..4).map(|x| buffer[(x, y)].symbol()).collect()).collect();
+        assert_eq!(rows, ["   █", " .██"]);
+    }
+}
+
+#[cfg(test)]
+mod raster_tests {
+    use super::*;
+    use crate::ui::Theme;
+    use ratatui::buffer::Buffer;
+
+    fn drawn(raster: &Raster, shades: Shades, ascii: bool) -> Buffer {
+        let theme = Theme::named("night").expect("embedded").with_ascii(ascii).with_shades(shades);
+        let area = Rect::new(0, 0, 12, 6);
+        let mut buffer = Buffer::empty(area);
+        draw_raster(&mut Canvas::new(&mut buffer, &theme), area, raster);
+        buffer
+    }
+
+    fn ramp() -> Raster {
+        let rgb = (0..24).flat_map(|_| (0u8..24).flat_map(|x| [x * 10; 3])).collect();
+        Raster { width: 24, height: 24, rgb }
+    }
+
+    #[test]
+    fn half_blocks_carry_two_pixels_each() {
+        let buffer = drawn(&ramp(), Shades::All, false);
+        assert_eq!(buffer[(0, 0)].symbol(), "▀");
+        assert!(matches!(buffer[(11, 5)].bg, Color::Rgb(224.., 224.., 224..)), "{:?}", buffer[(11, 5)]);
+    }
+
+    #[test]
+    fn sixteen_colours_are_dithered() {
+        let grey = Raster { width: 12, height: 12, rgb: vec![145; 432] };
+        let buffer = drawn(&grey, Shades::Sixteen, false);
+        let kinds: std::collections::BTreeSet<String> =
+            buffer.content().iter().map(|cell| format!("{:?}", cell.fg)).collect();
+        assert!(kinds.len() > 1, "a grey between two is mixed of both: {kinds:?}");
+        assert!(
+            buffer.content().iter().all(|cell| matches!(cell.fg, Color::Rgb(r, g, b) if SIXTEEN.contains(&(r, g, b))))
+        );
+    }
+
+    fn placed(theme: &Theme, raster: &Raster, over: &str) -> Option<Placement> {
+        let mut buffer = Buffer::empty(Rect::new(0, 0, 40, 12));
+        let mut canvas = Canvas::new(&mut buffer, theme);
+        draw_raster(&mut canvas, Rect::new(3, 2, 30, 10), raster);
+        canvas.put(Rect::new(12, 7, 5, 1), over, crate::ui::Role::Body);
+        canvas.placement()
+    }
+
+    #[test]
+    fn a_terminal_that_draws_pictures_gets_a_place_clear_of_messages() {
+        let night = || Theme::named("night").expect("embedded").with_pixels(true);
+        let placement = placed(&night(), &ramp(), "").expect("a place");
+        assert_eq!((placement.area, placement.raster), (Rect::new(3, 2, 12, 6), ramp()));
+        assert!(placement.area.bottom() <= 8, "four rows are kept for messages and bar");
+        assert_eq!(placed(&night(), &ramp(), "text"), None, "text over it wins");
+        assert_eq!(placed(&night(), &Raster::default(), ""), None);
+        let mono = Theme::named("mono").expect("embedded").with_pixels(true);
+        for theme in [night().with_ascii(true), night().with_shades(Shades::None), night().with_pixels(false), mono] {
+            assert_eq!(placed(&theme, &ramp(), ""), None);
+        }
+    }
+
+    #[test]
+    fn without_colours_it_is_characters() {
+        for (shades, ascii) in [(Shades::None, false), (Shades::All, true)] {
+            let buffer = drawn(&ramp(), shades, ascii);
+            let row: String = (0..12).map(|x| buffer[(x, 2)].symbol()).collect();
+            assert!(row.starts_with(' ') && row.ends_with('%') && row.is_ascii(), "{row}");
+            assert!(buffer.content().iter().all(|cell| cell.fg == Color::Reset));
+        }
     }
 }

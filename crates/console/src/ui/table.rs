@@ -4,7 +4,7 @@ use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
-use crate::app::columns::wanted;
+use crate::app::choosing::wanted;
 use crate::app::table::Table;
 use crate::app::{Screen, State};
 

@@ -5,10 +5,10 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, row};
 use super::table::{Column, Layout, Sheet, draw as draw_table, order};
 use super::theme::Role;
-use super::{graph, words};
+use super::{plot, words};
 use crate::app::feed::Feed;
+use crate::app::leaving::Capture;
 use crate::app::screens::topics::{SAMPLES, SORTS};
-use crate::app::standing::Capture;
 use crate::app::{Screen, State};
 use crate::service::reply::TopicRow;
 
@@ -110,7 +110,7 @@ fn cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)> {
         watched_of(state, row),
         (words::rate(row.hz), Role::Accent),
         (words::kilobytes(row.bytes_per_second), Role::Body),
-        (graph::sparkline(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), scale), Role::Accent),
+        (plot::sparkline(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), scale), Role::Accent),
         (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
         (row.last_message.map(|last| words::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),

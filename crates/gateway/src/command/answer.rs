@@ -3,12 +3,10 @@
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Hash, PublicKey, Signature, Timestamp};
 
-use super::Command;
-use super::erased::ErasedRecord;
-use super::erasure::ErasureOutcome;
 use super::query::{Entry, Page};
 use super::relay::Relayed;
-use crate::gateway::code::Code;
+use super::{Command, ErasedRecord, ErasureOutcome};
+use crate::error::Code;
 use crate::gateway::receipt::Receipt;
 use crate::gateway::standings::SignedStandings;
 

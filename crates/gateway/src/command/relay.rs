@@ -2,7 +2,7 @@
 //! and each text has exactly one encoding here.
 
 use crate::chain::RelayError;
-use crate::gateway::code::{Code, Refusal};
+use crate::error::{Code, Refusal};
 use crate::model::wire::{Reader, WireError, put_text};
 
 /// The longest parameters, bytes of JSON: a raw transaction of 32 KiB in hex, and a little more.

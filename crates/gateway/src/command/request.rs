@@ -4,10 +4,9 @@ use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token, TopicId};
 
-use super::Command;
-use super::erasure::{ErasureNotice, encode_erasures, read_erasures};
 use super::query::{Query, Selection};
 use super::relay::RelayCall;
+use super::{Command, ErasureNotice, encode_erasures, read_erasures};
 use crate::gateway::allocation::AllocationRequest;
 
 /// The most records in one message.

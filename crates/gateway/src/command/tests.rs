@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::crypto::TransportKey;
-use crate::gateway::code::{Code, Refusal};
+use crate::error::{Code, Refusal};
 use crate::gateway::tests::{sample_answers, sample_requests, sessions};
 use crate::model::Timestamp;
 

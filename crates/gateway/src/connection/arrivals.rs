@@ -4,13 +4,12 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep, sleep_until};
 
-use super::feeds::{Fed, Feeds};
-use super::{Connection, End};
+use super::{Connection, End, Fed, Feeds};
 use crate::chain::relay::weight;
-use crate::gateway::code::{Code, Refusal};
+use crate::error::{Code, Refusal};
+use crate::frame::Message;
 use crate::gateway::command::{Command, Request};
 use crate::gateway::frame::FrameKind;
-use crate::gateway::parts::Message;
 use crate::gateway::server::stopped;
 
 /// Frames that announce a greater length are charged before they are read, bytes.

@@ -1,7 +1,8 @@
 //! What a session may ask, and the order of its checks: token, then signature, then account, then the desk.
 
 use crate::crypto::signer_id;
-use crate::gateway::code::{Code, Refusal};
+use crate::error::{Code, Refusal};
+use crate::frame::Message;
 use crate::gateway::command::relay::{LONGEST_FOR_VISITOR, LONGEST_RESULT};
 use crate::gateway::command::{Answer, Command, RelayCall, Relayed, Request, Upload};
 use crate::gateway::desk::{Binding, BoundDevice, Caller, Desk};
@@ -10,12 +11,10 @@ use crate::gateway::identity_check::{
     allocate, check_account, check_reach, check_records, check_registration, check_signed, check_token,
 };
 use crate::gateway::limits::Charge;
-use crate::gateway::parts::Message;
 use crate::gateway::standings::SignedStandings;
 use crate::model::{Digest, ProfileName, Timestamp};
 
-use super::Shared;
-use super::feeds::Feeds;
+use super::{Feeds, Shared};
 
 impl Shared {
     pub(super) async fn allocation_answer(

@@ -142,8 +142,8 @@ proptest! {
         prop_assert!(gateway.identified(&noise).is_err());
         prop_assert!(Hello::parse(&noise).is_err() || noise.len() == 130);
         let plain = zeroize::Zeroizing::new(noise);
-        if let Ok((purpose, name)) = messages::parse_name(&plain) {
-            prop_assert_eq!(messages::encode_name(purpose, &name), plain.to_vec());
+        if let Ok((purpose, name)) = parse_name(&plain) {
+            prop_assert_eq!(encode_name(purpose, &name), plain.to_vec());
         }
     }
 }

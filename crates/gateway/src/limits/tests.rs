@@ -1,5 +1,4 @@
-use super::counts::{MOST_REMEMBERED, place_of};
-use super::*;
+use super::{MOST_REMEMBERED, place_of, *};
 
 const HERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::LOCALHOST);
 

@@ -4,8 +4,7 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 
-use super::cabinet::{Cabinet, Schedule};
-use super::*;
+use super::{Cabinet, Schedule, *};
 use crate::gateway::hello::Context;
 use crate::gateway::session::SessionId;
 use crate::gateway::tests::{context, pair};

@@ -14,12 +14,12 @@ use super::hostile::text;
 use super::stage::Stage;
 use super::*;
 use crate::crypto::prove;
+use crate::frame::Line;
 use crate::gateway::allocation::apply;
 use crate::gateway::command::{Inner, RelayCall};
 use crate::gateway::connection::{Shared, serve_agreed};
 use crate::gateway::frame::{FrameDecoder, FrameKind, encode};
 use crate::gateway::hello::Agreed;
-use crate::gateway::line::Line;
 use crate::gateway::session::{Session, SessionId, SessionKeys, Side};
 use crate::model::{Digest, Hash, Timestamp, Token};
 

@@ -9,10 +9,10 @@ use tokio::time::timeout;
 
 use super::stage::{Stage, refusal};
 use super::*;
+use crate::frame::Line;
 use crate::gateway::command::{Inner, LARGEST_PART, Part};
 use crate::gateway::frame::{FrameKind, encode};
 use crate::gateway::hello::ClientHello;
-use crate::gateway::line::Line;
 use crate::gateway::session::Session;
 use crate::model::{Signature, Token};
 

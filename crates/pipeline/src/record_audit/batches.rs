@@ -7,10 +7,11 @@ use tokio::runtime::Handle;
 use tokio::task::JoinSet;
 
 use super::report::{FindingKind, Tally};
-use super::{Network, Plant, Scope, events};
+use super::{Network, Plant, Scope};
 use crate::chain::{Chain, ChainError, Event, EventAt};
+use crate::chain_proofs::is_root_in;
 use crate::model::{Address, Digest, Hash};
-use crate::pipeline::proof::is_root_in;
+use crate::record_audit;
 use crate::store::{AuditedBatch, Ledger, StoreError};
 
 /// Batches requested at once.
@@ -190,7 +191,7 @@ impl Walk {
             };
             self.take(&plant.ledger, &events)?;
             if let Some(tally) = watched.as_deref_mut()
-                && let Err(error) = events::compare(plant, network, (from, to), &events, tally).await?
+                && let Err(error) = record_audit::compare(plant, network, (from, to), &events, tally).await?
             {
                 return Ok(Err(error));
             }

@@ -2,10 +2,10 @@
 //! thread reads pages, and one thread per core checks them.
 
 use std::collections::HashMap;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio::runtime::Handle;
 use tokio::task::JoinSet;
@@ -15,8 +15,9 @@ use super::stored::{look_at_headers, look_deep};
 use super::{Network, Plant, Scope};
 use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
-use crate::model::{Digest, RecordState, Timestamp};
-use crate::pipeline::columns::Keys;
+use crate::columns::Keys;
+use crate::crypto::Provider;
+use crate::model::{Digest, RecordState, Timestamp, clean};
 use crate::store::{AuditedRecord, StoreError};
 
 /// Rows per page.
@@ -351,4 +352,84 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
         }
         _ => None,
     }
+}
+
+/// The most gaps listed for one topic.
+const MOST_HOLES: usize = 5;
+
+/// Searches for missing numbers. What others numbered comes here as it is allowed and as it arrives: a gateway shows a
+/// reader only what it may see, and of a robot's records some may be on their way or at another gateway.
+pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
+    let mut elsewhere = Vec::new();
+    for sequence in plant.ledger.sequences()? {
+        let lost = sequence.last.saturating_sub(sequence.count);
+        // What is missing of a ring fell out of it, or was not asked for.
+        if lost == 0 || sequence.recorder.is_ring() {
+            continue;
+        }
+        if let Some(keeper) = sequence.keeper {
+            if scope.accounts.contains(&keeper) {
+                elsewhere.push(format!("{lost} of {} by the key {}", sequence.name, sequence.signer));
+            }
+            continue;
+        }
+        tally.gaps += lost;
+        let holes = plant.ledger.holes(&sequence, MOST_HOLES)?;
+        let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
+        let text = format!(
+            "{lost} of the numbers 1 to {} that the key {} gave for {} are missing from the ledger: {}",
+            sequence.last,
+            sequence.signer,
+            sequence.owner,
+            words.join(", ")
+        );
+        tally.find(FindingKind::Gap, &sequence.name, &text);
+    }
+    if !elsewhere.is_empty() {
+        let more = elsewhere.len().saturating_sub(MOST_HOLES);
+        let more = if more > 0 { format!(" and of {more} more topics") } else { String::new() };
+        elsewhere.truncate(MOST_HOLES);
+        tally.note(&format!(
+            "numbers that robots gave are not here: {}{more}; they are on their way, at another gateway, or held back at \
+             the robot, whose recorder states what it gave",
+            elsewhere.join(", ")
+        ));
+    }
+    for (topic, count) in plant.ledger.backwards()? {
+        tally.note(&format!(
+            "{count} records of {} are dated earlier than the record before them: the clock was set back, or a \
+             recording was imported",
+            clean(&topic, 200)
+        ));
+    }
+    Ok(())
+}
+
+fn span(from: u64, to: u64) -> String {
+    if from == to { from.to_string() } else { format!("{from} to {to}") }
+}
+
+/// How long to measure.
+const SPAN: Duration = Duration::from_millis(120);
+/// Bytes hashed at a time.
+const PIECE_BOUND: usize = 1 << 20;
+
+/// Megabytes (10^6) a second of SM3 on `threads` threads at once.
+pub(super) fn sm3_rate(provider: &'static dyn Provider, threads: usize) -> f64 {
+    let piece = vec![0x5a; PIECE_BOUND];
+    let pieces = AtomicU64::new(0);
+    let begun = Instant::now();
+    std::thread::scope(|scope| {
+        for _ in 0..threads.max(1) {
+            scope.spawn(|| {
+                while begun.elapsed() < SPAN {
+                    std::hint::black_box(provider.sm3(&[&piece]));
+                    pieces.fetch_add(1, Ordering::Relaxed);
+                }
+            });
+        }
+    });
+    #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
+    let bytes = (pieces.into_inner() * PIECE_BOUND as u64) as f64;
+    bytes / begun.elapsed().as_secs_f64() / 1e6
 }

@@ -6,8 +6,8 @@ use super::report::{FindingKind, Tally};
 use crate::crypto::record::{Checked, signed_bytes};
 use crate::crypto::{Anchor, CryptoError, Unchecked, check_alone};
 use crate::model::{Digest, Header, PublicKey, RecordKind, RecordState};
-use crate::pipeline::retention::erasing::is_stated;
 use crate::pipeline::{PipelineError, authority, columns};
+use crate::retention::is_stated;
 use crate::store::{AuditedRecord, RecordRow, Retained, StoreError};
 
 /// Checks the stored bytes of some records: read at once, with their digests computed in parallel.

@@ -4,17 +4,11 @@
 //! After every block a lane is *tended* ([`Sender::tend`]): its transactions are closed, yielded to others, replaced at
 //! a higher price, gaps filled, or the lane visibly paused; nothing is lost.
 
-mod cancel;
-mod funds;
 mod lane;
-#[cfg(test)]
-mod node_tests;
-mod nonces;
-mod state;
 mod tend;
-#[cfg(test)]
-mod tests;
 mod waiting;
+
+pub use self::lane::{Lane, LaneState, Outgoing, PauseReason};
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,17 +16,13 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Call, Chain, Policy, Receipt};
-use crate::crypto::EoaSecret;
-use crate::model::{Address, Hash, clean};
-use crate::store::{Ledger, TransactionRow, TransactionState};
-
-pub use self::cancel::Cancelled;
-use self::funds::{Heads, Needed};
 use self::lane::Cell;
-pub use self::lane::{Lane, Outgoing};
-pub use self::state::{LaneState, PauseReason};
-use super::{Observer, PipelineError};
+use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
+use crate::crypto::EoaSecret;
+use crate::model::{Address, Hash, Wei, clean};
+use crate::store::{Anchors, Ledger, NewTransaction, TransactionRow, TransactionState};
+use crate::watcher::CURSOR;
+use crate::{Observer, PipelineError};
 
 /// Transactions of one account that may wait for a block.
 pub const MOST_OPEN: u64 = 1024;
@@ -156,7 +146,7 @@ impl Sender {
                 (hash, deadline) = (row.hash, Instant::now() + PATIENCE);
             }
             if let Some(receipt) = chain.receipt(hash).await? {
-                if purpose != cancel::PURPOSE && row.is_some_and(|row| row.purpose == cancel::PURPOSE) {
+                if purpose != PURPOSE && row.is_some_and(|row| row.purpose == PURPOSE) {
                     return Err(PipelineError::Cancelled(purpose.to_owned()));
                 }
                 return match receipt.success {
@@ -209,7 +199,7 @@ impl Sender {
             let cell = self.cell(account);
             let mut memory = cell.memory();
             memory.paused.clone_from(&paused);
-            let alarm = paused.as_ref().filter(|reason| reason.is_alarm()).map(PauseReason::word);
+            let alarm = paused.as_ref().filter(|reason| reason.is_alarm()).map(lane::PauseReason::word);
             // While the node is catching up nothing is known anew, so an alarm stands.
             let alarm = if paused.is_some() { alarm.or(memory.alarm) } else { None };
             (std::mem::replace(&mut memory.alarm, alarm), alarm)
@@ -219,5 +209,209 @@ impl Sender {
             (_, Some(now)) => self.observer.alert(true, now.text(account)),
             (_, None) => self.observer.alert(false, format!("anchoring for {account} resumes")),
         }
+    }
+}
+
+/// How long a price that was needed once is offered from the start.
+const REMEMBERED: Duration = Duration::from_secs(3_600);
+/// How long a node may take to have the blocks again that it had; after that the chain is taken to be shorter.
+const CATCHING_UP: Duration = Duration::from_secs(120);
+
+/// A price that a transaction had to offer before it was mined.
+#[derive(Debug, Clone, Copy)]
+struct Needed {
+    price: u128,
+    at: Instant,
+}
+
+/// The newest block of the node so far.
+#[derive(Debug, Default)]
+struct Heads {
+    /// Its number; 0 before the first look.
+    highest: u64,
+    /// Since when the node has been below it.
+    behind: Option<Instant>,
+}
+
+impl Heads {
+    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
+    fn see(&mut self, number: u64, patience: Duration) -> Option<u64> {
+        let highest = self.highest;
+        let since = *self.behind.get_or_insert_with(Instant::now);
+        if number >= highest || since.elapsed() > patience {
+            (self.highest, self.behind) = (number, None);
+            return None;
+        }
+        Some(highest)
+    }
+}
+
+impl Sender {
+    /// The operator's limits; the floor is at least what was needed within the last hour.
+    pub fn policy(&self) -> Policy {
+        let needed = self.needed.lock().unwrap_or_else(PoisonError::into_inner);
+        let needed = needed.filter(|needed| needed.at.elapsed() < REMEMBERED);
+        needed.map_or(self.policy, |needed| self.policy.with_floor(needed.price))
+    }
+
+    /// The operator's limits, as they are set.
+    pub fn limits(&self) -> Policy {
+        self.policy
+    }
+
+    /// Notes the price of a transaction that was mined only when it offered more than quoted.
+    pub fn note_needed(&self, price: u128) {
+        *self.needed.lock().unwrap_or_else(PoisonError::into_inner) = Some(Needed { price, at: Instant::now() });
+    }
+
+    /// Notes the node's newest block; returns the one that it had before, if it is behind that.
+    fn see_head(&self, number: u64) -> Option<u64> {
+        self.heads.lock().unwrap_or_else(PoisonError::into_inner).see(number, CATCHING_UP)
+    }
+
+    /// Why the account cannot pay so much. A node that is behind its own earlier head does not know what it holds.
+    async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason, PipelineError> {
+        // Before the head is asked for; where the chain became shorter, the watcher goes back itself.
+        let read = block_in_place(|| self.ledger.cursor(CURSOR))?.map(|(block, _)| block);
+        let block = chain.head().await?.number;
+        let seen = self.see_head(block).max(read.filter(|read| *read > block));
+        if let Some(highest) = seen {
+            return Ok(lane::PauseReason::CatchingUp { block, highest });
+        }
+        let held = Wei(chain.wealth(account).await?);
+        Ok(lane::PauseReason::NoEther(Shortfall { account, held, needed: Wei(needed) }))
+    }
+
+    /// Fails before anything is signed if the account cannot pay for the call.
+    async fn expect_means(&self, chain: &Chain, account: Address, call: &Call) -> Result<(), PipelineError> {
+        let Priced::At(price) = self.policy().fresh(&chain.market().await?) else { return Ok(()) };
+        let lacking = chain.shortfall(account, call, price).await?;
+        if lacking.held >= lacking.needed {
+            return Ok(());
+        }
+        match self.shortage(chain, account, lacking.needed.0).await? {
+            lane::PauseReason::NoEther(lacking) => Err(PipelineError::NoEther(lacking)),
+            reason => Err(PipelineError::Refused(reason.cause(account))),
+        }
+    }
+}
+
+/// The purpose of the transaction that takes a cancelled one's nonce.
+const PURPOSE: &str = "cancel";
+
+/// A transaction that was cancelled, unless the chain takes it all the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cancelled {
+    /// Its nonce.
+    pub nonce: u64,
+    /// Its purpose.
+    pub purpose: String,
+    /// Whether it anchored records; they wait to be anchored again.
+    pub anchors: bool,
+    /// The transaction in its place.
+    pub hash: Hash,
+    /// The price per gas that this one offers.
+    pub price: Wei,
+}
+
+impl Sender {
+    /// Replaces the account's open transaction with this nonce by an empty one to the account itself, at a higher
+    /// price. The records that it anchors wait to be anchored again; whatever else it was for does not happen, and
+    /// whoever waits for it is told. If the chain takes the old one after all, that is recognised as for any other.
+    ///
+    /// # Errors
+    /// `Refused` if there is no such transaction, it is in a block already, or the cap forbids a higher price;
+    /// `NoEther`; errors of chain and ledger.
+    pub async fn cancel(&self, chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<Cancelled, PipelineError> {
+        let account = eoa.address();
+        let cell = self.cell(account);
+        let _alone = cell.tending.lock().await;
+        let open = block_in_place(|| self.ledger.open_lane(account))?;
+        let Some(row) = open.into_iter().find(|row| row.nonce == nonce) else {
+            return Err(PipelineError::Refused(format!(
+                "{account} has no transaction with nonce {nonce} waiting here; `authros chain status` lists those that wait"
+            )));
+        };
+        if self.nonces(chain, account).await?.mined > nonce {
+            let text = format!("the transaction with nonce {nonce} ({}) is in a block already", row.purpose);
+            return Err(PipelineError::Refused(format!("{text}; nothing was cancelled")));
+        }
+        let raw = block_in_place(|| self.ledger.raw_transaction(row.hash))?.unwrap_or_default();
+        let price = match self.policy().replacement(offered(&raw)?.price, &chain.market().await?) {
+            Priced::At(price) => price,
+            Priced::Capped { needed, cap } => {
+                return Err(PipelineError::Refused(lane::PauseReason::capped(needed, cap).cause(account)));
+            }
+        };
+        let signed = chain.sign_transfer(eoa, nonce, account, 0, price)?;
+        let cost = price.saturating_mul(u128::from(signed.gas_limit));
+        if chain.wealth(account).await? < cost {
+            return Err(match self.shortage(chain, account, cost).await? {
+                lane::PauseReason::NoEther(lacking) => PipelineError::NoEther(lacking),
+                reason => PipelineError::Refused(reason.cause(account)),
+            });
+        }
+        let (hash, raw, purpose) = (signed.hash, signed.raw, PURPOSE.to_owned());
+        let new = NewTransaction { hash, account, nonce, raw: raw.clone(), purpose, anchors: Anchors::Nothing };
+        block_in_place(|| self.ledger.replace_transaction(row.hash, new))?;
+        self.hand_in(chain, account, hash, &raw).await;
+        Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash, price: Wei(price) })
+    }
+
+    /// Waits until the chain has used a cancelled transaction's nonce; returns the block of the one in its place, or
+    /// `None` if the cancelled one was mined after all.
+    ///
+    /// # Errors
+    /// `NotMined` after two minutes; errors of chain and ledger.
+    pub async fn wait_cancelled(
+        &self,
+        chain: &Chain,
+        eoa: &EoaSecret,
+        cancelled: &Cancelled,
+    ) -> Result<Option<u64>, PipelineError> {
+        let (account, deadline) = (eoa.address(), Instant::now() + PATIENCE);
+        let mut head = chain.head().await?.number;
+        while self.nonces(chain, account).await?.mined <= cancelled.nonce {
+            if Instant::now() > deadline {
+                return Err(self.not_mined(account, PURPOSE));
+            }
+            let seen = chain.next_block(head, Duration::from_secs(2)).await?.number;
+            if seen == head {
+                self.tend(chain, eoa).await?;
+            }
+            head = seen;
+        }
+        for (hash, _) in block_in_place(|| self.ledger.of_nonce(account, cancelled.nonce))? {
+            let row = block_in_place(|| self.ledger.transaction(hash))?;
+            if row.is_some_and(|row| row.purpose == PURPOSE)
+                && let Some(receipt) = chain.receipt(hash).await?
+            {
+                return Ok(Some(receipt.block));
+            }
+        }
+        Ok(None)
+    }
+}
+
+#[cfg(test)]
+mod node_tests;
+
+#[cfg(test)]
+mod tests;
+
+#[cfg(test)]
+mod funds_tests {
+    use super::*;
+
+    #[test]
+    fn a_node_below_its_own_head_is_catching_up_for_a_while() {
+        let mut heads = Heads::default();
+        let long = Duration::from_secs(60);
+        assert_eq!((heads.see(7, long), heads.see(9, long), heads.see(9, long)), (None, None, None));
+        assert_eq!((heads.see(3, long), heads.see(8, long)), (Some(9), Some(9)));
+        assert_eq!((heads.see(9, long), heads.see(10, long)), (None, None));
+        assert_eq!(heads.see(2, long), Some(10));
+        std::thread::sleep(Duration::from_millis(2));
+        assert_eq!((heads.see(2, Duration::ZERO), heads.see(1, long)), (None, Some(2)), "a shorter chain is believed");
     }
 }

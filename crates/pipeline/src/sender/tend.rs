@@ -9,11 +9,13 @@ use crate::chain::{Chain, Offered, Priced, Receipt, Wait, is_same_call, offered}
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
 use crate::pipeline::PipelineError;
-use crate::pipeline::watcher::{CURSOR, unread};
+use crate::pipeline::watcher::CURSOR;
 use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
+use crate::watcher;
 
-use super::state::PauseReason;
-use super::{Sender, cancel, waiting};
+use super::lane::PauseReason;
+use super::{Sender, waiting};
+use crate::sender;
 
 /// A nonce counts as taken by a foreign transaction when no receipt of ours was found for this long.
 const SURE: Duration = Duration::from_secs(1);
@@ -218,8 +220,8 @@ impl Sender {
 
     /// The watcher has read the receipt's block: what the receipt says happened there must be known by now.
     fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<(), PipelineError> {
-        if !unread::of(&self.ledger, &receipt.events)?.is_empty() {
-            unread::note(&self.ledger, receipt.block)?;
+        if !watcher::of(&self.ledger, &receipt.events)?.is_empty() {
+            watcher::note(&self.ledger, receipt.block)?;
         }
         Ok(())
     }
@@ -260,7 +262,7 @@ impl Sender {
     /// The nonce belongs to another transaction: one that anchors records returns them to be anchored again, on the
     /// chain's head at that time; any other call is signed again with the next nonce.
     async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
-        if row.anchors || [waiting::HOLE, cancel::PURPOSE].contains(&row.purpose.as_str()) {
+        if row.anchors || [waiting::HOLE, sender::PURPOSE].contains(&row.purpose.as_str()) {
             let closing = vec![(row.hash, TransactionOutcome::Replaced)];
             return Ok(block_in_place(|| self.ledger.close_transactions(closing))?);
         }

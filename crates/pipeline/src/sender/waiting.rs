@@ -13,8 +13,7 @@ use crate::pipeline::PipelineError;
 use crate::store::{Anchors, NewTransaction, OpenTransaction, Reissue};
 
 use super::Sender;
-use super::lane::{BROKEN, Cell};
-use super::state::PauseReason;
+use super::lane::{BROKEN, Cell, PauseReason};
 
 /// The purpose of an empty transfer to oneself that fills a nonce gap.
 pub(super) const HOLE: &str = "nonce";

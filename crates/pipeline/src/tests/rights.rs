@@ -43,10 +43,8 @@ impl Line {
     }
 
     async fn extra_account(&self) -> EoaSecret {
-        let key = anchoring_accounts::extra(&self.owner.eoa(), &self.network.domain, 2).expect("keys").remove(0);
-        anchoring_accounts::ensure_ready(&self.plant, &self.network, &self.sender, &self.owner, &key)
-            .await
-            .expect("registers");
+        let key = anchorer::extra(&self.owner.eoa(), &self.network.domain, 2).expect("keys").remove(0);
+        anchorer::ensure_ready(&self.plant, &self.network, &self.sender, &self.owner, &key).await.expect("registers");
         self.watch().await;
         self.tend(std::slice::from_ref(&key)).await;
         key

@@ -1,6 +1,7 @@
 //! Several nodes behind one URL, some of them behind the others: nothing of the chain is missed, nothing is undone.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
+use std::sync::atomic::Ordering::SeqCst;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, OnceLock};
 
 use async_trait::async_trait;

@@ -1,33 +1,26 @@
 //! Follows the chain: which records are in a block, which blocks have enough confirmations, who was registered, granted
 //! and revoked. A function of the ledger's cursor; a restart runs it again.
 //!
-//! Several nodes may answer at one URL, some of them behind the others. So the newest blocks are read one by one
-//! ([`near`]), what is not sure is read again ([`again`]), and a node that is behind is no reorg ([`reorg`]).
+//! Several nodes may answer at one URL, some of them behind the others. So the newest blocks are read one by one,
+//! what is not sure is read again, and a node that is behind is no reorg ([`reorg`]).
 
-mod again;
 pub mod foreign;
-#[cfg(test)]
-mod lagging_tests;
-mod near;
 mod reorg;
-#[cfg(test)]
-mod tests;
-pub(crate) mod unread;
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use crate::chain::{BlockRef, Event, EventAt};
-use crate::crypto::fault;
-use crate::model::Hash;
-use crate::store::{RootSighting, Sighting};
-
 use self::reorg::Standing;
-use super::directory::{Told, kept};
-use super::stages::Milestone;
-use super::{Directory, Network, PipelineError, Plant};
+use crate::chain::{AT_ONCE, BlockEvents, BlockRef, Completeness, Event, EventAt};
+use crate::crypto::fault;
+use crate::directory::{Told, kept};
+use crate::model::Hash;
+use crate::stages::Milestone;
+use crate::store::{Ledger, RootSighting, Sighting, StoreError};
+use crate::{Directory, Network, PipelineError, Plant};
 
 /// Name of the scan position in the ledger.
 pub const CURSOR: &str = "watcher";
@@ -100,7 +93,7 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
             continue;
         }
         network.directory.saw_head_of(head.timestamp);
-        again::look(plant, network, head.number).await?;
+        reorg::look(plant, network, head.number).await?;
         match read_on(plant, network, head).await? {
             Reached::Head => {}
             Reached::Changed => continue,
@@ -193,7 +186,7 @@ async fn scan(
         below = Some((to, last.hash));
         from = to + 1;
     }
-    near::read(plant, network, (from, head.number), below, shown).await
+    read(plant, network, (from, head.number), below, shown).await
 }
 
 /// Whether the chain still has this block.
@@ -269,3 +262,126 @@ fn root_sighting(at: &EventAt) -> Option<RootSighting> {
 
 /// How long to wait for a next block before checking again.
 pub const PATIENCE: Duration = Duration::from_secs(2);
+
+/// The setting with the first block of which something was missed.
+const MISSED: &str = "watcher:missed";
+
+/// Those of these events that the ledger has not taken in, although it knows what they are about.
+pub(crate) fn of<'a>(ledger: &Ledger, events: &'a [EventAt]) -> Result<Vec<&'a EventAt>, StoreError> {
+    let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
+    let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
+    let is_anchor = |event: &EventAt| sighting(event).is_some() || root_sighting(event).is_some();
+    let rights: Vec<(u64, u64)> =
+        events.iter().filter(|event| !is_anchor(event)).map(|event| (event.block, event.log_index)).collect();
+    let digests: HashSet<_> = ledger.waiting_digests(&sightings)?.into_iter().collect();
+    let waiting: HashSet<_> = ledger.waiting_roots(&roots)?.into_iter().collect();
+    let unknown: HashSet<_> = ledger.unknown_rights(&rights)?.into_iter().collect();
+    let is_unread = |event: &&EventAt| match (sighting(event), root_sighting(event)) {
+        (Some(sighting), _) => digests.contains(&sighting.digest),
+        (None, Some(sighting)) => waiting.contains(&sighting.root),
+        (None, None) => unknown.contains(&(event.block, event.log_index)),
+    };
+    Ok(events.iter().filter(is_unread).collect())
+}
+
+/// Asks the watcher to read the chain again from this block on.
+pub(crate) fn note(ledger: &Ledger, block: u64) -> Result<(), StoreError> {
+    if noted(ledger)?.is_some_and(|(known, _)| known <= block) {
+        return Ok(());
+    }
+    ledger.put_setting(MISSED, &block.to_string())
+}
+
+/// The block noted, and the note as it stands.
+fn noted(ledger: &Ledger) -> Result<Option<(u64, String)>, StoreError> {
+    let text = ledger.setting(MISSED)?;
+    Ok(text.and_then(|text| Some((text.parse().ok()?, text))))
+}
+
+/// The watcher went back; what was noted meanwhile stays.
+fn settled(ledger: &Ledger, note: &str) -> Result<(), StoreError> {
+    ledger.drop_setting(MISSED, note)
+}
+
+/// The setting that says since when which block is doubted.
+const DOUBTED: &str = "watcher:doubted";
+/// How long a block is waited for whose header names events that nobody gives.
+const NEAR_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Reads blocks `from` to `to` on top of `below`, as far as they are there, and writes them.
+async fn read(
+    plant: &Plant,
+    network: &Network,
+    (from, to): (u64, u64),
+    below: Option<(u64, Hash)>,
+    shown: Option<&Directory>,
+) -> Result<Reached, PipelineError> {
+    let (mut read, mut top, mut next) = (Vec::new(), below, from);
+    let mut reached = Reached::Head;
+    'all: while next <= to {
+        let last = to.min(next + AT_ONCE - 1);
+        for (number, found) in (next..=last).zip(network.chain.each_block(next, last).await?) {
+            let Some(found) = found else {
+                reached = Reached::Before(number);
+                break 'all;
+            };
+            if top.is_some_and(|(below, hash)| below + 1 == number && hash != found.parent) {
+                reached = Reached::Changed;
+                break 'all;
+            }
+            if !block_in_place(|| is_to_be_taken(plant, &found))? {
+                reached = Reached::Before(number);
+                break 'all;
+            }
+            top = Some((number, found.block.hash));
+            read.push(found);
+        }
+        next = last + 1;
+    }
+    if !read.is_empty() {
+        block_in_place(|| take(plant, network, &read, to, shown))?;
+    }
+    Ok(reached)
+}
+
+/// A block whose header names more than anybody gives is waited for, but not for ever: a bloom may name what is not there.
+fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool, PipelineError> {
+    if found.completeness != Completeness::Doubtful {
+        return Ok(true);
+    }
+    let BlockRef { number, hash, .. } = found.block;
+    if reorg::waited(plant, DOUBTED, (number, hash))? < NEAR_PATIENCE {
+        return Ok(false);
+    }
+    plant.observer.alert(
+        false,
+        format!(
+            "the header of block {number} names events that the node does not give; it is read again later. If this comes \
+             often, check the node, and run `authros audit`"
+        ),
+    );
+    Ok(true)
+}
+
+fn take(
+    plant: &Plant,
+    network: &Network,
+    read: &[BlockEvents],
+    head: u64,
+    shown: Option<&Directory>,
+) -> Result<(), PipelineError> {
+    let Some(last) = read.last() else { return Ok(()) };
+    // Before the cursor passes them, so that a restart knows them too.
+    reorg::note(plant, read)?;
+    let events: Vec<EventAt> = read.iter().flat_map(|block| block.events.iter().cloned()).collect();
+    let met = read.iter().map(|read| (read.block.number, read.block.hash)).collect();
+    let shown = shown.filter(|_| last.block.number == head);
+    write(plant, network, &events, (last.block.number, last.block.hash), met, shown)?;
+    foreign::look(plant, &events, head)
+}
+
+#[cfg(test)]
+mod lagging_tests;
+
+#[cfg(test)]
+mod tests;

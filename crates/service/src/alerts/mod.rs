@@ -1,10 +1,8 @@
 //! Alerts: each problem is reported once when it begins and once when it ends, to a webhook or a command. The input is
 //! the figures; nothing here asks a site.
 
-mod command;
 mod queue;
 mod rules;
-mod state;
 #[cfg(test)]
 pub(crate) mod troubles;
 mod webhook;
@@ -13,9 +11,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-pub use self::queue::Queue;
+pub use self::queue::{Change, Queue, Standing};
 pub use self::rules::{Judge, RULES, rule_of};
-pub use self::state::{Change, Standing};
 use self::webhook::Webhook;
 use crate::config::AlertPlace;
 use crate::model::{Timestamp, clean};
@@ -87,7 +84,7 @@ impl From<Failure> for Undelivered {
 }
 
 /// Kills the program when nobody waits for it any more.
-struct Waiting(Arc<command::Wanted>);
+struct Waiting(Arc<webhook::Wanted>);
 
 impl Drop for Waiting {
     fn drop(&mut self) {
@@ -118,9 +115,9 @@ impl Carrier {
             Self::Webhook(webhook) => return webhook.carry(delivery, dropped).await,
             Self::Command(words) => words.clone(),
         };
-        let (body, wanted) = (delivery.body(dropped), Arc::new(command::Wanted::default()));
+        let (body, wanted) = (delivery.body(dropped), Arc::new(webhook::Wanted::default()));
         let _waiting = Waiting(Arc::clone(&wanted));
-        let run = move || command::run(&words, &body, command::PATIENCE, &wanted);
+        let run = move || webhook::run(&words, &body, webhook::COMMAND_PATIENCE, &wanted);
         let ran = tokio::task::spawn_blocking(run).await;
         Ok(ran.unwrap_or_else(|_| Err(internal("the task that runs alerts.command failed; retrying")))?)
     }
@@ -152,7 +149,7 @@ mod tests {
 
     #[test]
     fn the_form_of_a_delivery_is_the_documented_one() {
-        let told: serde_json::Value = serde_json::from_slice(&state::tests::delivery(7).body(2)).expect("JSON");
+        let told: serde_json::Value = serde_json::from_slice(&queue::state_tests::delivery(7).body(2)).expect("JSON");
         let wanted = serde_json::json!({
             "authros_alert": 1, "number": 7, "state": "begun", "ended": null, "dropped": 2,
             "alert": {"key": "disk", "severity": "critical", "text": "t", "site": "0a0b0c0d",

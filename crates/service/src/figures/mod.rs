@@ -1,11 +1,15 @@
-//! The figures of a running site at one moment: what Prometheus reads and what alerts are judged by. Data only, no I/O
-//! except in `http`; the site fills them in.
+//! The figures of a running site at one moment: what Prometheus reads, over HTTP, and what alerts are judged by. The
+//! site fills them in.
 
 pub mod exposition;
-pub mod http;
+
+use std::net::IpAddr;
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 
 use crate::model::Timestamp;
-use crate::service::reply::{LifeLine, QueueView, TaskState, TaskView};
+use crate::reply::{LifeLine, QueueView, TaskState, TaskView};
 
 /// The figures of a site.
 #[derive(Debug, Clone, Default)]
@@ -173,5 +177,178 @@ impl Figures {
     /// Tasks that failed and are pausing.
     pub fn resting(&self) -> usize {
         self.tasks.iter().filter(|task| task.state == TaskState::Resting).count()
+    }
+}
+
+/// The longest request line with all headers, bytes.
+const LONGEST_HEAD: usize = 8 * 1024;
+/// How long a request may take to arrive, and an answer to be sent.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Connections answered at the same time.
+pub const MOST: usize = 16;
+
+/// The answer to a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Asked {
+    /// The figures.
+    Figures,
+    /// None, for this reason: the status and what to do.
+    Refused(&'static str, &'static str),
+}
+
+/// Reads one request, answers it, and closes. `any_host` = a peer that reaches this address may use any name for it.
+/// `figures` = the text; `None` if it cannot be read now.
+pub async fn answer<S, Told>(mut stream: S, any_host: bool, figures: impl FnOnce() -> Told)
+where
+    S: AsyncRead + AsyncWrite + Unpin,
+    Told: Future<Output = Option<std::sync::Arc<str>>>,
+{
+    let Ok(Some(head)) = tokio::time::timeout(PATIENCE, head(&mut stream)).await else { return };
+    let message = match judge(&head, any_host) {
+        Asked::Figures => match figures().await {
+            Some(text) => message("200 OK", exposition::CONTENT_TYPE, &text),
+            None => refusal("503 Service Unavailable", "the ledger cannot be read at the moment; try again"),
+        },
+        Asked::Refused(status, why) => refusal(status, why),
+    };
+    let sent = async {
+        stream.write_all(message.as_bytes()).await?;
+        stream.shutdown().await
+    };
+    // A peer that does not wait for its answer is not an error.
+    drop(tokio::time::timeout(PATIENCE, sent).await);
+}
+
+/// Everything up to the empty line; `None` if the peer ends before it.
+async fn head(stream: &mut (impl AsyncRead + Unpin)) -> Option<Vec<u8>> {
+    let (mut head, mut part) = (Vec::new(), [0; 1024]);
+    while !ends(&head) && head.len() <= LONGEST_HEAD {
+        match stream.read(&mut part).await {
+            Ok(count @ 1..) => head.extend_from_slice(part.get(..count)?),
+            _ => return None,
+        }
+    }
+    Some(head)
+}
+
+fn ends(head: &[u8]) -> bool {
+    head.windows(4).any(|four| four == b"\r\n\r\n") || head.windows(2).any(|two| two == b"\n\n")
+}
+
+/// What the headers ask for.
+pub fn judge(head: &[u8], any_host: bool) -> Asked {
+    use Asked::Refused;
+    if head.len() > LONGEST_HEAD && !ends(head) {
+        return Refused("431 Request Header Fields Too Large", "the head is too long");
+    }
+    let Ok(text) = std::str::from_utf8(head) else { return Refused("400 Bad Request", "the head is not text") };
+    let mut lines = text.lines();
+    let words: Vec<&str> = lines.next().unwrap_or_default().split(' ').collect();
+    let [method, target, "HTTP/1.0" | "HTTP/1.1"] = words[..] else {
+        return Refused("400 Bad Request", "the request line is not METHOD TARGET HTTP/1.1");
+    };
+    if method != "GET" {
+        return Refused("405 Method Not Allowed", "use GET to read metrics");
+    }
+    if target.split('?').next() != Some("/metrics") {
+        return Refused("404 Not Found", "metrics are at /metrics");
+    }
+    let headers: Vec<(String, &str)> = lines
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.split_once(':'))
+        .map(|(name, value)| (name.trim().to_ascii_lowercase(), value.trim()))
+        .collect();
+    let of =
+        |name: &str| headers.iter().filter(|(other, _)| other == name).map(|(_, value)| *value).collect::<Vec<_>>();
+    if !of("origin").is_empty() {
+        return Refused("403 Forbidden", "requests from web pages are refused");
+    }
+    // A name that an attacker's DNS points at this machine is still the attacker's name in Host.
+    if !any_host && !matches!(of("host")[..], [host] if is_this_machine(host)) {
+        return Refused("403 Forbidden", "the Host header must name this machine: localhost or 127.0.0.1");
+    }
+    Asked::Figures
+}
+
+fn is_this_machine(host: &str) -> bool {
+    let name = match host.strip_prefix('[') {
+        Some(bracketed) => bracketed.split(']').next(),
+        None => host.split(':').next(),
+    };
+    let name = name.unwrap_or_default();
+    name.eq_ignore_ascii_case("localhost") || name.parse().is_ok_and(|address: IpAddr| address.is_loopback())
+}
+
+fn refusal(status: &str, why: &str) -> String {
+    message(status, "text/plain; charset=utf-8", &format!("{why}\n"))
+}
+
+fn message(status: &str, kind: &str, body: &str) -> String {
+    let allow = if status.starts_with("405") { "Allow: GET\r\n" } else { "" };
+    format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n{allow}\
+         X-Content-Type-Options: nosniff\r\nCache-Control: no-store\r\n\r\n{body}",
+        body.len()
+    )
+}
+
+#[cfg(test)]
+mod http_tests {
+    use super::*;
+
+    fn status(request: &str) -> String {
+        match judge(request.as_bytes(), false) {
+            Asked::Figures => "200".to_owned(),
+            Asked::Refused(status, _) => status[..3].to_owned(),
+        }
+    }
+
+    #[test]
+    fn only_this_route_of_this_machine_is_answered() {
+        let with = |from: &str, to: &str| "GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:9464\r\n\r\n".replace(from, to);
+        for (expected, request) in [
+            ("200", with("", "")),
+            ("200", with("/metrics", "/metrics?x=1")),
+            ("200", with("127.0.0.1", "LOCALHOST")),
+            ("200", with("127.0.0.1:9464", "[::1]:1")),
+            ("405", with("GET", "POST")),
+            ("404", with("/metrics", "/")),
+            ("404", with("/metrics", "/metrics/../etc")),
+            ("400", with("HTTP/1.1", "HTTP/2")),
+            ("400", with("GET ", "GET  ")),
+            ("403", with("127.0.0.1", "evil.example")),
+            ("403", with("127.0.0.1", "127.0.0.1.evil.example")),
+            ("403", with("Host: 127.0.0.1:9464\r\n", "")),
+            ("403", with("Host:", "Host: localhost\r\nHost:")),
+            ("403", with("Host:", "Origin: http://x\r\nHost:")),
+            ("431", "G".repeat(LONGEST_HEAD + 1)),
+        ] {
+            assert_eq!(status(&request), expected, "{request:.200}");
+        }
+        assert_eq!(judge(b"GET /metrics HTTP/1.1\r\n\r\n", true), Asked::Figures);
+        assert!(matches!(judge(b"\xff\n\n", true), Asked::Refused(..)));
+    }
+
+    async fn asked(request: &[u8]) -> String {
+        let (near, mut far) = tokio::io::duplex(64 * 1024);
+        let answering = tokio::spawn(answer(near, false, || async { Some("a 1\n".into()) }));
+        // A peer that refuses the rest has already answered.
+        drop(far.write_all(request).await);
+        let mut told = String::new();
+        far.read_to_string(&mut told).await.expect("text");
+        answering.await.expect("ends");
+        told
+    }
+
+    #[tokio::test]
+    async fn an_answer_and_an_end() {
+        let told = asked(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n").await;
+        assert!(told.starts_with("HTTP/1.1 200 OK\r\n") && told.ends_with("\r\n\r\na 1\n"), "{told}");
+        assert!(asked(&vec![b'x'; 20_000]).await.starts_with("HTTP/1.1 431"));
+    }
+
+    #[tokio::test]
+    async fn who_says_nothing_is_not_waited_for_long() {
+        assert_eq!(asked(b"GET /metrics").await, "");
     }
 }

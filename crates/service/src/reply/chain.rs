@@ -1,10 +1,12 @@
-//! Answers about the chain.
+//! Answers about the chain, checks of records, and publishers.
+
+pub use crate::pipeline::record_audit::{FindingKind, RecordAudit, RecordFinding};
 
 use serde::{Deserialize, Serialize};
 
-use super::AdministrationView;
+use super::{AdministrationView, RecordView};
 use crate::chain::{Pin, Sealing, Shortfall};
-use crate::model::{Address, Domain, Hash, SignerId, Wei};
+use crate::model::{Address, Digest, Domain, Hash, PinMode, Publisher, SignerId, Timestamp, Wei};
 use crate::pipeline::sender::LaneState;
 
 /// The chain from this profile's point of view.
@@ -120,4 +122,157 @@ pub struct GatewayView {
     pub account: Address,
     /// Its network.
     pub domain: Domain,
+}
+
+/// The content of a backup, or of what was restored from one.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BackupView {
+    /// The file.
+    pub file: String,
+    /// Files of the home in it.
+    pub files: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Profiles whose keyrings are in it.
+    pub profiles: Vec<String>,
+    /// What it does not contain, in words.
+    pub notes: Vec<String>,
+}
+
+/// The state of one thing checked by the doctor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CheckStatus {
+    /// As it should be.
+    Ok,
+    /// Works, but something should be done.
+    Warn,
+    /// Does not work.
+    Fail,
+}
+
+/// One thing checked by the doctor.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DoctorCheck {
+    /// Its name.
+    pub name: String,
+    /// Its state.
+    pub status: CheckStatus,
+    /// What was found, cleaned.
+    pub detail: String,
+    /// What to do; empty if nothing has to be done.
+    pub advice: String,
+}
+
+/// All that the doctor checked.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DoctorView {
+    /// Whether nothing fails.
+    pub ok: bool,
+    /// The findings.
+    pub checks: Vec<DoctorCheck>,
+}
+
+/// What erasing would take, or took.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct ErasureView {
+    /// Messages that can be erased.
+    pub records: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Their topics. Cleaned.
+    pub topics: Vec<String>,
+    /// Chosen, but not verified yet: they stay for now.
+    pub waiting: u64,
+    /// Chosen, and deleted or erased earlier.
+    pub gone: u64,
+    /// Chosen, but quarantined, discarded or altered: they stay.
+    pub other: u64,
+    /// Incidents that hold some of them: nothing is erased while they do.
+    pub held: Vec<String>,
+    /// Named in signed retention records; 0 = it was only shown.
+    pub named: u64,
+    /// Not named, because their bytes are missing or altered.
+    pub missing: u64,
+    /// Whether the bytes of those named are gone; otherwise they go when the retention records are confirmed.
+    pub deleted: bool,
+    /// What erasing does not reach, in words.
+    pub stays: Vec<String>,
+}
+
+/// A pinned publisher.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PinView {
+    /// The topic, cleaned.
+    pub topic: String,
+    /// The publisher, cleaned.
+    #[serde(flatten)]
+    pub publisher: Publisher,
+    /// `first` (seen first), `operator`, or `settings`.
+    pub source: String,
+    /// Pinned since; `None` for the settings.
+    pub at: Option<Timestamp>,
+}
+
+/// An alarm about a publisher.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlarmView {
+    /// The topic, cleaned.
+    pub topic: String,
+    /// Its subject, cleaned: a publisher as `topics pin` takes it, or a URI.
+    pub publisher: String,
+    /// `new`, `host`, `type`, `replaced`, `undecided` or `unconfirmed`.
+    pub reason: String,
+    /// When it was raised.
+    pub at: Timestamp,
+    /// Whether nobody has decided about the topic since.
+    pub open: bool,
+}
+
+/// A profile's pins and alarms.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PinsView {
+    /// How topics get their pins.
+    pub mode: PinMode,
+    /// Pinned publishers.
+    pub pins: Vec<PinView>,
+    /// Alarms about others.
+    pub alarms: Vec<AlarmView>,
+}
+
+/// A quarantined message.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HeldView {
+    /// The record.
+    #[serde(flatten)]
+    pub record: RecordView,
+    /// The reason, in one word.
+    pub reason: String,
+    /// Its sender, cleaned.
+    pub publisher: String,
+    /// The quarantine record that counts it.
+    pub report: Option<Digest>,
+}
+
+/// Quarantined messages, oldest first.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct QuarantineView {
+    /// The total of quarantined messages.
+    pub messages: u64,
+    /// The oldest of them, for the requested topic.
+    pub records: Vec<HeldView>,
+}
+
+/// A decision about quarantined messages.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DecidedView {
+    /// `released` or `discarded`.
+    pub decision: String,
+    /// Messages decided about.
+    pub messages: u64,
+    /// Quarantine records that count the discarded messages; they are on the chain.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub reports: Vec<Digest>,
+    /// In words.
+    pub text: String,
 }

@@ -5,7 +5,7 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use std::sync::Arc;

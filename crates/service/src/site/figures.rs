@@ -12,6 +12,7 @@ use tokio::sync::{Mutex, Semaphore};
 use super::{Site, blocking};
 use crate::config::FiguresPlace;
 use crate::crypto::signer_id;
+use crate::figures;
 use crate::model::steady_clock::look;
 use crate::model::{Address, Timestamp};
 use crate::pipeline::audit_head;
@@ -19,7 +20,7 @@ use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::event::NoticeLevel;
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, PartFigures, RobotFigures, TopicFigures,
-    exposition, http, short,
+    exposition, short,
 };
 use crate::service::reply::{Failure, GrantState, HealthLevel, PartHealth};
 use crate::service::socket;
@@ -89,7 +90,7 @@ impl Site {
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
         Accepted: Future<Output = std::io::Result<S>>,
     {
-        let (places, kept) = (Arc::new(Semaphore::new(http::MOST)), Arc::new(Kept::default()));
+        let (places, kept) = (Arc::new(Semaphore::new(figures::MOST)), Arc::new(Kept::default()));
         loop {
             // A peer for whom there is no place waits before it is accepted.
             let Ok(place) = Arc::clone(&places).acquire_owned().await else { return String::new() };
@@ -103,7 +104,7 @@ impl Site {
             };
             let (site, kept) = (Arc::clone(self), Arc::clone(&kept));
             tokio::spawn(async move {
-                http::answer(stream, any_host, || site.figures_text(kept)).await;
+                figures::answer(stream, any_host, || site.figures_text(kept)).await;
                 drop(place);
             });
         }

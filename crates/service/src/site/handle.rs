@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::Site;
-use super::audit::acting::is_operator;
+use super::audit::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
 use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;

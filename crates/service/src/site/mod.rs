@@ -47,12 +47,12 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{broadcast, mpsc};
 
+pub use self::devices::enrolled::EnrolWishes;
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
-pub use devices::enrolling::EnrolWishes;
 pub use evidence::definition_of;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;

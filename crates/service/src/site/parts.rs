@@ -6,13 +6,12 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::audit::Log;
 use super::chain::link::Link;
-use super::identity::owners::Owners;
+use super::identity::Owners;
 use super::lifetime::Lifetime;
 use super::progress::Runs;
-use super::storage::room::open_ledger;
+use super::storage::open_ledger;
 use super::supervision::Supervisor;
-use crate::chain::Policy;
-use crate::chain::check_embedded_chain;
+use crate::chain::{Policy, check_embedded_chain};
 use crate::config::Config;
 use crate::crypto::provider;
 use crate::paths::Home;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::blocking;
 use super::chain::lanes::Lanes;
 use super::chain::link::Link;
-use super::identity::owners::Owners;
+use super::identity::Owners;
 use super::lifetime::Lifetime;
 use super::parts::Parts;
 use super::supervision::Supervisor;

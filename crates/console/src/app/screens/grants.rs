@@ -1,6 +1,6 @@
 //! The Grants screen, and the answer to *who can read this now?*
 
-use crate::app::fuzzy;
+use crate::app::palette;
 use crate::app::table::Table;
 use crate::model::{Address, Timestamp, clean};
 use crate::service::reply::{Direction, GrantRow, GrantState};
@@ -54,7 +54,7 @@ impl Grants {
             let (direction, state) = (row.direction.word(), row.state.word());
             format!("{direction} {state} {} {}", other_side(row), row.topics.join(" "))
         };
-        let mut rows = fuzzy::narrow(self.table.filter.text(), self.rows.iter().collect(), text);
+        let mut rows = palette::narrow(self.table.filter.text(), self.rows.iter().collect(), text);
         match self.table.sort {
             1 => rows.sort_by_key(|row| (other_side(row), std::cmp::Reverse(row.block))),
             2 => rows.sort_by_key(|row| (row.state.word(), std::cmp::Reverse(row.block))),

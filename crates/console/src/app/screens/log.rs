@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::app::fuzzy;
+use crate::app::palette;
 use crate::app::table::Table;
 use crate::model::{Timestamp, clean};
 use crate::service::NoticeLevel;
@@ -120,7 +120,7 @@ impl Log {
     pub fn visible(&self) -> Vec<&LogLine> {
         let wanted = |line: &&LogLine| line.level >= self.least && self.source.is_none_or(|from| line.source == from);
         let wanted = self.notices.iter().chain(&self.audit).filter(wanted).collect();
-        let mut lines = fuzzy::narrow(self.table.filter.text(), wanted, |line: &&LogLine| line.text.clone());
+        let mut lines = palette::narrow(self.table.filter.text(), wanted, |line: &&LogLine| line.text.clone());
         lines.sort_by_key(|line| std::cmp::Reverse(line.at));
         lines
     }

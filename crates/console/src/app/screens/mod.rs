@@ -4,5 +4,4 @@ pub mod gateway;
 pub mod grants;
 pub mod log;
 pub mod records;
-pub mod robots;
 pub mod topics;

@@ -1,6 +1,6 @@
 //! A page of records, live, never the whole ledger: Uploads and Shared.
 
-use crate::app::fuzzy;
+use crate::app::palette;
 use crate::app::table::Table;
 use crate::model::{Address, RecordState, Timestamp, TopicName};
 use crate::service::UploadQuery;
@@ -144,7 +144,7 @@ impl Records {
             return self.rows.iter().collect();
         }
         let rest = self.wanted(topics).rest;
-        fuzzy::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
+        palette::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
     }
 
     /// Back to the first page, as after a new filter or order.

@@ -1,7 +1,7 @@
 //! Columns of a list: chosen in a window or by name, kept for the next start, never too many for the terminal.
 
 use super::*;
-use crate::app::columns::{ALWAYS, offered, wanted};
+use crate::app::choosing::{ALWAYS, offered, wanted};
 use crate::app::resume::{kept, recall};
 
 fn at(screen: &str, columns: u16) -> Robot {
@@ -14,7 +14,7 @@ fn at(screen: &str, columns: u16) -> Robot {
 
 fn shown(robot: &Robot) -> Vec<&'static str> {
     let table = robot.state.table().expect("a list");
-    wanted(robot.state.screen, table, crate::app::detail::list_width(&robot.state))
+    wanted(robot.state.screen, table, crate::app::opening::list_width(&robot.state))
 }
 
 #[test]

@@ -2,8 +2,8 @@
 
 use super::{Robot, fixtures};
 use crate::app::feed::Feed;
-use crate::app::first_run::first_steps;
 use crate::app::popup::{Popup, Purpose};
+use crate::app::screen::first_steps;
 use crate::app::{Effect, Key, Settings, State, Tag};
 use crate::model::ErrorKind;
 use crate::service::{Command, Reply};

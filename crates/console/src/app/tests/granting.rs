@@ -110,7 +110,7 @@ fn who_can_read_is_answered_without_any_grant() {
         "{}",
         robot.message()
     );
-    let text = crate::app::confirm::readers(&robot.state, "New records of all topics:", None).join("\n");
+    let text = crate::app::popup::readers(&robot.state, "New records of all topics:", None).join("\n");
     assert!(text.contains("nobody but you"), "{text}");
 }
 

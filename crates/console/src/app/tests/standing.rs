@@ -4,8 +4,8 @@ use super::{Robot, fixtures};
 use crate::app::available::available;
 use crate::app::feed::Feed;
 use crate::app::identity_path::{self, Need};
+use crate::app::leaving::Capture;
 use crate::app::popup::{Popup, Purpose};
-use crate::app::standing::Capture;
 use crate::app::verb::Verb;
 use crate::app::{Key, Settings, Tag};
 use crate::model::Timestamp;
@@ -63,7 +63,7 @@ fn the_seconds_until_the_next_attempt_are_counted_down_and_the_last_one_stays() 
     robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
     let said = |robot: &Robot| robot.state.site.as_ref().expect("known").health[1].text.clone();
     let mut seen = Vec::new();
-    while let Some(at) = crate::app::countdown::moves_at(&robot.state) {
+    while let Some(at) = crate::app::when::moves_at(&robot.state) {
         assert_eq!(at, Timestamp(robot.state.now.0 + 1_000_000_000));
         robot.waits(1);
         seen.push(said(&robot));
@@ -83,7 +83,7 @@ fn a_frozen_view_counts_nothing_down() {
     robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
     robot.types("f");
     robot.waits(2);
-    assert_eq!(crate::app::countdown::moves_at(&robot.state), None);
+    assert_eq!(crate::app::when::moves_at(&robot.state), None);
     assert_eq!(robot.state.site.as_ref().expect("known").health[1].text, "retry in 4 s: it is away");
 }
 

@@ -1,8 +1,7 @@
 //! The tour: it continues when the thing is done and not before, and ends with its key.
 
 use super::{Robot, fixtures};
-use crate::app::tour::text::TEXT;
-use crate::app::tour::{Cast, Tour};
+use crate::app::tour::{Cast, TEXT, Tour};
 use crate::app::{Key, Settings, Tag};
 use crate::model::ProfileName;
 use crate::service::reply::{GrantState, Provenance};

@@ -7,9 +7,8 @@ use std::num::NonZeroU16;
 
 use vt100::{Cell, Color, Parser};
 
-use super::colour::Depth;
-use super::renderer::Painter;
-use super::stage::{Scene, Wish};
+use super::encode::Depth;
+use super::renderer::{Painter, Scene, Wish};
 use crate::app::State;
 use crate::ui::Theme;
 

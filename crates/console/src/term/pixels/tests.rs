@@ -7,9 +7,8 @@ use crate::app::tests::{Robot, fixtures};
 use crate::app::{Action, Key, Screen, Tag, Verb, update};
 use crate::ros::readable::Readable;
 use crate::service::Reply;
-use crate::term::colour::Depth;
-use crate::term::renderer::Painter;
-use crate::term::stage::{Scene, Stage};
+use crate::term::encode::Depth;
+use crate::term::renderer::{Painter, Scene, Stage};
 use crate::ui::Theme;
 
 /// A picture of every value, each pixel different from its neighbours.

@@ -1,46 +1,49 @@
-//! Popups over a screen: a frame in its middle, one file per popup.
+//! Popups over a screen: a frame in its middle. The small ones are here, the large ones in a file each.
 
-mod browse;
-mod chord;
-mod columns;
-mod contacts;
-mod form;
-mod gateway;
-mod help;
 mod incidents;
-mod lookup;
-mod palette;
 mod record;
 mod situation;
-mod themes;
+
+pub(in crate::ui) use self::record::{Piece, provenance_lines, record_lines as record_facts};
+pub(in crate::ui) use record::{inside, put_lines};
+pub(in crate::ui) use situation::coverage_lines;
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, columns, row};
+use super::canvas::{Canvas, below, columns, right_of, row};
+use super::records;
+use super::table::Layout;
 use super::theme::Role;
+use super::topics::{self, empty};
 use super::words::wrap;
+use crate::app::available::available;
+use crate::app::choosing::{ALWAYS, Browse, ColumnChoice, Offered, ThemeChoice, choices, offered, wanted};
+use crate::app::contacts::Book;
+use crate::app::feed::Feed;
+use crate::app::form::{Form, Input, Line};
+use crate::app::key::{Key, chord_label};
+use crate::app::keymap::{Binding, Meaning};
 use crate::app::leaving::Leaving;
-use crate::app::popup::{Confirm, Popup};
-use crate::app::{State, granting};
+use crate::app::palette::whole_words;
+use crate::app::popup::{Confirm, Help, Palette, Popup};
+use crate::app::verb::{Entry, VERBS};
+use crate::app::{Screen, State, granting, opening};
 use crate::model::clean;
-
-pub(in crate::ui) use lookup::{Piece, provenance_lines, record_lines as record_facts};
-pub(in crate::ui) use record::{inside, put_lines};
-pub(in crate::ui) use situation::coverage_lines;
+use crate::service::reply::ContactRow;
 
 /// Draws a popup into the middle of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     match popup {
-        Popup::Palette(palette) => palette::draw(canvas, area, state, palette),
-        Popup::Help(help) => help::draw(canvas, area, state, help),
+        Popup::Palette(palette) => draw_palette(canvas, area, state, palette),
+        Popup::Help(help) => draw_help(canvas, area, state, help),
         Popup::Confirm(confirm) => draw_confirm(canvas, area, state, confirm),
-        Popup::Form(_, form) => form::draw(canvas, area, form),
-        Popup::Provenance(lookup) => lookup::draw_provenance(canvas, area, lookup),
+        Popup::Form(_, form) => draw_form(canvas, area, form),
+        Popup::Provenance(lookup) => record::draw_provenance(canvas, area, lookup),
         Popup::Record(opening) => record::draw(canvas, area, opening),
-        Popup::Chord(pressed) => chord::draw(canvas, area, state, pressed),
-        Popup::Themes(choice) => themes::draw(canvas, area, state, choice),
-        Popup::Columns(choice) => columns::draw(canvas, area, state, choice),
-        Popup::Robot(lookup) => gateway::draw_robot(canvas, area, state, lookup),
+        Popup::Chord(pressed) => draw_chord(canvas, area, state, pressed),
+        Popup::Themes(choice) => draw_themes(canvas, area, state, choice),
+        Popup::Columns(choice) => draw_columns(canvas, area, state, choice),
+        Popup::Robot(lookup) => situation::draw_robot(canvas, area, state, lookup),
         Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),
         Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
         Popup::Line(line) => situation::draw_line(canvas, area, line),
@@ -49,8 +52,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
             draw_text(canvas, area, "Keyring", &lines, &[("enter", Role::Key), (" close", Role::Body)]);
         }
         Popup::Tasks => situation::draw_tasks(canvas, area, state),
-        Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
-        Popup::Contacts(book) => contacts::draw(canvas, area, state, book),
+        Popup::Browse(browse) => draw_browse(canvas, area, state, browse),
+        Popup::Contacts(book) => draw_contacts(canvas, area, state, book),
         Popup::Incidents(list) => incidents::draw(canvas, area, state, list),
         Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
@@ -115,4 +118,357 @@ fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
         .flat_map(|(key, word)| [(*key, Role::Key), (" ", Role::Body), (*word, Role::Body), (gap, Role::Body)])
         .collect();
     draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
+}
+
+/// Columns of the choices.
+const TEXT: u16 = 34;
+
+/// Draws the list.
+pub fn draw_browse(canvas: &mut Canvas, area: Rect, state: &State, browse: &Browse) {
+    let choices = choices(state);
+    let inner = framed(canvas, area, "Browse", 76, u16::try_from(choices.len()).unwrap_or(u16::MAX));
+    let selected = browse.selected.min(choices.len().saturating_sub(1));
+    let height = usize::from(inner.height.max(1));
+    let first = selected - selected % height;
+    for (place, (index, choice)) in (0u16..).zip(choices.iter().enumerate().skip(first).take(height)) {
+        let (line, here) = (row(inner, place), index == selected);
+        canvas.put(line, if here { "▌" } else { " " }, Role::Accent);
+        let text = Rect { width: TEXT.min(line.width.saturating_sub(1)), ..right_of(line, 1) };
+        canvas.put(text, &clean(&choice.text, 255), if here { Role::Selection } else { Role::Body });
+        canvas.put(right_of(line, TEXT + 2), &clean(&choice.note, 255), Role::Dim);
+    }
+}
+
+/// Columns of the keys.
+const KEYS: u16 = 8;
+
+/// Draws it above the bar, where the eyes are.
+pub fn draw_chord(canvas: &mut Canvas, area: Rect, state: &State, pressed: &[Key]) {
+    let Meaning::Begins(begun) = state.settings.keymap.meaning(pressed, state.screen) else { return };
+    let wanted = u16::try_from(begun.len()).unwrap_or(u16::MAX).saturating_add(2);
+    let height = wanted.min(area.height);
+    let place = Rect { y: area.bottom() - height, height, ..area };
+    let inner = canvas.frame(place, &format!("{} and then", chord_label(pressed)));
+    for (line, binding) in (0..inner.height).zip(begun) {
+        let area = row(inner, line);
+        let reason = available(state, binding.entry.verb).err();
+        let (key_role, role) = if reason.is_some() { (Role::Dim, Role::Dim) } else { (Role::Key, Role::Body) };
+        let rest = binding.on.get(pressed.len()..).unwrap_or_default();
+        canvas.put(Rect { width: KEYS.min(area.width), ..area }, &chord_label(rest), key_role);
+        let reason = reason.map(|reason| format!(" ({reason})")).unwrap_or_default();
+        canvas.put(right_of(area, KEYS), &format!("{}{reason}", binding.help()), role);
+    }
+}
+
+/// Draws the choice, with a sample of every role beside it.
+pub fn draw_themes(canvas: &mut Canvas, area: Rect, state: &State, choice: &ThemeChoice) {
+    let names = &state.settings.themes;
+    let wanted = names.len().max(Role::ALL.len());
+    let inner = framed(canvas, area, "Theme", 44, u16::try_from(wanted).unwrap_or(u16::MAX));
+    let height = usize::from(inner.height.max(1));
+    let first = choice.selected - choice.selected % height;
+    for (line, (index, name)) in (0u16..).zip(names.iter().enumerate().skip(first).take(height)) {
+        let here = index == choice.selected;
+        let area = row(inner, line);
+        canvas.put(area, if here { "▌" } else { " " }, Role::Accent);
+        canvas.put(right_of(area, 1), &clean(name, 20), if here { Role::Selection } else { Role::Body });
+    }
+    for (line, role) in (0..inner.height).zip(Role::ALL) {
+        canvas.put(right_of(row(inner, line), 24), role.word(), role);
+    }
+}
+
+/// Columns of the names.
+const NAME: u16 = 18;
+
+/// Draws the palette.
+pub fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palette) {
+    let inner = framed(canvas, area, "Commands", 72, 14);
+    canvas.puts(inner, &[(": ", Role::Key), (palette.field.text(), Role::Accent)]);
+    let before: String = palette.field.text().chars().take(palette.field.cursor()).collect();
+    canvas.set_cursor(inner.x + 2 + columns(&before), inner.y);
+    let matches = palette.matches(state);
+    let list = below(inner, 1);
+    if matches.is_empty() {
+        canvas.put(list, "no command matches", Role::Dim);
+    }
+    let selected = palette.selected.min(matches.len().saturating_sub(1));
+    let height = usize::from(list.height.max(1));
+    let first = selected - selected % height;
+    for (place, (index, entry)) in (0u16..).zip(matches.iter().enumerate().skip(first).take(height)) {
+        draw_entry(canvas, row(list, place), state, entry, index == selected);
+    }
+}
+
+fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry, here: bool) {
+    let reason = available(state, entry.verb).err();
+    let role = if reason.is_some() { Role::Dim } else { Role::Body };
+    canvas.put(area, if here { "▌" } else { " " }, Role::Accent);
+    canvas.put(right_of(area, 1), entry.name, if here { Role::Selection } else { role });
+    let key = state.settings.keymap.label(entry, state.screen);
+    canvas.put(Rect { width: 9, ..right_of(area, NAME) }, &key, Role::Key);
+    let text = reason.map_or_else(|| entry.help.to_owned(), |reason| format!("({reason}) {}", entry.help));
+    canvas.put(right_of(area, NAME + 10), &text, role);
+}
+
+/// Columns of the window.
+const WIDTH: u16 = 66;
+/// Columns of the cursor and the box.
+const BOX: u16 = 5;
+/// Columns of a name.
+const COLUMNS_NAME: u16 = 12;
+
+/// Draws the choice.
+pub fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnChoice) {
+    let Some(table) = state.table() else { return };
+    let all = match state.screen {
+        Screen::Topics => topics::COLUMNS,
+        screen => records::all_columns(screen),
+    };
+    let width = opening::list_width(state);
+    let shown = wanted(state.screen, table, width);
+    let left_out = Layout::new(all, state.screen, table, width).left_out;
+    let offered = offered(state.screen);
+    let title = format!("Columns of {}", state.screen.title());
+    let inner = framed(canvas, area, &title, WIDTH, u16::try_from(offered.len()).unwrap_or(u16::MAX));
+    let height = usize::from(inner.height.max(1));
+    let selected = choice.selected.min(offered.len().saturating_sub(1));
+    let first = selected - selected % height;
+    for (line, (index, column)) in (0u16..).zip(offered.iter().enumerate().skip(first).take(height)) {
+        let fits = !left_out.contains(&column.name);
+        draw_column(canvas, row(inner, line), column, (index == selected, shown.contains(&column.name), fits));
+    }
+}
+
+fn draw_column(canvas: &mut Canvas, line: Rect, column: &Offered, (here, shown, fits): (bool, bool, bool)) {
+    canvas.put(line, if here { "▌" } else { " " }, Role::Accent);
+    let (mark, role) = match (shown, column.name == ALWAYS) {
+        (true, true) => ("[x]", Role::Dim),
+        (true, false) => ("[x]", Role::Key),
+        (false, _) => ("[ ]", Role::Body),
+    };
+    canvas.put(right_of(line, 1), mark, role);
+    let rest = right_of(line, BOX);
+    canvas.put(
+        Rect { width: COLUMNS_NAME.min(rest.width), ..rest },
+        column.name,
+        if here { Role::Selection } else { Role::Body },
+    );
+    let words = right_of(rest, COLUMNS_NAME + 1);
+    if fits {
+        canvas.put(words, column.words, Role::Dim);
+    } else {
+        canvas.put(words, "no room for it in this terminal", Role::Warning);
+    }
+}
+
+/// Columns of the keys.
+const HELP_KEYS: u16 = 14;
+/// Columns of the list.
+const HELP_WIDTH: u16 = 72;
+
+/// A line of the list: keys, words, and whether it is available now.
+struct Told {
+    keys: String,
+    words: String,
+    possible: bool,
+}
+
+/// Draws the list from its `scroll`-th line on; no sentence is cut.
+pub fn draw_help(canvas: &mut Canvas, area: Rect, state: &State, help: &Help) {
+    let (title, told) = match &help.window {
+        Some(hints) => ("Keys of this window".to_owned(), of_window(hints)),
+        None => (format!("Keys of the {} screen", state.screen.title()), of_screen(state)),
+    };
+    let width = HELP_WIDTH.min(area.width.saturating_sub(6));
+    let wanted = help.filter.text();
+    let fits = |told: &&Told| whole_words(wanted, &format!("{} {}", told.keys, told.words));
+    let lines: Vec<(String, String, Role)> = told.iter().filter(fits).flat_map(|told| broken(told, width)).collect();
+    let rows = u16::try_from(lines.len().max(1)).unwrap_or(u16::MAX);
+    let searched = help.filtering || !wanted.is_empty();
+    let inner = framed(canvas, area, &title, HELP_WIDTH, rows.saturating_add(u16::from(searched)));
+    let list = Rect { height: inner.height.saturating_sub(u16::from(searched)), ..inner };
+    let first = help.scroll.min(lines.len().saturating_sub(usize::from(list.height)));
+    for (place, (keys, words, role)) in (0..list.height).zip(lines.iter().skip(first)) {
+        let key_role = if *role == Role::Dim { Role::Dim } else { Role::Key };
+        canvas.put(Rect { width: HELP_KEYS.min(list.width), ..row(list, place) }, keys, key_role);
+        canvas.put(right_of(row(list, place), HELP_KEYS), words, *role);
+    }
+    let below = lines.len().saturating_sub(first + usize::from(list.height));
+    if first > 0 || below > 0 {
+        let edge = Rect { y: inner.bottom().min(area.bottom().saturating_sub(1)), height: 1, ..inner };
+        canvas.put_right(edge, &format!(" {first} above, {below} below "), Role::Dim);
+    }
+    if searched {
+        canvas.puts(row(inner, inner.height.saturating_sub(1)), &[("/ ", Role::Key), (wanted, Role::Accent)]);
+    }
+}
+
+fn of_window(hints: &[(&str, &str)]) -> Vec<Told> {
+    let told =
+        |(keys, words): &(&str, &str)| Told { keys: (*keys).to_owned(), words: (*words).to_owned(), possible: true };
+    hints.iter().map(told).collect()
+}
+
+/// Verbs of the screen come first.
+fn of_screen(state: &State) -> Vec<Told> {
+    let hidden =
+        |entry: &&Entry| state.settings.read_only && entry.changes || !crate::app::tour::knows(state, entry.verb);
+    let bound = |entry: &&Entry| state.settings.keymap.of(entry, state.screen).next().is_some() && !hidden(entry);
+    let (own, all): (Vec<&Entry>, Vec<&Entry>) = VERBS.iter().filter(bound).partition(|entry| !entry.on.is_empty());
+    own.into_iter().chain(all).map(|entry| of_entry(state, entry)).collect()
+}
+
+fn of_entry(state: &State, entry: &Entry) -> Told {
+    let bindings: Vec<&Binding> = state.settings.keymap.of(entry, state.screen).collect();
+    let keys: Vec<String> = bindings.iter().map(|binding| chord_label(&binding.on)).collect();
+    let words = bindings.iter().find(|binding| binding.desc.is_some()).map_or(entry.help, |binding| binding.help());
+    let reason = available(state, entry.verb).err();
+    let possible = reason.is_none();
+    let words = reason.map_or_else(|| words.to_owned(), |reason| format!("{words} ({reason})"));
+    Told { keys: keys.join(", "), words, possible }
+}
+
+fn broken(told: &Told, width: u16) -> Vec<(String, String, Role)> {
+    let role = if told.possible { Role::Body } else { Role::Dim };
+    let lines = wrap(&told.words, width.saturating_sub(HELP_KEYS)).into_iter().enumerate();
+    lines.map(|(place, line)| (if place == 0 { told.keys.clone() } else { String::new() }, line, role)).collect()
+}
+
+/// Columns of the labels.
+const LABEL: u16 = 13;
+/// The most characters of what tab found.
+const MOST_TOLD: usize = 20_000;
+/// Rows that notes, fields and frame take at most.
+const ROWS: u16 = 12;
+/// Columns of a form.
+const FORM_WIDTH: u16 = 68;
+
+/// Draws a form.
+pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
+    let width = FORM_WIDTH.min(area.width.saturating_sub(6));
+    let notes: Vec<String> = form.notes.iter().flat_map(|note| wrap(&clean(note, 500), width)).collect();
+    let error: Vec<String> = form.error.iter().flat_map(|error| wrap(&clean(error, 500), width)).collect();
+    let told: Vec<String> = form.told.iter().flat_map(|line| wrap(&clean(line, MOST_TOLD), width)).collect();
+    let told = shortened(told, area.height.saturating_sub(ROWS));
+    let rows = notes.len() + form.lines.len() + 2 + error.len() + told.len();
+    let inner = framed(canvas, area, &form.title, FORM_WIDTH, u16::try_from(rows).unwrap_or(u16::MAX));
+    let mut place = 0;
+    for note in &notes {
+        canvas.put(row(inner, place), note, Role::Dim);
+        place += 1;
+    }
+    place += 1;
+    for (index, line) in form.lines.iter().enumerate() {
+        draw_line(canvas, row(inner, place), line, index == form.focus);
+        place += 1;
+    }
+    place += 1;
+    for (line, role) in error.iter().map(|line| (line, Role::Bad)).chain(told.iter().map(|line| (line, Role::Dim))) {
+        canvas.put(row(inner, place), line, role);
+        place += 1;
+    }
+}
+
+/// As many lines as there is room for; the last says how many are missing.
+fn shortened(mut lines: Vec<String>, room: u16) -> Vec<String> {
+    let room = usize::from(room).max(2);
+    let left = lines.len().saturating_sub(room - 1);
+    if left > 1 {
+        lines.truncate(room - 1);
+        lines.push(format!("… {left} more lines"));
+    }
+    lines
+}
+
+fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
+    canvas.put(area, if focused { "▌" } else { " " }, Role::Accent);
+    canvas.put(right_of(area, 1), line.label, if focused { Role::Title } else { Role::Dim });
+    let place = right_of(area, LABEL);
+    match &line.input {
+        Input::Text(field) => {
+            let before: String = field.shown().chars().take(field.cursor()).collect();
+            // A long text is scrolled so that the cursor is visible.
+            let hidden = usize::from(columns(&before).saturating_sub(place.width.saturating_sub(1)));
+            let shown: String = field.shown().chars().skip(hidden).collect();
+            let empty = shown.is_empty();
+            canvas.put(place, if empty { line.hint } else { &shown }, if empty { Role::Dim } else { Role::Body });
+            if focused && place.width > 0 {
+                let offset = columns(&before).min(place.width - 1);
+                canvas.set_cursor(place.x + offset, place.y);
+            }
+        }
+        Input::Choice { options, chosen } => {
+            let word = options.get(*chosen).map(String::as_str).unwrap_or_default();
+            let hint = if focused { "  space: change" } else { "" };
+            canvas.puts(place, &[(word, Role::Body), (hint, Role::Dim)]);
+        }
+    }
+}
+
+/// Columns of a name.
+const CONTACTS_NAME: u16 = 15;
+/// Columns of an address, whole.
+const ADDRESS: u16 = 43;
+/// The greatest width of the list.
+const WIDEST: u16 = 124;
+
+/// Draws the list, and below it the keys of the contact under the cursor.
+pub fn draw_contacts(canvas: &mut Canvas, area: Rect, state: &State, book: &Book) {
+    let count = u16::try_from(state.contacts.len().max(1)).unwrap_or(u16::MAX);
+    let width = WIDEST.min(area.width.saturating_sub(6));
+    let inner = framed(canvas, area, "Address book", width, count.saturating_add(3));
+    let Some(chosen) = book.chosen(state) else {
+        let text = empty(state, Feed::Contacts, "Nobody yet: n adds a contact.");
+        canvas.put(inner, text, Role::Dim);
+        return;
+    };
+    let list = Rect { height: inner.height.saturating_sub(3).max(1), ..inner };
+    let height = usize::from(list.height);
+    let selected = book.selected.min(state.contacts.len().saturating_sub(1));
+    let first = selected - selected % height;
+    for (place, (index, contact)) in (0u16..).zip(state.contacts.iter().enumerate().skip(first).take(height)) {
+        draw_row(canvas, row(list, place), contact, index == selected);
+    }
+    let keys =
+        |fingerprint: &Option<String>| fingerprint.as_deref().map_or_else(|| "none".to_owned(), |text| clean(text, 60));
+    let noted = format!("noted       {}", keys(&chosen.fingerprint));
+    let given = if chosen.given { "" } else { "  (from the chain, not confirmed by a person)" };
+    canvas.puts(row(inner, inner.height.saturating_sub(2)), &[(&noted, Role::Body), (given, Role::Dim)]);
+    canvas.put(
+        row(inner, inner.height.saturating_sub(1)),
+        &format!("registered  {}", keys(&chosen.registered)),
+        Role::Body,
+    );
+}
+
+fn draw_row(canvas: &mut Canvas, line: Rect, contact: &ContactRow, here: bool) {
+    canvas.put(line, if here { "▌" } else { " " }, Role::Accent);
+    let name = Rect { width: CONTACTS_NAME.min(line.width.saturating_sub(1)), ..right_of(line, 1) };
+    canvas.put(name, &contact.name.to_string(), if here { Role::Selection } else { Role::Body });
+    let rest = right_of(line, CONTACTS_NAME + 2);
+    let whole = rest.width > ADDRESS + 10;
+    let address = if whole { contact.address.to_string() } else { contact.address.short() };
+    canvas.put(rest, &address, Role::Accent);
+    let role = match contact.state.as_str() {
+        "same" => Role::Good,
+        "differs" => Role::Bad,
+        _ => Role::Dim,
+    };
+    canvas.put(right_of(rest, if whole { ADDRESS } else { 15 }), &clean(&contact.state, 20), role);
+}
+
+#[cfg(test)]
+mod columns_tests {
+    use super::*;
+
+    #[test]
+    fn every_column_that_is_offered_is_drawn_and_in_the_same_order() {
+        for screen in [Screen::Topics, Screen::Uploads, Screen::Shared] {
+            let all = if screen == Screen::Topics { topics::COLUMNS } else { records::all_columns(screen) };
+            let drawn: Vec<&str> = all.iter().map(|column| column.name).filter(|name| !name.is_empty()).collect();
+            let named: Vec<&str> = offered(screen).iter().map(|column| column.name).collect();
+            assert_eq!(drawn, named, "{screen:?}");
+        }
+    }
 }

@@ -1,22 +1,24 @@
-//! The present state: who can read, who publishes a topic, what is running.
+//! The present state: who can read, who publishes a topic, what is running, how a robot is.
 
 use ratatui::layout::Rect;
 
 use super::framed;
-use crate::app::confirm::readers;
+use super::incidents::draw_told;
+use super::record::pad;
 use crate::app::feed::Feed;
-use crate::app::popup::Lookup;
+use crate::app::popup::{Lookup, readers};
 use crate::app::screens::grants::{day, end, is_active, is_given, scope};
 use crate::app::screens::log::{LogLine, level_word};
 use crate::app::{State, Tag};
 use crate::model::clean;
 use crate::pipeline::sender::LaneState;
 use crate::service::NoticeLevel;
-use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView, TaskState, TaskView};
-use crate::ui::bottom;
-use crate::ui::canvas::{Canvas, row};
+use crate::service::reply::{AlarmView, GrantRow, PinView, PinsView, RobotView, TaskState, TaskView};
+use crate::ui::bars;
+use crate::ui::canvas::{Canvas, columns, row};
+use crate::ui::gateway::{self, Fact};
 use crate::ui::theme::Role;
-use crate::ui::words;
+use crate::ui::words::{self, count, wrap};
 
 type Line = (String, Role);
 
@@ -149,7 +151,7 @@ fn reason(word: &str) -> &str {
 /// Draws a line of the log, whole.
 pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
     let about = format!("{}  {}  {}", words::moment(line.at), level_word(line.level), line.key);
-    let role = if line.level == NoticeLevel::Info { Role::Body } else { bottom::level(line.level).1 };
+    let role = if line.level == NoticeLevel::Info { Role::Body } else { bars::bottom_level(line.level).1 };
     draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
 }
 
@@ -241,6 +243,91 @@ fn left(pending: u64, captured: f64, verified: f64) -> String {
 fn paused(lane: &LaneState) -> Option<Line> {
     let cause = lane.paused.as_ref()?.cause(lane.account);
     Some((format!("paused  {cause}"), Role::Bad))
+}
+
+type GatewayLine = (String, Role);
+
+/// Columns of the names of facts.
+const LABEL: u16 = 10;
+/// The greatest width of a window.
+const WIDEST: u16 = 110;
+/// Columns of the numbers of a topic.
+const NUMBER: usize = 9;
+
+/// Draws a robot.
+pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<RobotView>) {
+    let width = width(area);
+    let lines = match &lookup.answer {
+        None => vec![("Asking…".to_owned(), Role::Dim)],
+        Some(Err(failure)) => {
+            wrap(&clean(&failure.message, 500), width).into_iter().map(|line| (line, Role::Bad)).collect()
+        }
+        Some(Ok(view)) => {
+            let mut lines = told(&gateway::facts(view, state.shown_at()), width);
+            lines.extend(topics(view, width));
+            lines.extend(text(view, width));
+            lines
+        }
+    };
+    let name = lookup.found().map_or(lookup.id.as_str(), |view| view.row.name.as_str());
+    draw(canvas, area, &format!("Robot {}", clean(name, 64)), &lines, lookup.scroll);
+}
+
+fn width(area: Rect) -> u16 {
+    WIDEST.min(area.width.saturating_sub(6))
+}
+
+fn draw(canvas: &mut Canvas, area: Rect, title: &str, lines: &[GatewayLine], scroll: usize) {
+    let widest = lines.iter().map(|(line, _)| columns(line)).max().unwrap_or(0);
+    let height = u16::try_from(lines.len()).unwrap_or(u16::MAX);
+    let inner = framed(canvas, area, title, widest.clamp(40, width(area).max(40)), height);
+    draw_told(canvas, inner, lines, scroll);
+}
+
+/// Names and words; a name that repeats is said once.
+fn told(facts: &[Fact], width: u16) -> Vec<GatewayLine> {
+    let mut lines = Vec::new();
+    let mut before = "";
+    for (name, text, role) in facts {
+        for (place, part) in wrap(&clean(text, 2_000), width.saturating_sub(LABEL)).into_iter().enumerate() {
+            let label = if place == 0 && *name != before { *name } else { "" };
+            lines.push((format!("{}{part}", pad(label, LABEL)), *role));
+        }
+        before = name;
+    }
+    lines
+}
+
+/// What the robot recorded, by topic.
+fn topics(view: &RobotView, width: u16) -> Vec<GatewayLine> {
+    if view.topics.is_empty() {
+        return vec![GatewayLine::default(), ("Nothing of it was recorded yet.".to_owned(), Role::Dim)];
+    }
+    let numbers = |cells: [String; 4]| cells.iter().map(|cell| format!(" {cell:>NUMBER$}")).collect::<String>();
+    let name = usize::from(width).saturating_sub(4 * (NUMBER + 1)).min(48);
+    let heads = ["messages", "verified", "waiting", "lost"].map(str::to_owned);
+    let mut lines = vec![GatewayLine::default(), (format!("{:name$}{}", "topic", numbers(heads)), Role::Title)];
+    for topic in &view.topics {
+        let cells = [topic.records, topic.verified, topic.waiting, topic.lost].map(count);
+        let role = if topic.lost > 0 { Role::Warning } else { Role::Body };
+        let shown = pad(&clean(&topic.topic, name), u16::try_from(name).unwrap_or(u16::MAX));
+        lines.push((format!("{shown}{}", numbers(cells)), role));
+    }
+    lines
+}
+
+/// The policy as it was set.
+fn text(view: &RobotView, width: u16) -> Vec<GatewayLine> {
+    let mut lines = vec![GatewayLine::default()];
+    if view.policy.is_empty() {
+        let why = if view.row.wanted == 0 { "No policy was set" } else { "The policy was cleared" };
+        lines.push((format!("{why}: the robot's own settings count alone."), Role::Dim));
+        return lines;
+    }
+    lines.push((format!("Policy {}, as it was set:", view.row.wanted), Role::Title));
+    let parts = view.policy.trim_end().lines().flat_map(|line| wrap(&clean(line, 500), width));
+    lines.extend(parts.map(|line| (line, Role::Body)));
+    lines
 }
 
 #[cfg(test)]

@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use super::acting::doer;
-use super::refusals::Refusals;
+use super::{Refusals, doer};
 use crate::model::{ProfileName, Timestamp, clean};
 use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;

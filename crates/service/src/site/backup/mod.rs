@@ -21,10 +21,9 @@ use tokio::runtime::Handle;
 
 use super::blocking;
 use crate::chain::Chain;
-use crate::crypto::Passphrase;
-use crate::crypto::fault;
 use crate::crypto::sealed_stream::SealedWriter;
 use crate::crypto::unfinished::{self, UnfinishedFolder};
+use crate::crypto::{Passphrase, fault};
 use crate::model::{ErrorKind, ProfileName, clean};
 use crate::service::command::SecretText;
 use crate::service::failure::input;

@@ -10,22 +10,18 @@ mod topics;
 pub(super) mod watches;
 
 use crate::config::Config;
-use crate::pipeline::Losses;
-use crate::pipeline::Plant;
-use crate::pipeline::Recorder;
+use crate::pipeline::{Losses, Plant, Recorder};
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::capture::ros::RosSide;
 use crate::site::capture::watches::Watches;
 use crate::site::chain::link::Link;
-use crate::site::identity::Profiles;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::{Owners, Profiles};
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use crate::site::pins::Pinning;
 use std::collections::HashMap;
-use std::sync::Mutex;
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::model::{ProfileName, TopicName, TypeName};

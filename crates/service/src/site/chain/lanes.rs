@@ -1,20 +1,18 @@
 //! The accounts that anchor for each owner: the owner's own and extra ones, maintained and kept ready.
 
 use crate::config::Config;
-use crate::pipeline::Plant;
-use crate::pipeline::Sender;
+use crate::pipeline::{Plant, Sender};
 use crate::service::hub::Hub;
 use crate::site::chain::link::Link;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use std::sync::Mutex;
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Domain};
-use crate::pipeline::anchoring_accounts::{self, MOST_LANES};
+use crate::pipeline::anchorer::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
@@ -55,7 +53,7 @@ impl Lanes {
         if let Some(found) = known.get(&key) {
             return Ok(Arc::clone(found));
         }
-        let keys = anchoring_accounts::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
+        let keys = anchorer::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
         let found = Arc::new(keys.into_iter().map(|key| (key.address(), key)).collect::<Vec<_>>());
         known.insert(key, Arc::clone(&found));
         Ok(found)
@@ -158,7 +156,7 @@ impl Lanes {
     async fn ready_extra(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let wanted = usize::from(self.config.lanes) - 1;
         for (_, key) in self.extra(owner, network)?.iter().take(wanted) {
-            anchoring_accounts::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
+            anchorer::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
         }
         Ok(())
     }

@@ -2,8 +2,6 @@
 
 pub(super) mod administration;
 pub(super) mod connection;
-mod exposure;
-pub(super) mod freshness;
 pub(super) mod lanes;
 pub(super) mod link;
 #[cfg(test)]

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::connection::Connection;
-use super::freshness::NotFresh;
-use super::link::{Link, NetworkState};
+use super::link::{Link, NetworkState, NotFresh};
 use crate::chain::{BlockRef, Pin};
 use crate::model::{Address, ErrorKind, Hash};
 use crate::service::failure::refused;

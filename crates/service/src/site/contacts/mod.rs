@@ -9,7 +9,7 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::parts::Parts;
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,19 +1,27 @@
 //! The robots enrolled by an owner, and what each is to seal under.
 
-use crate::pipeline::Plant;
-use crate::service::hub::Hub;
-use crate::site::parts::Parts;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, SealingKey, filter_key, topic_id, topic_key};
-use crate::model::{Address, ProfileName, PublicKey, SignerId, clean};
-use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
-use crate::service::failure::refused;
-use crate::service::reply::{Failure, RobotGatewayView};
+use super::{Devices, Seat};
+use crate::command::{SecretBytes, SecretText};
+use crate::crypto::enrolment::{LONGEST_ADDRESS, MOST_ADDRESSES};
+use crate::crypto::{
+    Enrolment, EpochIssue, IssuedKeys, IssuedTopic, Passphrase, SealedEnrolment, SealingKey, SmKeyPair, filter_key,
+    notice_key, notice_topic, signer_id, topic_id, topic_key,
+};
+use crate::failure::{input, refused};
+use crate::gateway::{Context, DeviceNotice};
+use crate::hub::Hub;
+use crate::model::{Address, ErrorKind, ProfileName, PublicKey, SignerId, Timestamp, TopicName, clean};
+use crate::pipeline::{Network, Owner, Plant, quarantine, recorder_heads};
+use crate::reply::{DeviceTopicsView, EnrolledView, Failure, RobotGatewayView};
+use crate::site::gateway::desk::is_reserved;
+use crate::site::parts::Parts;
 use crate::site::sharing::overdue::earliest_expiry;
 use crate::store::Ledger;
 
@@ -195,4 +203,185 @@ fn read(text: Option<&str>) -> Vec<Enrolled> {
 
 fn place(owner: Address) -> String {
     format!("enrolled:{owner}")
+}
+
+/// The most topics that a robot can be limited to; one place is reserved for its own statements.
+const MOST_NAMED: usize = crate::crypto::enrolment::MOST_TOPICS - 1;
+const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --all-topics to cover everything";
+
+/// An owner's request to enrol a robot.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct EnrolWishes {
+    /// The gateway's addresses, host:port each, in the order in which the robot tries them.
+    pub addresses: Vec<String>,
+    /// SM3 of its identity key; `None` to trust whatever answers.
+    pub fingerprint: Option<SignerId>,
+    /// N.
+    pub name: ProfileName,
+    /// Only these topics.
+    pub topics: Vec<TopicName>,
+    /// All topics, including future ones: then no topic is named.
+    pub all_topics: bool,
+    /// When the loan ends.
+    pub until: Option<Timestamp>,
+    /// Protects the file.
+    pub passphrase: SecretText,
+}
+
+impl Devices {
+    /// Enrols a robot; the answer contains the sealed file.
+    pub(in crate::site) async fn enrol(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: EnrolWishes,
+    ) -> Result<EnrolledView, Failure> {
+        if self.is_joined && wishes.fingerprint.is_none() {
+            return Err(refused(
+                "a site that has joined another one can only enrol robots at a gateway whose key you confirmed: ask \
+                 its operator for it and pass it as --gateway-key",
+            ));
+        }
+        let network = self.link.network().await?;
+        network.directory.identity(owner.address)?;
+        let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
+        let topics = covered(&wishes)?;
+        check_addresses(&wishes.addresses)?;
+        self.check_name(&network, owner, &wishes.name)?;
+        let device = SmKeyPair::generate(self.plant.provider)?;
+        let id = signer_id(&device.public);
+        let subject = format!("{} {id}", wishes.name);
+        let enrolled = self.enrol_device(owner, &network, wishes, (topics, passphrase), device);
+        self.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
+    }
+
+    /// Enrols this new device; what can be checked was.
+    async fn enrol_device(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        wishes: EnrolWishes,
+        (topics, passphrase): (Vec<String>, Passphrase),
+        device: SmKeyPair,
+    ) -> Result<EnrolledView, Failure> {
+        let id = signer_id(&device.public);
+        let context = Context { provider: self.plant.provider, domain: network.domain };
+        let at = (wishes.addresses, wishes.fingerprint);
+        let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
+        self.lend(owner, id, wishes.until).await?;
+        let notice_id = owner.topic_id(&notice_topic(&id));
+        let notice = DeviceNotice { key: device.public, notices: notice_id };
+        let token = self.known_token(owner, network)?;
+        if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
+            // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
+            drop(self.unlend_device(owner, id).await);
+            return Err(failure);
+        }
+        let (key, name, ended) = (device.public, wishes.name.clone(), false);
+        let enrolled = Enrolled { name, device: id, topics, ended, key, gateway: Some(seat.noted()) };
+        let keys = self.enrolments.issue(owner, network, &enrolled)?;
+        let enrolment = Enrolment {
+            domain: network.domain,
+            chain_id: network.chain.chain_id(),
+            gateway: seat.access(),
+            name: wishes.name,
+            owner: owner.address,
+            owner_key: owner.public_keys().0,
+            device,
+            // IK alone turns the names of any topic into pseudonyms.
+            index: wishes.all_topics.then(|| owner.index()),
+            notice_id,
+            notice_key: notice_key(&owner.eoa(), &network.domain, &id),
+            token,
+            last_notice: None,
+            keys,
+        };
+        block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
+        self.enrolments.add(owner, enrolled.clone())?;
+        let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
+        Ok(EnrolledView { name: enrolled.name, device: id, gateway: seat.noted().into(), file: SecretBytes::new(file) })
+    }
+
+    /// One name is one robot: whoever recalls it by its name must not leave another one able to read.
+    fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
+        if is_reserved(name) {
+            return Err(input(format!("'{name}' is a name that sites give themselves; give the robot another one")));
+        }
+        match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
+            Some((device, _)) => Err(refused(format!(
+                "a robot called '{name}' is enrolled already, as device {device}; `authros devices recall {name}` ends \
+                 it, or give this one another name"
+            ))),
+            None => Ok(()),
+        }
+    }
+
+    /// A token of the owner that is on the chain.
+    pub(super) fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
+        let account = network.directory.account(owner.address);
+        let token = account.and_then(|account| account.token);
+        token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
+    }
+
+    /// Gives an enrolled robot the keys for more topics; its next notice tells it.
+    pub(in crate::site) async fn add_topics(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        device: &str,
+        topics: &[TopicName],
+    ) -> Result<DeviceTopicsView, Failure> {
+        let network = self.link.network().await?;
+        let device = self.lent_device(&network, owner, device)?;
+        let found = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
+        let mut enrolled = found.ok_or_else(|| {
+            refused(format!("device {device} was not enrolled from this home, so its topics are not known here"))
+        })?;
+        if enrolled.topics.is_empty() {
+            return Err(refused(format!("'{}' already covers all topics", enrolled.name)));
+        }
+        let names = topics.iter().map(ToString::to_string);
+        let mut added: Vec<String> = names.filter(|topic| !enrolled.topics.contains(topic)).collect();
+        added.sort();
+        added.dedup();
+        if added.is_empty() {
+            return Err(refused(format!("'{}' already covers these topics", enrolled.name)));
+        }
+        enrolled.topics.extend(added.iter().cloned());
+        enrolled.topics.sort();
+        if enrolled.topics.len() > MOST_NAMED {
+            return Err(input(TOO_MANY));
+        }
+        let told = async {
+            self.enrolments.change(owner, device, |noted| noted.topics.clone_from(&enrolled.topics))?;
+            block_in_place(|| self.enrolments.tell_devices(owner, &network))
+        };
+        let subject = format!("{device}: {}", added.join(" "));
+        self.log.deed(&owner.profile, "device topics", &subject, told).await?;
+        Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
+    }
+}
+
+/// Whether a robot can be given these addresses.
+pub(super) fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
+    if addresses.iter().any(|address| address.is_empty() || address.len() > LONGEST_ADDRESS) {
+        return Err(input("an address of a gateway has 1 to 255 characters"));
+    }
+    if !(1..=MOST_ADDRESSES).contains(&addresses.len()) {
+        return Err(input("give a robot one to eight addresses of its gateway"));
+    }
+    Ok(())
+}
+
+/// The requested topics, in order; none for all.
+fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
+    if wishes.all_topics != wishes.topics.is_empty() {
+        return Err(Failure::new(
+            ErrorKind::Usage,
+            "choose what the robot may record: --topic /robot/odom (repeatable) for some topics, or --all-topics, \
+             which gives it the epoch's key and the index key, so that anyone who steals it can read all it could",
+        ));
+    }
+    let mut topics: Vec<String> = wishes.topics.iter().map(ToString::to_string).collect();
+    topics.sort();
+    topics.dedup();
+    if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics) }
 }

@@ -2,36 +2,32 @@
 
 mod courier;
 pub(super) mod enrolled;
-pub(super) mod enrolling;
 mod following;
-#[cfg(test)]
-mod loan_tests;
 mod policies;
 pub(super) mod pulling;
-mod seat;
-mod telling;
 
-use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::pipeline::Sender;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
-use crate::site::devices::enrolled::Enrolments;
-use crate::site::identity::owners::Owners;
-use crate::site::lifetime::Lifetime;
-use crate::site::parts::Parts;
-use crate::site::sharing::Sharing;
 use std::sync::Arc;
+use std::time::Duration;
 
+use self::enrolled::{EnrolledGateway, Enrolments};
+use super::audit::Log;
+use super::chain::link::Link;
+use super::identity::Owners;
+use super::lifetime::Lifetime;
+use super::parts::Parts;
+use super::sharing::Sharing;
 use crate::chain::Call;
-use crate::crypto::Fingerprint;
-use crate::model::{SignerId, Timestamp, bytes::hex, clean};
+use crate::crypto::{Fingerprint, GatewayAccess, TransportKey};
+use crate::event::Part;
+use crate::failure::{input, refused};
+use crate::gateway::{Applicant, Client, Code, Context, Credentials, DeviceNotice, Endpoint, GatewayError, Trust};
+use crate::hub::Hub;
+use crate::model::bytes::hex;
+use crate::model::{ProfileName, SignerId, Timestamp, Token, clean};
+use crate::paths::Home;
 use crate::pipeline::directory::Lending;
-use crate::pipeline::{Network, Owner, authority};
-use crate::service::event::Part;
-use crate::service::failure::{input, refused};
-use crate::service::reply::{DeviceRow, Failure, TransactionView};
+use crate::pipeline::{Network, Owner, Plant, Sender, authority};
+use crate::reply::{DeviceRow, Failure, TransactionView};
 
 /// The fewest characters of a device's id that identify it.
 const SHORTEST: usize = 8;
@@ -248,6 +244,89 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
         _ => Err(input("several devices on loan start like this; give more of the id")),
     }
 }
+
+/// How long a gateway may take to answer.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// How often the gateway is told of a device before the loan is on its chain.
+const ATTEMPTS: u32 = 20;
+
+/// A place at a gateway.
+struct Seat {
+    endpoint: Endpoint,
+    trust: Trust,
+    gateway: SignerId,
+    /// K_T.
+    transport: TransportKey,
+}
+
+impl Seat {
+    /// Allocates K_T for a name of the owner's, at the first address that answers.
+    ///
+    /// # Errors
+    /// Errors of the gateway.
+    pub async fn allocate(
+        owner: &Owner,
+        context: Context,
+        (addresses, fingerprint): (Vec<String>, Option<SignerId>),
+        name: &ProfileName,
+    ) -> Result<Self, Failure> {
+        let endpoint = Endpoint { addresses, context, patience: PATIENCE };
+        let mut trust = fingerprint.map_or_else(Trust::on_first_use, Trust::pinned);
+        let (signing, account) = (owner.signing(), owner.eoa());
+        let applicant = Applicant { name, signing: &signing, envelope: owner.envelope().public, account: &account };
+        let (transport, _) = Client::allocate(&endpoint, &mut trust, &applicant).await?;
+        let gateway = trust.pinned.ok_or_else(|| refused("the gateway did not identify itself"))?;
+        Ok(Self { endpoint, trust, gateway, transport })
+    }
+
+    /// A session under that name.
+    ///
+    /// # Errors
+    /// Errors of the gateway.
+    pub async fn connect(&mut self, name: &ProfileName, token: Token) -> Result<Client, Failure> {
+        let credentials = Credentials { name: name.clone(), key: self.transport.clone(), token };
+        Ok(Client::connect(&self.endpoint, &mut self.trust, &credentials).await?)
+    }
+
+    /// Tells the gateway whose the name is.
+    ///
+    /// # Errors
+    /// Errors of the gateway.
+    pub async fn tell(
+        &mut self,
+        owner: &Owner,
+        (name, token): (&ProfileName, Token),
+        notice: DeviceNotice,
+    ) -> Result<(), Failure> {
+        let mut client = self.connect(name, token).await?;
+        for attempt in 1.. {
+            match client.device(&owner.signing(), notice).await {
+                // Its node may be behind ours.
+                Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
+                    if attempt < ATTEMPTS =>
+                {
+                    tokio::time::sleep(Duration::from_secs(1)).await;
+                }
+                told => return Ok(told.map(|_| ())?),
+            }
+        }
+        Ok(())
+    }
+
+    /// As the owner's ledger notes it.
+    pub fn noted(&self) -> EnrolledGateway {
+        EnrolledGateway { addresses: self.endpoint.addresses.clone(), key: self.gateway }
+    }
+
+    /// As the robot knows it.
+    pub fn access(&self) -> GatewayAccess {
+        let (addresses, fingerprint) = (self.endpoint.addresses.clone(), self.gateway);
+        GatewayAccess { addresses, fingerprint, transport: self.transport.clone() }
+    }
+}
+
+#[cfg(test)]
+mod loan_tests;
 
 #[cfg(test)]
 mod tests {

@@ -1,35 +1,35 @@
 //! Bundles of evidence: own records with all their proofs, for a reader who trusts nobody.
 
-mod figure;
 mod page;
-mod proofs;
-#[cfg(test)]
-mod tests;
 mod time;
 
 pub use self::page::definition_of;
-pub(in crate::site) use self::proofs::ChainProofs;
 pub(in crate::site) use self::time::TimeStamps;
 
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use authros_evidence::{Bundle, ClaimedChain, Packing, PackingError, Trust, pack, verify};
 
-use super::blocking;
+use super::audit::Log;
+use super::chain::link::Link;
+use super::lifetime::Lifetime;
+use super::parts::Parts;
+use super::reading::Reading;
+use super::{blocking, incidents};
+use crate::command::EvidenceWishes;
 use crate::crypto::{Provider, private_file};
-use crate::model::{Digest, ErrorKind, RecordState, clean};
+use crate::event::NoticeLevel;
+use crate::failure::{input, internal};
+use crate::hub::Hub;
+use crate::model::{Digest, ErrorKind, RecordState, Timestamp, clean};
+use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError, Plant};
-use crate::service::command::EvidenceWishes;
-use crate::service::failure::{input, internal};
-use crate::service::reply::{EvidenceView, Failure, IncidentView};
-use crate::site::audit::Log;
-use crate::site::incidents;
-use crate::site::parts::Parts;
-use crate::site::reading::Reading;
+use crate::reply::{EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
 use crate::store::{RecordQuery, RecordRow};
 
 /// Records requested from the ledger at a time.
@@ -249,3 +249,75 @@ fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider
 fn is_stored(row: &RecordRow) -> bool {
     !matches!(row.state, RecordState::Captured | RecordState::Sealed | RecordState::Quarantined | RecordState::Dropped)
 }
+
+/// How often to look for batches without a proof.
+const LOOK: Duration = Duration::from_secs(2);
+/// The subject of notices.
+const ABOUT: &str = "chain proofs";
+
+/// The chain proofs of a site.
+pub(in crate::site) struct ChainProofs {
+    plant: Plant,
+    hub: Arc<Hub>,
+    life: Arc<Lifetime>,
+    link: Arc<Link>,
+    /// Why the last round failed, and since when rounds do.
+    trouble: Mutex<Option<(Timestamp, String)>>,
+}
+
+impl ChainProofs {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { plant, hub, life, link, .. } = parts.clone();
+        Self { plant, hub, life, link, trouble: Mutex::default() }
+    }
+
+    /// Collects proofs until the site ends.
+    pub async fn keep(self: Arc<Self>) {
+        let mut rounds = Rounds::default();
+        while self.life.beat(LOOK).await {
+            let Some(network) = self.link.network_now() else { continue };
+            let result = collect(&self.plant, &network, &mut rounds).await;
+            self.told(result);
+        }
+    }
+
+    fn told(&self, result: Result<Collected, PipelineError>) {
+        let (missed, problem) = match result {
+            Ok(collected) => (collected.missed, collected.problem),
+            Err(error) => (0, Some(error.to_string())),
+        };
+        let problem = problem.map(|why| clean(&why, 200));
+        if let (1.., Some(why)) = (missed, &problem) {
+            let text = format!("the chain's proofs of {missed} batches could not be kept: {why}");
+            self.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
+        }
+        let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
+        let since = trouble.as_ref().map_or_else(Timestamp::now, |(since, _)| *since);
+        *trouble = problem.map(|why| (since, why));
+    }
+
+    /// The state of the proofs, if there are any or should be.
+    pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
+        let counts = self.plant.ledger.chain_proof_counts()?;
+        let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {
+            return Ok(None);
+        }
+        let kept =
+            counts.newest.map_or_else(|| "none kept yet".to_owned(), |block| format!("kept up to block {block}"));
+        let missed = match counts.missed {
+            0 => String::new(),
+            missed => format!("; {missed} batches have none, bundles of them ask the node"),
+        };
+        let (level, since, why) = match trouble {
+            Some((since, why)) => (HealthLevel::Waiting, Some(since), format!("; {why}")),
+            None => (HealthLevel::Ok, None, String::new()),
+        };
+        let text = clean(&format!("{kept}{missed}{why}"), 300);
+        Ok(Some(PartHealth { part: "proofs".to_owned(), level, text, since, retry: None }))
+    }
+}
+
+#[cfg(test)]
+mod tests;

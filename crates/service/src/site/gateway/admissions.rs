@@ -1,23 +1,26 @@
-//! The list of owners who may use the gateway of this home, as its keeper decides; stored in the ledger.
+//! Owners who may use the gateway of this home, as its keeper decides; stored in the ledger, and asked of every
+//! caller.
 
-use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::contacts::Contacts;
-use crate::site::identity::owners::Owners;
-use crate::site::parts::Parts;
 use std::collections::BTreeSet;
-use std::sync::RwLock;
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
+use super::{GatewayDesk, desk};
+use crate::event::Part;
+use crate::failure::{input, internal, refused};
+use crate::gateway::{Code, Received, Refusal};
+use crate::hub::Hub;
+use crate::model::bytes::hex;
 use crate::model::{Address, Party, ProfileName, Timestamp};
-use crate::service::event::Part;
-use crate::service::failure::{input, internal, refused};
-use crate::service::reply::{AdmittedView, Failure};
+use crate::paths::Home;
+use crate::pipeline::{Network, Plant};
+use crate::reply::{AdmittedView, Failure};
+use crate::site::audit::Log;
+use crate::site::contacts::Contacts;
+use crate::site::identity::Owners;
+use crate::site::parts::Parts;
 use crate::store::Ledger;
 
 /// Where the list is stored in the ledger.
@@ -179,4 +182,99 @@ fn bound(ledger: &Ledger) -> Result<Vec<Admitted>, Failure> {
     let owners: BTreeSet<Address> = ledger.bound_names()?.into_iter().map(|(_, owner)| owner).collect();
     let (since, by) = (Timestamp::now(), "had a name here before admission was introduced");
     Ok(owners.into_iter().map(|owner| Admitted { owner, since, by: by.to_owned() }).collect())
+}
+
+/// The most owners that an open gateway accepts without admission.
+const MOST_GUESTS: usize = 256;
+
+/// Why an owner may use the gateway.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Standing {
+    /// A profile of this home, or on the list.
+    Admitted,
+    /// Nobody admitted it; the gateway is open.
+    Guest,
+}
+
+impl GatewayDesk {
+    /// Why an account may use this gateway.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `NotAuthorised`, whose detail says what the keeper may do.
+    pub(super) fn standing_of(&self, network: &Network, account: &Address) -> Result<Standing, Refusal> {
+        let gateway = &self.gateway;
+        let own = || gateway.owners.all().iter().any(|owner| owner.address == *account);
+        if self.home_accounts.contains(account) || gateway.admissions.is_on_list(account) || own() {
+            return Ok(Standing::Admitted);
+        }
+        // The successor of a lost account takes its place.
+        if gateway.admissions.listed().iter().any(|lost| network.directory.successor(*lost) == Some(*account)) {
+            return Ok(Standing::Admitted);
+        }
+        if self.open {
+            return Ok(Standing::Guest);
+        }
+        let detail = format!("{account} is not admitted; `authros gateway admit {account}` admits it to this gateway");
+        Err(Refusal::new(Code::NotAuthorised, detail))
+    }
+
+    /// Whether an account may have one more name here.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `NameBound`, `NotAuthorised` or `Quota`.
+    pub(super) fn check_name(&self, network: &Network, account: &Address, name: &ProfileName) -> Result<(), Refusal> {
+        desk::check(name, account)?;
+        if self.standing_of(network, account)? == Standing::Admitted {
+            return Ok(());
+        }
+        let bound = self.gateway.plant.ledger.bound_names().map_err(Refusal::because(Code::Internal))?;
+        let own = bound.iter().filter(|(_, owner)| owner == account).count();
+        let known = bound.iter().any(|(other, owner)| owner == account && other == name.as_str());
+        let most = self.gateway.config.gateway.names;
+        if !known && own as u64 >= most {
+            return Err(self.over(account, format_args!("{most} names")));
+        }
+        let guests: BTreeSet<&Address> =
+            bound.iter().map(|(_, owner)| owner).filter(|owner| !self.gateway.admissions.is_on_list(owner)).collect();
+        if own == 0 && guests.len() >= MOST_GUESTS {
+            return Err(self.over(account, format_args!("{MOST_GUESTS} owners who are not admitted")));
+        }
+        Ok(())
+    }
+
+    /// Whether these records of a guest fit its quotas. The caller holds off other records of guests meanwhile.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `NotAuthorised` or `Quota`.
+    pub(super) fn check_quota(&self, account: &Address, records: &[Received]) -> Result<(), Refusal> {
+        let (ledger, rules) = (&self.gateway.plant.ledger, &self.gateway.config.gateway);
+        let internal = Refusal::because(Code::Internal);
+        let usage = ledger.owner_usage(*account).map_err(&internal)?;
+        let bytes: u64 = records.iter().map(|record| record.blob.len() as u64).sum();
+        if usage.bytes.saturating_add(bytes) > rules.bytes {
+            return Err(self.over(account, format_args!("{} bytes", rules.bytes)));
+        }
+        let mut fresh = BTreeSet::new();
+        for record in records {
+            let header = &record.header;
+            let type_name = header.filters.first().map(|id| hex(&id.0)).unwrap_or_default();
+            let place = (header.recorder, header.topic_id);
+            let known = ledger.has_stream(*account, place, (header.kind, &type_name, header.signer));
+            if !known.map_err(&internal)? {
+                fresh.insert((place.0.0, place.1.0, header.kind.code(), type_name, header.signer.0));
+            }
+        }
+        if usage.streams.saturating_add(fresh.len() as u64) > rules.streams {
+            return Err(self.over(account, format_args!("{} streams", rules.streams)));
+        }
+        Ok(())
+    }
+
+    fn over(&self, account: &Address, what: std::fmt::Arguments<'_>) -> Refusal {
+        let how = "lifts its guest quota";
+        Refusal::new(
+            Code::Quota,
+            format_args!("{account} has reached its quota of {what}; `authros gateway admit {account}` {how}"),
+        )
+    }
 }

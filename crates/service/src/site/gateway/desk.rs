@@ -4,26 +4,29 @@ use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
 
 use async_trait::async_trait;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio::sync::mpsc;
 
 use super::GatewayDesk;
-use super::admission::Standing as Access;
-use super::live::Watch;
-use super::reading::announced_key;
+use super::admissions::Standing as Access;
+use super::reading::{LONGEST_SILENCE, Watch, announced_key};
 use crate::chain::RelayError;
+use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
+use crate::event::NoticeLevel;
+use crate::failure::internal;
 use crate::gateway::desk::Account;
+use crate::gateway::identity_check::check_registration;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome,
-    Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Stood,
+    Binding, BoundDevice, Caller, Code, Context, Desk, DeviceNotice, Entry, ErasedRecord, ErasureNotice,
+    ErasureOutcome, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice,
+    Selection, Stood,
 };
-use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
-use crate::pipeline::authority::{self, SigningRight};
+use crate::model::{Address, Digest, Hash, Identity, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use crate::pipeline::Network;
+use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
-use crate::service::event::NoticeLevel;
-use crate::service::failure::internal;
 use crate::store::{KeptBinding, NewRecord, StoreError};
 
 impl GatewayDesk {
@@ -307,6 +310,138 @@ impl Desk for GatewayDesk {
         if self.gateway.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let text = format!("the gateway refused {}: {refusal}", peer.ip());
             self.gateway.hub.notice(NoticeLevel::Info, &text);
+        }
+    }
+}
+
+/// How an owner's site calls itself that brings notices to robots.
+const COURIER: &str = "courier-";
+/// Digits of the account in such a name.
+const DIGITS: usize = 16;
+
+/// The name of an owner's courier.
+pub(in crate::site) fn courier_of(account: &Address) -> String {
+    let digits: String = account.to_string().chars().filter(char::is_ascii_hexdigit).skip(1).take(DIGITS).collect();
+    format!("{COURIER}{}", digits.to_lowercase())
+}
+
+/// Whether no robot may be called so: `courier-0123456789abcdef`. Other names that begin like it are nobody's.
+pub(in crate::site) fn is_reserved(name: &ProfileName) -> bool {
+    let digits = name.as_str().strip_prefix(COURIER);
+    digits.is_some_and(|digits| digits.len() == DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
+}
+
+/// Whether an account may have this name.
+///
+/// # Errors
+/// [`Refusal`] with `NameBound`.
+pub(super) fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
+    if !is_reserved(name) || name.as_str() == courier_of(account) {
+        return Ok(());
+    }
+    Err(Refusal::new(Code::NameBound, format_args!("{name} is the name of another account's own site")))
+}
+
+impl GatewayDesk {
+    /// Whether the newest loan of a device was recalled; a later loan is valid again.
+    pub(super) fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
+        let account = self.known_network()?.directory.account(*owner);
+        let loans = account.map(|account| account.devices).unwrap_or_default();
+        Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
+    }
+
+    /// A device's session is valid as long as its loan.
+    pub(super) fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
+        let Some(device) = &caller.device else { return Ok(()) };
+        let now = Moment::newest(network.directory.now());
+        let right = may_sign(&network.directory, caller.account, device.id, now);
+        right.map(drop).map_err(|why| Refusal::new(Code::NotAuthorised, format_args!("device {}: {why}", device.id)))
+    }
+}
+
+fn rejected(words: &str) -> RelayError {
+    RelayError::Answered { code: -32003, message: words.to_owned(), data: None }
+}
+
+impl GatewayDesk {
+    /// Forwards a request to the chain, if it is allowed.
+    pub(super) async fn pass_on(
+        &self,
+        caller: Option<&Caller>,
+        method: &str,
+        parameters: &Value,
+    ) -> Result<Value, RelayError> {
+        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
+        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.link.fresh_head(LONGEST_SILENCE)) else {
+            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
+        };
+        let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
+        match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {
+            Passed::Read(parameters) => network.chain.relay(method, &parameters).await,
+            Passed::NoLogs => Ok(json!([])),
+            Passed::Estimate { from, registers } => {
+                let known = || from.is_some_and(|from| self.may_send(&network, &from));
+                if caller.is_none() && registers.is_none() && !known() {
+                    return Err(RelayError::NotAllowed);
+                }
+                network.chain.relay(method, parameters).await
+            }
+            Passed::Transaction { sender, raw, registers } => {
+                if caller.is_none() {
+                    self.check_sender(&network, sender, registers, raw)?;
+                }
+                network.chain.relay(method, parameters).await
+            }
+        }
+    }
+
+    /// A transaction proves its sender by itself: without a transport key, accounts that may use this gateway may still
+    /// send one, and a newcomer may send its registration.
+    fn check_sender(
+        &self,
+        network: &Network,
+        sender: Address,
+        registers: Option<Box<Identity>>,
+        transaction: Vec<u8>,
+    ) -> Result<(), RelayError> {
+        if let Some(identity) = registers {
+            let context = Context { provider: self.gateway.plant.provider, domain: self.domain };
+            let registration = Registration { account: sender, identity: *identity, transaction };
+            return check_registration(&context, &registration)
+                .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
+        }
+        if self.may_send(network, &sender) {
+            return Ok(());
+        }
+        Err(rejected(
+            "a visitor may only send its registration; ask the gateway's operator to admit this account first",
+        ))
+    }
+
+    /// Whether an account is registered, not suspended, and may use this gateway.
+    fn may_send(&self, network: &Network, account: &Address) -> bool {
+        let known =
+            network.directory.account(*account).is_some() && !authority::is_suspended(&network.directory, *account);
+        known && self.standing_of(network, account).is_ok()
+    }
+}
+
+#[cfg(test)]
+mod reserved_tests {
+    use super::*;
+
+    #[test]
+    fn the_name_of_a_courier_is_its_accounts_own() {
+        let (alice, eve) = (Address([0xab; 20]), Address([0xcd; 20]));
+        let may = |name: &str, account| {
+            let name: ProfileName = name.parse().expect("a name");
+            check(&name, account).map_err(|refusal| refusal.code)
+        };
+        assert_eq!(courier_of(&alice), "courier-abababababababab");
+        assert_eq!(may("courier-abababababababab", &alice), Ok(()));
+        assert_eq!(may("courier-abababababababab", &eve), Err(Code::NameBound));
+        for free in ["courier-1", "scout-1", "courier-abababababababax"] {
+            assert_eq!(may(free, &eve), Ok(()), "{free}");
         }
     }
 }

@@ -1,20 +1,14 @@
 //! The gateway of a site (the paper's CR): accepts frames over TCP, stores what robots send, anchors it with the
 //! account of the profile that runs it, and answers queries according to the chain's grants at that moment.
 
-mod admission;
 #[cfg(test)]
 mod admission_tests;
 pub(super) mod admissions;
 #[cfg(test)]
 mod cut_off_tests;
-mod desk;
-mod devices;
-mod erased;
+pub(super) mod desk;
 mod erasing;
-mod live;
-mod passing;
 mod reading;
-pub(super) mod reserved;
 pub(super) mod status;
 
 use crate::config::Config;
@@ -24,7 +18,7 @@ use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::gateway::admissions::Admissions;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;

@@ -7,7 +7,7 @@ use std::sync::{Arc, PoisonError};
 use tokio::task::block_in_place;
 
 use crate::gateway::ServerWatch;
-use crate::gateway::tally::Sender;
+use crate::gateway::server::Sender;
 use crate::model::{Address, ProfileName, Timestamp};
 use crate::pipeline::Owner;
 use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};

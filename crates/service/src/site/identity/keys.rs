@@ -1,20 +1,25 @@
-//! A profile's keys: shown, loaded, exported.
+//! A profile's keys: shown, loaded, exported, and its SM2 pairs replaced.
 
-use super::Profiles;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::pairs::NewPairs;
-use crate::crypto::{Fingerprint, Keyring, SmKeyPair, keyfile};
-use crate::model::RecordState;
-use crate::pipeline::{Network, Owner};
-use crate::service::command::{KeyKind, SecretBytes, SecretText};
-use crate::service::event::Part;
-use crate::service::failure::{input, refused};
-use crate::service::reply::{EpochView, Failure, KeysView};
+use super::Profiles;
+use crate::chain::Call;
+use crate::command::{KeyKind, SecretBytes, SecretText};
+use crate::crypto::{
+    Fingerprint, Keyring, SmKeyPair, keyfile, open_transport_key, prove, seal_transport_key, signer_id,
+};
+use crate::event::Part;
+use crate::failure::{input, refused};
+use crate::gateway::Cabinet;
+use crate::model::{RecordState, SignerId};
+use crate::pipeline::{Network, Owner, PipelineError, recovery};
+use crate::reply::{EpochView, Failure, KeysView};
 use crate::site::blocking;
+use crate::store::{RecordQuery, RecordRow};
 
 impl Profiles {
     /// Keys with fingerprints and epochs; no secret.
@@ -180,4 +185,226 @@ impl Profiles {
             }
         }
     }
+}
+
+/// How long a change of the signing key waits for records signed by the old one.
+const DRAIN: Duration = Duration::from_secs(60);
+/// Interval between looks at them.
+const LOOK: Duration = Duration::from_millis(250);
+/// Records in one look.
+const PAGE: usize = 1000;
+
+/// The replacements of the pairs in use.
+#[derive(Default)]
+pub(in crate::site) struct NewPairs {
+    /// (d_C, P_C).
+    pub signing: Option<SmKeyPair>,
+    /// (d_E, P_E).
+    pub envelope: Option<SmKeyPair>,
+}
+
+impl Profiles {
+    /// Replaces pairs; on the chain too, if `network` is given: the owner is registered there.
+    pub(in crate::site) async fn change_pairs(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: Option<&Network>,
+        new: NewPairs,
+    ) -> Result<(), Failure> {
+        // Until the new key signs: nothing may be signed by the old one once the chain has the new one.
+        let _one_at_a_time = owner.changes.lock().await;
+        if let Some(network) = network {
+            // Robots know already of a change begun before.
+            self.finish_pairs(owner, network).await?;
+            if new.signing.is_some() {
+                self.nothing_is_captured(owner)?;
+            }
+        }
+        {
+            let mut keyring = owner.keyring();
+            let noted = |keys: &mut Keyring| {
+                keys.further.next_signing = new.signing;
+                keys.further.next_envelope = new.envelope;
+                Ok(())
+            };
+            block_in_place(|| keyring.change(noted))?;
+        }
+        match network {
+            Some(network) => self.finish_pairs(owner, network).await,
+            None => self.take_over_pairs(owner, None),
+        }
+    }
+
+    /// Finishes a change that was begun; does nothing if there is none. The caller holds the owner's changes.
+    pub(in crate::site) async fn finish_pairs(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+    ) -> Result<(), Failure> {
+        let (signing, envelope, moves) = {
+            let keyring = owner.keyring();
+            let (ring, further) = (keyring.keys(), &keyring.keys().further);
+            if further.next_signing.is_none() && further.next_envelope.is_none() {
+                return Ok(());
+            }
+            let signing = further.next_signing.as_ref().unwrap_or(&ring.signing).clone();
+            let envelope = further.next_envelope.as_ref().unwrap_or(&ring.envelope).clone();
+            (signing, envelope, further.next_signing.is_some())
+        };
+        let registered = network.directory.identity(owner.address)?;
+        if (registered.signing, registered.envelope) != (signing.public, envelope.public) {
+            let sent = self.register_pairs(owner, network, &signing, &envelope, moves).await;
+            sent.map_err(|failure| {
+                let noted = "the change is stored: it continues at the next unlock, or when you repeat the command";
+                Failure { message: format!("{}; {noted}", failure.message), ..failure }
+            })?;
+        }
+        self.take_over_pairs(owner, Some(network))
+    }
+
+    async fn register_pairs(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        signing: &SmKeyPair,
+        envelope: &SmKeyPair,
+        moves: bool,
+    ) -> Result<(), Failure> {
+        if !moves {
+            return self.send_pairs(owner, network, signing, envelope).await;
+        }
+        self.nothing_is_captured(owner)?;
+        block_in_place(|| self.enrolments.tell_owner_key(owner, network, &signing.public))?;
+        self.drain(owner).await?;
+        let sealing = owner.sealing();
+        owner.author.rest();
+        let sent = self.send_pairs(owner, network, signing, envelope).await;
+        if let (Err(_), Some(keys)) = (&sent, sealing) {
+            owner.author.seal_under(keys);
+            self.sharing.foresee_expiry(owner, network, None)?;
+        }
+        sent
+    }
+
+    async fn send_pairs(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        signing: &SmKeyPair,
+        envelope: &SmKeyPair,
+    ) -> Result<(), Failure> {
+        let token = network.directory.account(owner.address).and_then(|account| account.token);
+        let token = token.ok_or(PipelineError::Unregistered(owner.address))?;
+        let (provider, domain) = (self.plant.provider, &network.domain);
+        let identity = prove(provider, domain, &owner.address, signing, &envelope.public, token)?;
+        let envelope = recovery::handover(&self.plant, network, owner, (signing, envelope))?;
+        let call = Call::RotateKeys { identity, envelope };
+        let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "rotateKeys").await?;
+        self.link.scanned(receipt.block).await;
+        Ok(())
+    }
+
+    /// The chain has the new pairs, or the owner is on no chain: they take their place in the keyring, and what they
+    /// encrypt follows.
+    fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<(), Failure> {
+        let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
+        {
+            let mut keyring = owner.keyring();
+            let taken_over = |keys: &mut Keyring| {
+                if let Some(next) = keys.further.next_signing.take() {
+                    let former = std::mem::replace(&mut keys.signing, next);
+                    // Robots and joined sites have pinned the gateway's identity: it stays.
+                    if keys.further.gateway.is_none() && founded == Some(signer_id(&former.public)) {
+                        keys.further.gateway = Some(former);
+                    }
+                }
+                if let Some(next) = keys.further.next_envelope.take() {
+                    let former = std::mem::replace(&mut keys.envelope, next);
+                    keys.further.envelopes.push(former);
+                }
+                Ok(())
+            };
+            block_in_place(|| keyring.change(taken_over))?;
+        }
+        let Some(network) = network else { return Ok(()) };
+        block_in_place(|| self.reseal_kept(owner))?;
+        // A joined gateway knows this site by its old keys only; another transport key is allocated.
+        drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
+        self.sharing.take_up_epoch(owner, network)
+    }
+
+    /// Re-encrypts the transport keys kept by this owner's gateway under its current pair.
+    fn reseal_kept(&self, owner: &Owner) -> Result<(), Failure> {
+        let (pairs, provider, ledger) = (owner.envelopes(), self.plant.provider, &self.plant.ledger);
+        let under = self.gateway.kept_under(owner);
+        // Nothing is bound meanwhile.
+        let mut held = under.as_ref().map(|under| under.write().unwrap_or_else(std::sync::PoisonError::into_inner));
+        let Some((present, former)) = pairs.split_first() else { return Ok(()) };
+        for (name, _) in ledger.bound_names()? {
+            let Some(kept) = name.parse().ok().map(|name| ledger.binding(&name)).transpose()?.flatten() else {
+                continue;
+            };
+            let open = |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, &name, &kept.sealed_key).ok();
+            if open(present).is_some() {
+                continue;
+            }
+            if let Some(key) = former.iter().find_map(open) {
+                let sealed = seal_transport_key(provider, &present.secret, &name, &key)?;
+                ledger.reseal_binding(&name, kept.sealed_key.clone(), sealed)?;
+            }
+        }
+        if let Some(held) = &mut held {
+            **held = pairs;
+        }
+        Ok(())
+    }
+
+    fn nothing_is_captured(&self, owner: &Owner) -> Result<(), Failure> {
+        if self.recorder.wanted_by(&owner.author).is_empty() {
+            return Ok(());
+        }
+        Err(refused("topics are being captured; stop watching them before changing the signing key"))
+    }
+
+    /// Waits until no record signed by the current key is still in flight. Those of lent devices may be.
+    async fn drain(&self, owner: &Owner) -> Result<(), Failure> {
+        let signer = signer_id(&owner.signing().public);
+        let deadline = tokio::time::Instant::now() + DRAIN;
+        loop {
+            let pending = block_in_place(|| self.pending_of(owner, signer))?;
+            if pending == 0 {
+                return Ok(());
+            }
+            if tokio::time::Instant::now() > deadline {
+                return Err(refused(format!(
+                    "{pending} records signed with the current key are not verified yet; try again when they are"
+                )));
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+    }
+
+    /// How many records signed by this key are neither verified nor given up.
+    fn pending_of(&self, owner: &Owner, signer: SignerId) -> Result<usize, Failure> {
+        let mut pending = 0;
+        for state in unverified() {
+            let mut after = None;
+            loop {
+                let (owner, state) = (Some(owner.address), Some(state));
+                let query = RecordQuery { owner, state, after, limit: PAGE, ..RecordQuery::default() };
+                let page = self.plant.ledger.list(&query)?;
+                pending += page.rows.iter().filter(|row: &&RecordRow| row.signer == signer).count();
+                let Some(next) = page.next else { break };
+                after = Some(next);
+            }
+        }
+        Ok(pending)
+    }
+}
+
+/// States of records that a new key would leave behind: also those waiting for their signer's right need the current
+/// one.
+fn unverified() -> impl Iterator<Item = RecordState> {
+    let waits = |state: &RecordState| state.is_pending() || *state == RecordState::RightEnded;
+    RecordState::ALL.into_iter().filter(waits)
 }

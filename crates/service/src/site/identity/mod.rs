@@ -1,42 +1,37 @@
-//! Profiles of the home: making, opening and showing them.
+//! Profiles of the home: making, opening, locking, registering and showing them; who is open.
 
 mod foreseeing;
 mod keys;
-mod locking;
-pub(super) mod owners;
-mod pairs;
-mod registration;
-#[cfg(test)]
-mod tests;
 
-use crate::config::Config;
-use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::pipeline::Recorder;
-use crate::pipeline::Sender;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::capture::watches::Watches;
-use crate::site::chain::connection::Connection;
-use crate::site::chain::link::Link;
-use crate::site::devices::enrolled::Enrolments;
-use crate::site::gateway::Gateway;
-use crate::site::identity::owners::Owners;
-use crate::site::parts::Parts;
-use crate::site::pins::Pinning;
-use crate::site::reading::Reading;
-use crate::site::sharing::Sharing;
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 
+use tokio::sync::mpsc;
+use tokio::task::block_in_place;
+
+use super::audit::Log;
 use super::blocking;
-use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
-use crate::model::ProfileName;
-use crate::pipeline::Owner;
-use crate::service::command::SecretText;
-use crate::service::event::{NoticeLevel, Part};
-use crate::service::failure::refused;
-use crate::service::reply::{EpochRecords, Failure, IdentityView};
+use super::capture::watches::Watches;
+use super::chain::connection::Connection;
+use super::chain::link::Link;
+use super::devices::enrolled::Enrolments;
+use super::gateway::Gateway;
+use super::parts::Parts;
+use super::pins::Pinning;
+use super::reading::Reading;
+use super::sharing::Sharing;
+use crate::chain::Call;
+use crate::command::{SecretBytes, SecretText};
+use crate::config::Config;
+use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
+use crate::event::{NoticeLevel, Part};
+use crate::failure::{input, internal, refused};
+use crate::hub::Hub;
+use crate::model::{Address, ProfileName};
+use crate::paths::Home;
+use crate::pipeline::{Network, Owner, Plant, Recorder, Sender, recovery};
+use crate::reply::{EpochRecords, Failure, IdentityView};
 
 /// The longest wait for the chain to tell of the identity of a locked keyring.
 const LOCKED: Duration = Duration::from_secs(3);
@@ -267,3 +262,217 @@ impl Profiles {
         Ok(view)
     }
 }
+
+/// How long a running change may delay the locking.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+impl Profiles {
+    /// Wipes the keys for reading, granting and revoking. A running change of epochs or grants is waited for a moment:
+    /// without its keys it could not be finished.
+    pub(in crate::site) async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        let _not_opened = self.owners.opening(profile).await;
+        if let Some(owner) = self.owners.get(profile).filter(|owner| !owner.is_locked()) {
+            {
+                // One that hangs is cut off: what it leaves open is resumed at the next unlock.
+                let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
+                if let Some(network) = self.link.network_now() {
+                    block_in_place(|| self.sharing.foresee_locked(&owner, &network))?;
+                }
+                owner.lock(self.plant.provider)?;
+                self.reading.forget();
+            }
+            self.hub.changed(Part::Identity);
+            self.log.write(profile, "lock", "keyring", "done").await?;
+        }
+        self.view(profile).await
+    }
+
+    pub(in crate::site) async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes, Failure> {
+        let path = self.home.keyring(profile);
+        if !path.exists() {
+            return Err(input(format!("profile '{profile}' has no identity yet, so there is nothing to back up")));
+        }
+        let read = move |_: &Self| {
+            std::fs::read(&path).map_err(|error| internal(format!("the keyring cannot be read: {error}")))
+        };
+        let bytes = self.log.deed(profile, "back up keys", "keyring", blocking(self, read)).await?;
+        Ok(SecretBytes::new(bytes))
+    }
+}
+
+impl Profiles {
+    /// Registers the owner's identity; nothing is sent if the chain has it already.
+    pub(in crate::site) async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
+        let network = self.connection.network_or_deploy(owner).await?;
+        let _one_at_a_time = owner.changes.lock().await;
+        self.is_current(owner)?;
+        if network.directory.identity(owner.address).is_err() {
+            self.connection.fund(&network.chain, owner).await?;
+            self.send_registration(owner, &network).await?;
+        }
+        self.take_up(owner, &network).await?;
+        if owner.sealing().is_none() {
+            let missing = self.sharing.missing_text();
+            return Err(refused(missing.unwrap_or_else(|| "no epoch has started; run the command again".to_owned())));
+        }
+        self.view(&owner.profile).await
+    }
+
+    async fn send_registration(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let token = owner.prepare_epoch(network.domain, 1)?;
+        let (signing, envelope) = (owner.signing(), owner.envelope());
+        let identity = prove(self.plant.provider, &network.domain, &owner.address, &signing, &envelope.public, token)?;
+        let envelope = recovery::own_envelope(&self.plant, network, owner, 1)?;
+        let call = Call::Register { identity, envelope };
+        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "register").await;
+        let outcome = if sent.is_ok() { "done" } else { "failed" };
+        self.log.write(&owner.profile, "register", &owner.address.to_string(), outcome).await?;
+        let (_, receipt) = sent?;
+        self.link.scanned(receipt.block).await;
+        self.hub.changed(Part::Identity);
+        Ok(())
+    }
+
+    /// Resumes at the state of the owner's keys on the chain: fetches those that the keyring lacks, seals under the
+    /// current epoch, or finishes one that was begun and never reached the chain; re-wraps what readers lack.
+    pub(in crate::site) async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if self.home.original().is_some() {
+            return Ok(());
+        }
+        let network = self.link.network().await?;
+        // A locked keyring goes on sealing as it was told.
+        if owner.is_locked() || network.directory.identity(owner.address).is_err() {
+            return Ok(());
+        }
+        {
+            let _one_at_a_time = owner.changes.lock().await;
+            self.take_up(owner, &network).await?;
+        }
+        let profiles = Arc::clone(self);
+        let owner = Arc::clone(owner);
+        tokio::spawn(async move {
+            let pairs = async {
+                let network = profiles.link.network().await?;
+                let _one_at_a_time = owner.changes.lock().await;
+                profiles.finish_pairs(&owner, &network).await
+            };
+            if let Err(failure) = pairs.await {
+                profiles.hub.notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
+            }
+            if let Err(failure) = profiles.sharing.finish_epoch(&owner).await {
+                profiles.hub.notice(NoticeLevel::Error, &failure.message);
+            }
+        });
+        Ok(())
+    }
+
+    /// Brings the keyring to what the chain has of this owner's pairs and epochs. The caller holds the owner's changes.
+    async fn take_up(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let newer = block_in_place(|| recovery::recover_pairs(&self.plant, network, owner));
+        self.sharing.note_pairs(owner, newer.as_ref().err().map(ToString::to_string));
+        let newer = newer.unwrap_or(false);
+        self.sharing.take_up_epoch(owner, network)?;
+        if newer {
+            self.finish_pairs(owner, network).await?;
+            let text = format!("the chain handed newer SM2 keys over to the keyring of '{}'", owner.profile);
+            self.hub.notice(NoticeLevel::Info, &text);
+        }
+        Ok(())
+    }
+}
+
+/// The owners of a site.
+pub(in crate::site) struct Owners {
+    home: Home,
+    open: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
+    /// Profiles that are being opened, locked or given another passphrase.
+    opening: Mutex<BTreeMap<ProfileName, Arc<tokio::sync::Mutex<()>>>>,
+    /// Receives each owner as it is opened.
+    opened: mpsc::UnboundedSender<Arc<Owner>>,
+}
+
+impl Owners {
+    /// Nobody yet; `opened` receives each owner that is opened.
+    pub fn new(home: Home, opened: mpsc::UnboundedSender<Arc<Owner>>) -> Self {
+        Self { home, open: RwLock::default(), opening: Mutex::default(), opened }
+    }
+
+    /// Waits until nobody else opens, locks or newly protects the keyring of a profile, and keeps others from it while
+    /// held: a keyring that is read twice has two copies, of which one is out of date with the first change.
+    pub async fn opening(&self, profile: &ProfileName) -> tokio::sync::OwnedMutexGuard<()> {
+        let lock = {
+            let mut opening = self.opening.lock().unwrap_or_else(PoisonError::into_inner);
+            opening.retain(|_, lock| Arc::strong_count(lock) > 1);
+            Arc::clone(opening.entry(profile.clone()).or_default())
+        };
+        lock.lock_owned().await
+    }
+
+    /// Adds an opened owner, replacing the profile's previous one.
+    pub fn insert(&self, owner: &Arc<Owner>) {
+        let mut open = self.open.write().unwrap_or_else(PoisonError::into_inner);
+        open.insert(owner.profile.clone(), Arc::clone(owner));
+        drop(open);
+        // Nobody listens once the site ends.
+        drop(self.opened.send(Arc::clone(owner)));
+    }
+
+    /// The owner behind a profile, if its keyring was opened; it may be locked by now.
+    pub fn get(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
+        self.open.read().unwrap_or_else(PoisonError::into_inner).get(profile).cloned()
+    }
+
+    /// All that were opened.
+    pub fn all(&self) -> Vec<Arc<Owner>> {
+        self.open.read().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
+    }
+
+    /// Whether this is still the owner behind its profile.
+    pub fn is_open(&self, owner: &Arc<Owner>) -> bool {
+        self.get(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, owner))
+    }
+
+    /// The owner behind a profile that is unlocked here.
+    ///
+    /// # Errors
+    /// It is locked or does not exist.
+    pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+        let owner = self.get(profile).filter(|owner| !owner.is_locked());
+        owner.ok_or_else(|| match self.home.keyring(profile).exists() {
+            true => refused(format!(
+                "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
+            )),
+            false => without_identity(profile),
+        })
+    }
+
+    /// The account of a profile; needs no passphrase.
+    ///
+    /// # Errors
+    /// There is none, or its keyring cannot be read.
+    pub fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
+        if let Some(owner) = self.get(profile) {
+            return Ok(owner.address);
+        }
+        let path = self.home.keyring(profile);
+        if !path.exists() {
+            return Err(without_identity(profile));
+        }
+        Ok(block_in_place(|| read_public(&path))?.address)
+    }
+
+    /// The accounts of all profiles of the home; a keyring that cannot be read has none.
+    pub fn accounts(&self) -> Vec<Address> {
+        let profiles = self.home.profiles();
+        profiles.iter().filter_map(|profile| Some(read_public(&self.home.keyring(profile)).ok()?.address)).collect()
+    }
+}
+
+fn without_identity(profile: &ProfileName) -> Failure {
+    input(format!(
+        "profile '{profile}' has no identity yet; create one with `authros --profile {profile} identity create`"
+    ))
+}
+
+#[cfg(test)]
+mod tests;

@@ -14,7 +14,7 @@ use crate::service::hub::Hub;
 use crate::service::reply::{Failure, IncidentNoteView, IncidentView, Reply, SpanCoverageView};
 use crate::site::audit::Log;
 use crate::site::blocking;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::parts::Parts;
 use crate::store::{IncidentRow, IncidentSpan, Ledger, RecordQuery, SpanCoverage};
 

@@ -1,19 +1,21 @@
-//! Reads a gateway's list of an owner's records from where it was read before, and fetches what is missing here.
+//! Reads a gateway's list of an owner's records from where it was read before, or hears of new ones, and fetches what
+//! is missing here.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
 use super::pacing::{Missed, Patience};
-use super::{Broken, Joined};
-use crate::gateway::{Client, Code, Entry, ErasedRecord, GatewayError, Query, Selection, Standing, Stood};
+use super::{Broken, Joined, SILENCE};
+use crate::event::{NoticeLevel, Part};
+use crate::gateway::{Client, Code, Entry, ErasedRecord, Fetched, GatewayError, Query, Selection, Standing, Stood};
 use crate::model::{Address, Hash, Timestamp};
 use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::Mirror;
-use crate::service::event::{NoticeLevel, Part};
-use crate::service::reply::Failure;
+use crate::reply::Failure;
 use crate::store::Ledger;
 
 /// Entries per page.
@@ -216,6 +218,100 @@ impl Joined {
     }
 }
 
+/// The first pause before the gateway is asked again whether it gives an owner's records, and the longest.
+const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
+
+/// A reader is told that he waits once the pauses are so long: some four seconds after the first refusal.
+const SUBSCRIBING_LATE: Duration = Duration::from_secs(4);
+
+/// A record of a subscription with its entry, or why there are no more.
+pub(super) type Fed = Result<(Entry, Fetched), GatewayError>;
+
+/// Owners whose records the gateway did not give when it was asked.
+#[derive(Debug)]
+pub(super) struct Refused {
+    owners: BTreeSet<Address>,
+    again: Instant,
+    pause: Duration,
+    said: bool,
+}
+
+impl Refused {
+    /// As of now.
+    pub fn new(owners: BTreeSet<Address>, now: Instant) -> Self {
+        Self { owners, again: now + PAUSES.0, pause: PAUSES.0, said: false }
+    }
+
+    /// The owners, once, if it takes longer than a gateway needs to see a block: it may want a grant to be deeper in the chain.
+    pub fn is_late(&mut self) -> Option<&BTreeSet<Address>> {
+        let late =
+            !self.owners.is_empty() && self.pause >= SUBSCRIBING_LATE && !std::mem::replace(&mut self.said, true);
+        late.then_some(&self.owners)
+    }
+
+    /// Asks again if it is time to; `true` = the gateway gives the records of one of them now.
+    ///
+    /// # Errors
+    /// [`GatewayError`], but for the refusal.
+    pub async fn is_given(&mut self, client: &mut Client, now: Instant) -> Result<bool, GatewayError> {
+        if self.owners.is_empty() || now < self.again {
+            return Ok(false);
+        }
+        for owner in &self.owners {
+            let selection = Selection::all(*owner);
+            let query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 1 };
+            match client.query(&query).await {
+                Ok(_) => return Ok(true),
+                Err(GatewayError::Refused(Code::NotAuthorised)) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.pause = (self.pause * 2).min(PAUSES.1);
+        self.again = now + self.pause;
+        Ok(false)
+    }
+}
+
+/// Subscribes to each owner's records; returns those whose records the gateway does not give, too.
+///
+/// # Errors
+/// [`GatewayError`], but for that refusal.
+pub(super) async fn subscribe(
+    mut client: Client,
+    owners: &[Address],
+) -> Result<(Client, BTreeSet<Address>), GatewayError> {
+    let mut refused = BTreeSet::new();
+    for owner in owners {
+        match client.subscribe(&Selection::all(*owner)).await {
+            Ok(_) => {}
+            Err(GatewayError::Refused(Code::NotAuthorised)) => {
+                refused.insert(*owner);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok((client, refused))
+}
+
+/// Passes on what comes, until the connection or a subscription ends.
+pub(super) async fn follow(mut client: Client, feed: mpsc::Sender<Fed>) {
+    loop {
+        let next = match client.next_event(SILENCE).await {
+            Ok((_, entry, record)) => Ok((entry, record)),
+            Err(GatewayError::TimedOut) => match client.ping().await {
+                Ok(_) if !client.is_spent() => continue,
+                Ok(_) => Err(GatewayError::Closed),
+                Err(error) => Err(error),
+            },
+            Err(error) => Err(error),
+        };
+        let ended = next.is_err();
+        if feed.send(next).await.is_err() || ended {
+            return;
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,5 +332,26 @@ mod tests {
         for unknown in ["", "x", "1 2 3 4", "-1 99999999999999999999 7"] {
             assert_eq!(begin(unknown, 7), 0);
         }
+    }
+}
+
+#[cfg(test)]
+mod subscribing_tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_is_told_once_and_not_of_a_moment() {
+        let mut none = Refused::new(BTreeSet::new(), Instant::now());
+        none.pause = PAUSES.1;
+        assert_eq!(none.is_late(), None);
+        let owners = BTreeSet::from([Address([1; 20])]);
+        let mut refused = Refused::new(owners.clone(), Instant::now());
+        for pause in [500, 1_000, 2_000] {
+            refused.pause = Duration::from_millis(pause);
+            assert_eq!(refused.is_late(), None, "{pause}");
+        }
+        refused.pause = SUBSCRIBING_LATE;
+        assert_eq!(refused.is_late(), Some(&owners));
+        assert_eq!(refused.is_late(), None, "once");
     }
 }

@@ -5,14 +5,13 @@ mod listing;
 mod own_erasures;
 mod pacing;
 pub(super) mod remote;
-mod subscribing;
 
 use crate::paths::Home;
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use std::collections::BTreeSet;
@@ -22,6 +21,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
+use self::listing::{follow, subscribe};
 use super::supervision::Aborted;
 use crate::gateway::{Code, Entry, Fetched, GatewayError};
 use crate::model::Address;
@@ -32,7 +32,6 @@ use crate::service::reply::Failure;
 use own_erasures::OwnErasures;
 use pacing::{Missed, Pace};
 use remote::{Mirrored, Remote};
-use subscribing::{Refused, follow, subscribe};
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
@@ -204,7 +203,7 @@ impl Joined {
         let (subscriber, refused) = subscribe(subscriber, &live).await?;
         let _feeding = Aborted(tokio::spawn(follow(subscriber, feed)));
         remote.note(&owner.profile, Mirrored::Behind);
-        let (mut missed, mut refused) = (Missed::default(), Refused::new(refused, Instant::now()));
+        let (mut missed, mut refused) = (Missed::default(), listing::Refused::new(refused, Instant::now()));
         for source in &sources {
             self.catch_up(&mut client, &mirror, source, &mut missed).await?;
         }

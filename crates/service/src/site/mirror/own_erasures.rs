@@ -7,12 +7,11 @@ use tokio::task::block_in_place;
 
 use super::remote::Remote;
 use super::{Broken, Joined};
-use crate::gateway::command::erasure::MOST_ERASURES;
+use crate::gateway::command::MOST_ERASURES;
 use crate::gateway::{Client, Code, ErasureNotice, ErasureOutcome, GatewayError};
 use crate::model::bytes::hex;
 use crate::model::{Address, Digest, PublicKey, clean};
-use crate::pipeline::retention::erasing;
-use crate::pipeline::retention::told::{is_owners, notice_of};
+use crate::pipeline::retention::{self, is_owners, notice_of};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{ErasureView, Failure};
@@ -173,7 +172,7 @@ impl Joined {
         if told.stated_under == Some(keys.signing.public) {
             return Ok(true);
         }
-        let done = block_in_place(|| erasing::restate(&self.plant, owner, &keys.signing))?;
+        let done = block_in_place(|| retention::restate(&self.plant, owner, &keys.signing))?;
         told.stated_under = done.then_some(keys.signing.public);
         Ok(done)
     }

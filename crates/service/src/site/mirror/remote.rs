@@ -24,7 +24,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{internal, refused};
 use crate::service::reply::Failure;
 use crate::site::chain::connection::Lost;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 
 /// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);

@@ -1,28 +1,29 @@
 //! Operators at a site: Unix users whom the kernel names, with rights from the settings by user and by group. Their
 //! standing is looked up again while they are connected, and each request is judged before anything answers it.
 
-mod hearing;
-mod judging;
-mod listening;
-#[cfg(test)]
-mod tests;
-
 use std::os::unix::fs::MetadataExt as _;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-pub(crate) use hearing::Heard;
+use tokio::net::UnixListener;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::task::block_in_place;
 
-use super::audit::Log;
+use super::audit::{Log, acting_as, by};
+use super::consoles::Claims;
 use super::parts::Parts;
 use super::{Site, blocking};
+use crate::accounts::{self, Account, AccountError};
+use crate::command::{Needed, Request};
 use crate::config::Config;
-use crate::model::{ErrorKind, OperatorName, OperatorRights, ProfileName};
+use crate::crypto::hands::{self, Fault};
+use crate::event::{Event, NoticeLevel};
+use crate::failure::refused;
+use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights, ProfileName};
 use crate::paths::Home;
-use crate::service::accounts::{Account, AccountError};
-use crate::service::command::Needed;
-use crate::service::failure::refused;
-use crate::service::reply::Failure;
+use crate::reply::{Failure, Reply};
+use crate::socket;
 
 /// How long an operator's standing counts once it was looked up.
 const FRESH: Duration = Duration::from_secs(1);
@@ -145,5 +146,199 @@ impl Site {
     pub(crate) fn refuse_passphrase(&self, operator: &Operator, profile: &ProfileName) -> Failure {
         self.operators.count_refused(operator, profile, Needed::Passphrase);
         refused("an operator sends no passphrase, so the site reads none here; its owner does this")
+    }
+}
+
+/// Interval between looks at an operator's standing.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// What is sent through a connection.
+pub(crate) enum Heard {
+    /// Something happened.
+    Event(Event),
+    /// Nothing more is sent, and why.
+    Ended(Failure),
+}
+
+impl Site {
+    /// Sends events to a connection, until `tell` says that nobody listens or its operator may not hear them.
+    pub(crate) async fn tell_events(self: Arc<Self>, claims: Claims, tell: impl Fn(Heard) -> bool + Send) {
+        let mut events = self.events();
+        loop {
+            let event = tokio::select! {
+                goes_on = self.parts.life.beat(LOOK), if matches!(claims.asker, Asker::Operator(_)) => {
+                    if goes_on { None } else { return }
+                }
+                event = events.recv() => match event {
+                    Ok(event) => Some(event),
+                    Err(RecvError::Lagged(_)) => continue,
+                    Err(RecvError::Closed) => return,
+                },
+            };
+            if let Asker::Operator(operator) = &claims.asker
+                && let Some(refusal) = self.operators.why_not(operator, Needed::Right(OperatorRight::Look)).await
+            {
+                tell(Heard::Ended(refusal));
+                return;
+            }
+            if let Some(event) = event
+                && !tell(Heard::Event(event))
+            {
+                return;
+            }
+        }
+    }
+}
+
+impl Site {
+    /// Answers a request of a connection if who asks may make it; an operator is named in each line of what follows.
+    ///
+    /// # Errors
+    /// That the right is missing, or errors of the command's part.
+    pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
+        let Asker::Operator(operator) = &claims.asker else { return self.handle(request, claims).await };
+        self.operators.judge(operator, &request.profile, request.command.needs()).await?;
+        acting_as(operator.name.clone(), Box::pin(self.handle(request, claims))).await
+    }
+}
+
+impl Operators {
+    async fn judge(
+        self: &Arc<Self>,
+        operator: &Operator,
+        profile: &ProfileName,
+        needed: Needed,
+    ) -> Result<(), Failure> {
+        let refusal = if self.has(profile) {
+            self.why_not(operator, needed).await
+        } else {
+            Some(refused(format!("this site has no profile '{profile}'; choose one that it has with --profile")))
+        };
+        let Some(refusal) = refusal else { return Ok(()) };
+        self.count_refused(operator, profile, needed);
+        Err(refusal)
+    }
+
+    /// Counts a refusal; of one that only looks nothing would have changed.
+    fn count_refused(&self, operator: &Operator, profile: &ProfileName, needed: Needed) {
+        if needed == Needed::Right(OperatorRight::Look) {
+            return;
+        }
+        // The names of profiles that are not there could be many.
+        let who = if self.has(profile) { by(profile, &operator.name) } else { format!("user {}", operator.name) };
+        let _first = self.log.refused(&who, &format!("needs {}", needed.word()));
+    }
+
+    fn has(&self, profile: &ProfileName) -> bool {
+        self.home.keyring(profile).exists()
+    }
+
+    /// Why an operator may not do this now; `None` if it may.
+    async fn why_not(self: &Arc<Self>, operator: &Operator, needed: Needed) -> Option<Failure> {
+        match self.rights(operator).await {
+            Ok(rights) => why_not(&operator.name, &rights, needed).map(refused),
+            Err(failure) => Some(failure),
+        }
+    }
+}
+
+/// Why a user with these rights may not do this; `None` if the user may.
+fn why_not(name: &OperatorName, rights: &OperatorRights, needed: Needed) -> Option<String> {
+    match needed {
+        Needed::Right(right) if rights.has(right) => None,
+        Needed::Right(right) => Some(format!(
+            "this needs the right '{}', and user '{name}' has {rights}; ask the owner of this site",
+            right.word()
+        )),
+        Needed::Owner | Needed::Passphrase => {
+            Some(format!("only the owner of this site may do this, and user '{name}' is an operator with {rights}"))
+        }
+    }
+}
+
+/// Interval between attempts to listen.
+const AGAIN: Duration = Duration::from_secs(5);
+/// The group of the socket may connect: what a user may do there, the settings say.
+const MODE: u32 = 0o660;
+
+impl Site {
+    /// Serves operators until the site ends.
+    pub(in crate::site) async fn serve_operators(self: Arc<Self>) {
+        let settings = &self.config().operators;
+        let Some(path) = &settings.socket else { return };
+        for line in block_in_place(|| accounts::unknown(&settings.rules)).unwrap_or_default() {
+            self.parts.hub.notice(NoticeLevel::Warning, &line);
+        }
+        let mut told = None;
+        while !self.parts.life.is_stopping() {
+            match block_in_place(|| listen(self.home(), path)) {
+                Ok(listener) => return socket::accept_operators(&self, &listener).await,
+                Err(why) => {
+                    if told.as_ref() != Some(&why) {
+                        let text = format!("operators cannot connect to {}: {why}", path.display());
+                        self.parts.hub.notice(NoticeLevel::Error, &text);
+                        told = Some(why);
+                    }
+                }
+            }
+            tokio::select! {
+                () = tokio::time::sleep(AGAIN) => {}
+                () = self.stopped() => return,
+            }
+        }
+    }
+}
+
+fn listen(home: &Home, path: &Path) -> Result<UnixListener, String> {
+    let unusable = |error: std::io::Error| format!("{error}; make its folder, or choose another operators.socket");
+    let folder = path.parent().unwrap_or(path).canonicalize().map_err(unusable)?;
+    if home.root().canonicalize().is_ok_and(|home| folder.starts_with(home)) {
+        return Err("it is in the home, which only its owner may enter; choose another operators.socket".to_owned());
+    }
+    match hands::fault(&folder, rustix::process::geteuid().as_raw()).map_err(unusable)? {
+        None => socket::bind(path, MODE).map_err(unusable),
+        Some(Fault::Foreign(folder)) => {
+            Err(format!("{} belongs to another user; choose a folder of the site's user", folder.display()))
+        }
+        Some(Fault::Open(folder)) => Err(format!(
+            "others can write to {} and could put another socket there; run chmod go-w on it",
+            folder.display()
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests;
+
+#[cfg(test)]
+mod listening_tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use std::fs::{Permissions, set_permissions};
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_socket_is_made_where_nobody_else_can_replace_it_and_outside_the_home() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = Home::new(folder.path().join("home"));
+        std::fs::create_dir(home.root()).expect("a home");
+        let place = folder.path().join("run");
+        std::fs::create_dir(&place).expect("a folder");
+        let path = place.join("operators.sock");
+        let listener = listen(&home, &path).expect("listens");
+        let mode = std::fs::metadata(&path).expect("a socket").permissions().mode() & 0o777;
+        assert_eq!(mode, MODE);
+        assert!(listen(&home, &path).expect_err("somebody answers there").contains("in use"));
+        drop(listener);
+        drop(listen(&home, &path).expect("one that nobody answers is replaced"));
+        for mode in [0o770, 0o702, 0o1777] {
+            set_permissions(&place, Permissions::from_mode(mode)).expect("its mode");
+            assert!(listen(&home, &path).expect_err("others write it").contains("chmod go-w"), "{mode:o}");
+        }
+        let inside = home.root().join("operators.sock");
+        assert!(listen(&home, &inside).expect_err("in the home").contains("in the home"));
+        assert!(listen(&home, &folder.path().join("missing/operators.sock")).is_err());
     }
 }

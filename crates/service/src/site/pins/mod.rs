@@ -3,11 +3,10 @@
 #[cfg(test)]
 mod tests;
 
-use crate::pipeline::Pins;
-use crate::pipeline::Plant;
+use crate::pipeline::{Pins, Plant};
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::parts::Parts;
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;

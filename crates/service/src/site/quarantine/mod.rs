@@ -6,7 +6,7 @@ mod tests;
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use crate::site::reading::Reading;

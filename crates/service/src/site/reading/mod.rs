@@ -1,27 +1,35 @@
 //! Records as shown to people: a profile's own and those that others share, listed, checked, opened and exported.
 
-mod coverage;
-mod names;
 mod opened;
 mod own;
 mod shared;
-mod statements;
 pub(super) mod view;
+
+use std::collections::{BTreeSet, HashSet};
+use std::sync::{Arc, Mutex};
+
+use serde_json::{Value, json};
+
+use super::audit::Log;
+use super::blocking;
+use super::chain::connection::pin_of;
+use super::chain::link::Link;
+use super::contacts::Contacts;
+use super::devices::enrolled::{self, Enrolled};
+use super::identity::Owners;
+use super::parts::Parts;
 use crate::config::Config;
-use crate::model::{Address, Digest, ErrorKind, clean};
+use crate::failure::input;
+use crate::model::{
+    Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, Timestamp, TopicName,
+    clean,
+};
 use crate::paths::Home;
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, Plant};
-use crate::service::reply::Failure;
-use crate::site::audit::Log;
-use crate::site::blocking;
-use crate::site::chain::connection::pin_of;
-use crate::site::chain::link::Link;
-use crate::site::contacts::Contacts;
-use crate::site::identity::owners::Owners;
-use crate::site::parts::Parts;
-use std::collections::HashSet;
-use std::sync::{Arc, Mutex};
+use crate::reply::{CoveragePart, CoverageView, Failure};
+use crate::ros::recording::{Beside, BesideContent};
+use crate::store::CoverageQuery;
 
 /// Records as people read them.
 pub(in crate::site) struct Reading {
@@ -67,4 +75,143 @@ impl Reading {
     pub fn forget(&self) {
         self.heads.forget();
     }
+}
+
+/// The most parts of one answer.
+const MOST_PARTS: usize = 1_000;
+/// The fewest characters of an id.
+const SHORTEST: usize = 8;
+
+impl Reading {
+    /// A span of time of one of the profile's topics, in parts; according to the ledger, and without a passphrase.
+    ///
+    /// # Errors
+    /// A span that ends before it begins, too many parts, or no robot of that name.
+    pub(in crate::site) async fn coverage(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        (topic, robot): (TopicName, Option<String>),
+        span: (Option<Timestamp>, Option<Timestamp>),
+        parts: usize,
+    ) -> Result<CoverageView, Failure> {
+        let owner = self.owners.address_of(profile)?;
+        let (since, until) = (span.0, span.1.unwrap_or_else(Timestamp::now));
+        if since.is_some_and(|since| since >= until) {
+            return Err(input("the span ends before it begins; --since must be earlier than --until"));
+        }
+        if !(1..=MOST_PARTS).contains(&parts) {
+            return Err(input(format!("a span can have 1 to {MOST_PARTS} parts, not {parts}")));
+        }
+        // What robots recorded arrives without the names of its topics.
+        self.learn_own_names(profile).await?;
+        let (name, asked) = (topic.to_string(), robot.clone());
+        let (found, robots) = blocking(self, move |reading| {
+            let enrolled = enrolled::of_account(&reading.plant.ledger, owner)?;
+            let signers = asked.map(|robot| devices_of(&enrolled, &robot)).transpose()?;
+            let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
+            let found = reading.plant.ledger.coverage(&query)?;
+            let robots = names(&enrolled, &found.signers);
+            Ok((found, robots))
+        })
+        .await?;
+        let parts = found.parts.into_iter().map(|part| CoveragePart {
+            at: part.at,
+            data: part.data,
+            quarantined: part.quarantined,
+            tampered: part.tampered,
+            lost: part.lost,
+        });
+        let (robot, parts) = (robot.map(|robot| clean(&robot, 64)), parts.collect());
+        let (since, first, last) = (found.since, found.first, found.last);
+        Ok(CoverageView { topic, robot, robots, since, until, first, last, parts })
+    }
+}
+
+/// The devices that a person means: all that were ever enrolled under a name, for a robot that is enrolled again is the
+/// same robot with another key; or the one whose id begins so.
+fn devices_of(enrolled: &[Enrolled], robot: &str) -> Result<BTreeSet<SignerId>, Failure> {
+    let devices = |is_meant: &dyn Fn(&Enrolled) -> bool| -> BTreeSet<SignerId> {
+        enrolled.iter().filter(|one| is_meant(one)).map(|one| one.device).collect()
+    };
+    let named = devices(&|one| one.name.as_str() == robot);
+    if !named.is_empty() {
+        return Ok(named);
+    }
+    let begin: String = robot.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
+    let begin = begin.trim_start_matches("0x");
+    let known =
+        devices(&|one| begin.len() >= SHORTEST && one.device.to_string().trim_start_matches("0x").starts_with(begin));
+    if known.len() == 1 {
+        return Ok(known);
+    }
+    Err(input(format!(
+        "no robot of this profile is called '{}'; give the name that it was enrolled under, or at least {SHORTEST} \
+         characters of its device's id; `authros robots list` shows them",
+        clean(robot, 64)
+    )))
+}
+
+/// The names of the robots among these keys, each once.
+fn names(enrolled: &[Enrolled], signers: &BTreeSet<SignerId>) -> Vec<String> {
+    let robots = enrolled.iter().filter(|robot| signers.contains(&robot.device));
+    let names: BTreeSet<&str> = robots.map(|robot| robot.name.as_str()).collect();
+    names.into_iter().map(str::to_owned).collect()
+}
+
+/// The widest text from a body, characters.
+const WIDEST: usize = 255;
+
+/// The longest value of metadata that is shown, characters.
+const LONGEST_VALUE: usize = 64 * 1024;
+
+/// The body of a gap, retention or attachment record by the names of its fields; `None` for other kinds.
+pub(in crate::site) fn view(kind: RecordKind, type_name: &str, body: &[u8]) -> Option<Value> {
+    match kind {
+        RecordKind::Gap => GapReport::parse(body).ok().map(|gap| {
+            json!({
+                "topic": clean(&gap.topic, WIDEST), "publisher": clean(&gap.publisher, WIDEST), "lost": gap.count,
+                "reason": gap.reason.word(), "text": format!("{} messages {}", gap.count, gap.reason.text()),
+                "first_number": gap.numbers.map(|(first, _)| first), "last_number": gap.numbers.map(|(_, last)| last),
+                "first_at": gap.first_at, "last_at": gap.last_at,
+            })
+        }),
+        RecordKind::Retention => RetentionReport::parse(body).ok().map(|report| {
+            json!({
+                "topic": clean(&report.topic, WIDEST), "rule": clean(&report.rule, WIDEST), "records": report.count,
+                "bytes": report.bytes, "first_seq": report.first_seq, "last_seq": report.last_seq,
+                "rolling": report.rolling,
+                "text": format!("the ciphertext of {} records was deleted", report.count),
+            })
+        }),
+        RecordKind::Attachment => beside(type_name, body),
+        _ => None,
+    }
+}
+
+fn beside(type_name: &str, body: &[u8]) -> Option<Value> {
+    Some(match Beside::of_type(type_name)?.parse(body)? {
+        BesideContent::File(file) => json!({
+            "name": clean(&file.name, WIDEST), "media_type": clean(&file.media_type, WIDEST), "bytes": file.data.len(),
+            "logged_at": file.logged_at, "created_at": file.created_at, "crc32": file.checksum,
+        }),
+        BesideContent::Metadata { name, entries } => {
+            let entries: Vec<_> =
+                entries.iter().map(|(key, value)| json!([clean(key, WIDEST), clean(value, LONGEST_VALUE)])).collect();
+            json!({ "name": clean(&name, WIDEST), "entries": entries })
+        }
+    })
+}
+
+/// The file that an attachment is, or the bytes of metadata; `None` if it is neither.
+pub(in crate::site) fn content<'a>(type_name: &str, body: &'a [u8]) -> Option<&'a [u8]> {
+    Some(match Beside::of_type(type_name)?.parse(body)? {
+        BesideContent::File(file) => file.data,
+        BesideContent::Metadata { .. } => body,
+    })
+}
+
+/// The same as names and values, for screens.
+pub(in crate::site) fn fields(view: &Value) -> Vec<(String, String)> {
+    let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    view.as_object().into_iter().flatten().map(|(name, value)| (name.clone(), text(value))).collect()
 }

@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use super::statements;
 use super::view::{reason_of, record_view};
 use crate::crypto::OpenedRecord;
 use crate::model::{ErrorKind, RecordKind, RecordState, clean};
@@ -19,7 +18,7 @@ use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::{self as ask, Ask, LONGEST_PATH, Viewing};
 use crate::service::reply::{Failure, OpenedView, PathView, Reply};
-use crate::site::blocking;
+use crate::site::{blocking, reading};
 use crate::store::{RecordQuery, RecordRow};
 
 /// Messages up to this length include their bytes when viewed; longer ones only as files.
@@ -209,7 +208,7 @@ fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Resul
     if kind == Some(Exported::Json) {
         return Ok(serde_json::to_vec_pretty(&view.message).unwrap_or_default());
     }
-    let content = statements::content(&opened.row.type_name, &opened.record.body).map(<[u8]>::to_vec);
+    let content = reading::content(&opened.row.type_name, &opened.record.body).map(<[u8]>::to_vec);
     content.ok_or_else(|| {
         let text =
             format!("{} is not an attachment as MCAP has them; write it as .json to see what is known", opened.row.id);
@@ -232,8 +231,8 @@ fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
         Err(error) => (None, Some(error.to_string())),
     };
     let fields = decoded.as_ref().map(|value| value.flatten(MOST_FIELDS)).unwrap_or_default();
-    let stated = statements::view(row.kind, &row.type_name, &record.body);
-    let fields = stated.as_ref().map_or(fields, statements::fields);
+    let stated = reading::view(row.kind, &row.type_name, &record.body);
+    let fields = stated.as_ref().map_or(fields, reading::fields);
     let of_another = row.owner != owner.address;
     let shown = Shown { compared: Compared::Head, ..Shown::unread(row.clone()) };
     OpenedView {

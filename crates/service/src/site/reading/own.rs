@@ -11,7 +11,7 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId, clean};
 use crate::pipeline::columns::{self, Caveat, Refusal, ShownState};
 use crate::pipeline::epoch::tag_choice;
-use crate::pipeline::retention::erasing::is_stated;
+use crate::pipeline::retention::is_stated;
 use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};

@@ -3,18 +3,16 @@
 mod epochs;
 mod missing;
 pub(super) mod overdue;
-mod revoking;
 #[cfg(test)]
 mod tests;
 
-use crate::pipeline::Plant;
-use crate::pipeline::Sender;
+use crate::pipeline::{Plant, Sender};
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::contacts::Contacts;
 use crate::site::devices::enrolled::Enrolments;
-use crate::site::identity::owners::Owners;
+use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::Joined;
 use crate::site::parts::Parts;

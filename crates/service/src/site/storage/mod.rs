@@ -1,24 +1,27 @@
 //! Data on the disk: space for it, how long it is kept, and whether it is intact after a crash.
 
-mod erasing;
-mod integrity;
 mod retention;
-pub(super) mod room;
-#[cfg(test)]
-mod tests;
-use crate::config::Config;
-use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
-use crate::site::identity::owners::Owners;
-use crate::site::lifetime::Lifetime;
-use crate::site::parts::Parts;
-use crate::site::reading::Reading;
-use crate::store::Reserve;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::Duration;
+
+use super::audit::Log;
+use super::blocking;
+use super::chain::link::Link;
+use super::identity::Owners;
+use super::lifetime::Lifetime;
+use super::parts::Parts;
+use super::reading::Reading;
+use crate::config::Config;
+use crate::event::{NoticeLevel, Part};
+use crate::hub::Hub;
+use crate::model::{ByteSize, ProfileName};
+use crate::paths::Home;
+use crate::pipeline::Plant;
+use crate::reply::{Failure, HealthLevel};
+use crate::store::files::free_bytes;
+use crate::store::{Ledger, Reserve, StoreError};
 
 /// The disk under a site.
 pub(in crate::site) struct Storage {
@@ -54,7 +57,7 @@ impl Storage {
             owners,
             link,
             life,
-            states: room::working_reserve(&parts.home, parts.config.disk_reserve),
+            states: working_reserve(&parts.home, parts.config.disk_reserve),
             reading: Arc::clone(reading),
             naming: tokio::sync::Mutex::default(),
             has_named: AtomicBool::new(true),
@@ -62,3 +65,159 @@ impl Storage {
         }
     }
 }
+
+/// Interval between looks at the disk: the shortest and the longest.
+const LOOKS: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
+/// The fastest rate at which a disk is assumed to fill up, bytes a second.
+const FASTEST: u64 = 1 << 30;
+/// The most bytes set aside for states; each takes a few hundred.
+const MOST_FOR_STATES: u64 = 4 << 20;
+/// With less free space than this, what is set aside is released.
+const LAST: u64 = 512 << 10;
+
+/// The ledger of a home; on a full disk the space set aside for the states of its records is released for it. The
+/// second value says whether the home is a copy.
+pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
+    if home.original().is_some() {
+        // Nothing is recorded in it, so it needs no recorder of its own.
+        return Ok((Ledger::open(&home.ledger())?, false));
+    }
+    match Ledger::open_in_place(&home.ledger()) {
+        Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
+            Ledger::open_in_place(&home.ledger())
+        }
+        opened => opened,
+    }
+}
+
+/// Sets space aside for the states of records, never so much that the rest is less than the reserve itself.
+pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
+    // If there is no space now, it is tried again when there is.
+    Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
+}
+
+impl Storage {
+    /// Watches the free space on the disk until the site ends.
+    pub(in crate::site) async fn keep_room(self: Arc<Self>) {
+        let (mut held, mut pause) = (None, LOOKS.0);
+        let reserve = self.config.disk_reserve;
+        while !self.life.is_stopping() {
+            if !self.life.beat(pause).await {
+                return;
+            }
+            let Ok(free) = blocking(&self, |storage| Ok(free_bytes(storage.home.root())?)).await else { continue };
+            pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
+            if free < reserve && held.is_none() {
+                held = Some(self.plant.ledger.hold_records());
+                self.tell_room(NoticeLevel::Error, &self.full_text(free));
+            }
+            if free < reserve.min(LAST) && self.states.is_held() {
+                // Removing a file takes no space.
+                drop(blocking(&self, |storage| Ok(storage.states.release()?)).await);
+            }
+            // Somewhat more than the reserve, so that it does not flutter.
+            if free >= reserve.saturating_add(reserve / 4) {
+                if held.take().is_some() {
+                    self.tell_room(NoticeLevel::Info, "there is disk space again: records are accepted again");
+                }
+                if !self.states.is_held() && free >= reserve.saturating_add(MOST_FOR_STATES) {
+                    drop(blocking(&self, |storage| Ok(storage.states.refill()?)).await);
+                }
+            }
+        }
+    }
+
+    fn tell_room(&self, level: NoticeLevel, text: &str) {
+        self.hub.notice(level, text);
+        self.hub.changed(Part::Health);
+    }
+
+    fn full_text(&self, free: u64) -> String {
+        format!(
+            "the disk of {} has {} left, less than disk.reserve ({}): no further record is acknowledged; captured \
+             messages wait in memory, and those that do not fit are dropped and counted; free some space, then capture \
+             resumes automatically",
+            self.home.root().display(),
+            ByteSize(free),
+            ByteSize(self.config.disk_reserve)
+        )
+    }
+
+    /// How the vault's health is reported while records are refused.
+    pub(in crate::site) fn room_health(&self) -> Option<(HealthLevel, String)> {
+        let held: Result<(), Failure> = self.plant.ledger.takes_records().map_err(Failure::from);
+        held.err().map(|_| {
+            let free = free_bytes(self.home.root()).unwrap_or(0);
+            (HealthLevel::Failed, self.full_text(free))
+        })
+    }
+}
+
+/// Records re-read from the vault; a crash can only have touched what was written last.
+const NEWEST: usize = 256;
+
+/// How long the process that started the site may take to listen.
+const LISTENING: Duration = Duration::from_millis(500);
+
+impl Storage {
+    /// This home is a copy of another one.
+    pub(in crate::site) async fn tell_of_copy(self: Arc<Self>) {
+        let text = "this home is a copy: its ledger is not the file it was when last used. New records are numbered \
+                    under a new recorder; do not run it at the same time as the original";
+        if let Ok(profile) = "site".parse::<ProfileName>() {
+            let written = self.log.write(&profile, "copied home", "a new recorder begins", "noticed").await;
+            if let Err(failure) = written {
+                self.hub.notice(NoticeLevel::Error, &failure.message);
+            }
+        }
+        tokio::time::sleep(LISTENING).await;
+        self.hub.notice(NoticeLevel::Warning, text);
+    }
+
+    /// Checks once, in the background, if the previous run did not close its files.
+    pub(in crate::site) async fn check_after_crash(self: Arc<Self>) {
+        if self.plant.ledger.ended_cleanly() {
+            return;
+        }
+        match blocking(&self, contradictions).await {
+            Ok(found) if found.is_empty() => {
+                self.hub.notice(
+                    NoticeLevel::Info,
+                    "the previous run did not shut down cleanly; ledger and vault are sound",
+                );
+            }
+            Ok(found) => found.iter().for_each(|text| self.hub.notice(NoticeLevel::Error, text)),
+            Err(failure) => {
+                let text = format!(
+                    "after an unclean shutdown it could not be checked whether everything is there: {}",
+                    failure.message
+                );
+                self.hub.notice(NoticeLevel::Error, &text);
+            }
+        }
+    }
+}
+
+fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
+    let plant = &storage.plant;
+    let mut found: Vec<String> = plant
+        .ledger
+        .contradictions()?
+        .into_iter()
+        .map(|text| format!("after an unclean shutdown, in the ledger: {text}; keep a copy of the home"))
+        .collect();
+    for digest in plant.ledger.newest_stored(NEWEST)? {
+        let blob = plant.vault.get(digest)?;
+        // A vault that is only a cache is filled again from the local copies.
+        if blob.is_none() && !plant.vault.durable() {
+            continue;
+        }
+        if blob.is_none_or(|blob| plant.provider.sm3(&[&blob]) != digest.0) {
+            found.push(format!("after an unclean shutdown: record {digest} is not in the vault as it was stored"));
+        }
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,16 +1,24 @@
-//! Retention at work: rules applied, deletions written into the audit log, local copies beside a cache deleted.
+//! Retention and erasing at work: rules applied, deletions written into the audit log, local copies beside a cache
+//! deleted.
 
-use super::Storage;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::model::Timestamp;
+use super::Storage;
+use crate::command::ErasureWishes;
+use crate::event::NoticeLevel;
+use crate::failure::{input, refused};
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
-use crate::pipeline::retention::{self, Retention, Round};
-use crate::service::event::NoticeLevel;
-use crate::service::reply::Failure;
+use crate::pipeline::importer::SOURCE;
+use crate::pipeline::reader::Reader;
+use crate::pipeline::retention::{self, LONGEST_REASON, Retention, Round};
+use crate::reply::{ErasureView, Failure};
 use crate::site::blocking;
+use crate::site::recordings::RECORDING;
+use crate::store::{Erasure, IncidentRow, RecordQuery, RecordRow};
 
 /// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
@@ -134,4 +142,202 @@ impl Storage {
             self.hub.notice(NoticeLevel::Warning, &format!("local copies are kept for now: {}", failure.message));
         }
     }
+}
+
+/// The most records of one erasure.
+const MOST: usize = 100_000;
+/// Records of one page.
+const PAGE: usize = 10_000;
+/// How often it is looked whether the bytes are gone, and how many times.
+const ERASING_LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
+
+/// What erasing does not reach, said each time.
+const STAYS: [&str; 4] = [
+    "copies that readers have fetched",
+    "backups, exports and evidence bundles made before",
+    "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
+    "the files of a Redis vault, until its server rewrites them, and what a disk keeps of overwritten blocks",
+];
+
+impl Storage {
+    /// Shows what would be erased, or erases it.
+    pub(in crate::site) async fn erase(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: ErasureWishes,
+    ) -> Result<ErasureView, Failure> {
+        let reason = clean(wishes.reason.trim(), LONGEST_REASON);
+        if reason.is_empty() || wishes.reason.chars().count() > LONGEST_REASON {
+            return Err(input(format!("say why in 1 to {LONGEST_REASON} characters: --reason TEXT")));
+        }
+        let (asked, asking, sure) = (wishes.clone(), Arc::clone(owner), wishes.sure);
+        let network = self.link.network().await?;
+        let (rows, incidents) = blocking(self, move |storage| {
+            let reader = Reader { plant: &storage.plant, network: &network, reader: &asking };
+            Ok((chosen(&reader, &asked)?, storage.plant.ledger.incidents(asking.address)?))
+        })
+        .await?;
+        let (view, erasable) = planned(&rows, &incidents);
+        if !sure || erasable.is_empty() {
+            return Ok(view);
+        }
+        if !view.held.is_empty() {
+            let names = view.held.join(", ");
+            return Err(refused(format!(
+                "incidents hold some of these records: {names}; release them with `authros incident remove NAME --yes`, or \
+                 choose other records"
+            )));
+        }
+        let subject = clean(&format!("{} records of {}: {reason}", erasable.len(), view.topics.join(" ")), 900);
+        self.log.begin(owner, "erase", &subject).await?;
+        let erasure = Erasure { at: Timestamp::now(), by: owner.profile.to_string(), reason };
+        let digests = erasable.iter().map(|row| row.digest).collect();
+        let named = self.name_erased(owner, erasable, erasure).await;
+        let named = self.log.end(owner, "erase", &subject, named).await?;
+        let left = self.wait_for_erasing(digests).await?;
+        Ok(ErasureView { named: named.named, missing: named.missing, deleted: !left, ..view })
+    }
+
+    async fn name_erased(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        rows: Vec<RecordRow>,
+        erasure: Erasure,
+    ) -> Result<retention::Erased, Failure> {
+        let _one_at_a_time = self.naming.lock().await;
+        let asked = Arc::clone(owner);
+        let named = blocking(self, move |storage| Ok(retention::name(&storage.plant, &asked, &rows, &erasure)?)).await;
+        self.has_named.store(true, Ordering::Release);
+        self.hub.stored.notify_waiters();
+        named
+    }
+
+    /// Waits for a while until what was named of these is deleted; returns whether something is left.
+    async fn wait_for_erasing(self: &Arc<Self>, mut digests: Vec<Digest>) -> Result<bool, Failure> {
+        for _ in 0..ERASING_LOOK.1 {
+            digests = blocking(self, move |storage| {
+                while let Some(last) = digests.last() {
+                    let retained = storage.plant.ledger.retained(*last)?;
+                    if retained.is_some_and(|retained| retained.deleted_at.is_none()) {
+                        break;
+                    }
+                    digests.pop();
+                }
+                Ok(digests)
+            })
+            .await?;
+            if digests.is_empty() {
+                return Ok(false);
+            }
+            if !self.life.beat(ERASING_LOOK.0).await {
+                break;
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// The chosen records of an owner.
+fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>, Failure> {
+    let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
+    let mut rows = Vec::new();
+    for id in &wishes.records {
+        let row = ledger.record_by_id(id)?.filter(|row| row.owner == owner && row.kind.is_content());
+        let unknown = || input(format!("there is no message or attachment '{}' of this profile here", clean(id, 70)));
+        rows.push(row.ok_or_else(unknown)?);
+    }
+    if !wishes.records.is_empty() {
+        rows.sort_by_key(|row| row.digest);
+        rows.dedup_by_key(|row| row.digest);
+        return Ok(rows);
+    }
+    if wishes.topic.is_none() && wishes.recording.is_none() {
+        return Err(input("choose what to erase: --topic or --recording, with --since and --until, or --record"));
+    }
+    // A recording is its messages and what it holds beside them; a topic has nothing beside its messages.
+    let kinds = [RecordKind::Data, RecordKind::Attachment];
+    for kind in kinds.into_iter().filter(|kind| wishes.topic.is_none() || *kind == RecordKind::Data) {
+        rows.extend(chosen_of(reader, wishes, kind)?);
+        if rows.len() > MOST {
+            return Err(too_many());
+        }
+    }
+    Ok(rows)
+}
+
+fn too_many() -> Failure {
+    input(format!("these are more than {MOST} records; choose a shorter span and repeat it"))
+}
+
+/// The chosen records of a kind, by topic or recording.
+fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>, Failure> {
+    let mut rows = Vec::new();
+    let mut query = RecordQuery {
+        owner: Some(reader.reader.address),
+        topic: wishes.topic.as_ref().map(ToString::to_string),
+        kind: Some(kind),
+        since: wishes.since,
+        until: wishes.until,
+        limit: PAGE,
+        ..RecordQuery::default()
+    };
+    loop {
+        let page = reader.plant.ledger.list(&query)?;
+        match &wishes.recording {
+            Some(recording) => rows.extend(imported(reader, page.rows, recording)?),
+            None => rows.extend(page.rows),
+        }
+        if rows.len() > MOST {
+            return Err(too_many());
+        }
+        let Some(next) = page.next else { return Ok(rows) };
+        query.after = Some(next);
+    }
+}
+
+/// Those that an import of a recording sealed, as their sealed tags say. What is gone already cannot be opened and is none.
+fn imported(reader: &Reader<'_>, rows: Vec<RecordRow>, recording: &str) -> Result<Vec<RecordRow>, Failure> {
+    let mut found = Vec::new();
+    for row in rows {
+        let Some(opened) = reader.own_contents(&row)? else { continue };
+        let has = |name: &str, value: &str| opened.head.tags.get(name).is_some_and(|tag| tag == value);
+        if has(RECORDING, recording) && has(SOURCE.0, SOURCE.1) {
+            found.push(row);
+        }
+    }
+    Ok(found)
+}
+
+/// What would become of these records, and those that can go.
+fn planned(rows: &[RecordRow], incidents: &[IncidentRow]) -> (ErasureView, Vec<RecordRow>) {
+    let erasable: Vec<RecordRow> = rows.iter().filter(|row| retention::can_be(row)).cloned().collect();
+    let holds = |incident: &&IncidentRow| erasable.iter().any(|row| is_held(row, incident));
+    let held = incidents.iter().filter(holds).map(|incident| incident.name.to_string()).collect();
+    let topics: BTreeSet<String> = erasable.iter().map(|row| clean(&row.topic, 255)).collect();
+    let view = ErasureView {
+        records: erasable.len() as u64,
+        bytes: erasable.iter().map(|row| row.bytes).sum(),
+        topics: topics.into_iter().collect(),
+        waiting: rows.iter().filter(|row| row.state.is_pending()).count() as u64,
+        gone: rows.iter().filter(|row| row.deleted_at.is_some()).count() as u64,
+        other: rows.iter().filter(|row| is_other(row)).count() as u64,
+        held,
+        named: 0,
+        missing: 0,
+        deleted: false,
+        stays: STAYS.map(ToOwned::to_owned).to_vec(),
+    };
+    (view, erasable)
+}
+
+/// Quarantined, discarded or altered: decided about elsewhere.
+fn is_other(row: &RecordRow) -> bool {
+    row.deleted_at.is_none() && !row.state.is_pending() && row.state != RecordState::Verified
+}
+
+fn is_held(row: &RecordRow, incident: &IncidentRow) -> bool {
+    let span = &incident.span;
+    row.captured_at >= span.since
+        && span.until.is_none_or(|until| row.captured_at < until)
+        && (span.topics.is_empty() || span.topics.contains(&row.topic))
 }
