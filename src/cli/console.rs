@@ -162,7 +162,7 @@ pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArgument
     let cast = Cast { owner: context.profile.clone(), reader: super::parse::value(READER)? };
     let TourArguments { theme, ascii } = arguments;
     let console = ConsoleArguments { theme, ascii, ..ConsoleArguments::default() };
-    let ended = run_tour(runtime, context, console, Some(cast));
+    let ended = run(runtime, context, console, Some(cast));
     drop(temporary);
     ended
 }

@@ -38,7 +38,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Beside(Screen::Uploads, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
-        Tag::Beside(_, id) => opening::detail_opened(state, id, ask::OpenShared::heard(result)),
+        Tag::Beside(_, id) => opening::opened_beside(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
         // What the site knew before says nothing about what is still in flight now.

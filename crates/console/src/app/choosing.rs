@@ -81,7 +81,7 @@ fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
 }
 
 /// A key while the list is open.
-pub fn key(state: &mut State, mut browse: Browse, key: Key) -> Vec<Effect> {
+pub fn browse_key(state: &mut State, mut browse: Browse, key: Key) -> Vec<Effect> {
     let choices = choices(state);
     let last = choices.len().saturating_sub(1);
     match key {
@@ -123,7 +123,7 @@ pub fn choose(state: &mut State) -> Vec<Effect> {
 }
 
 /// A key while a theme is chosen.
-pub fn themes_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> {
+pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> {
     let last = state.settings.themes.len().saturating_sub(1);
     match key {
         Key::Escape | Key::Char('q') => return vec![Effect::ShowTheme(choice.before)],
@@ -283,7 +283,7 @@ fn set(state: &mut State, chosen: Vec<&'static str>) {
 }
 
 /// A key while columns are chosen; each is shown or hidden at once.
-pub fn columns_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<Effect> {
+pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<Effect> {
     let offered = offered(state.screen);
     let last = offered.len().saturating_sub(1);
     match key {

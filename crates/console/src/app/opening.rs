@@ -367,7 +367,7 @@ pub fn covered(state: &mut State, topic: &str, answer: Result<CoverageView, Fail
 }
 
 /// Takes the answer about another owner's record.
-pub fn detail_opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
+pub fn opened_beside(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
     if let Some(opening) = state.detail.opening.as_mut().filter(|opening| opening.lookup.id == id) {
         opening.lookup.answer = Some(answer);
     }

@@ -194,7 +194,7 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.ask_for_progress();
     incidents::tick(state);
     policies::tick(state);
-    lock_tick(state)
+    lock_when_due(state)
 }
 
 /// The tasks popup shows the lanes, imports and exports.
@@ -456,7 +456,7 @@ pub fn due(state: &State) -> Option<Timestamp> {
 }
 
 /// Locks when it is time.
-pub fn lock_tick(state: &mut State) -> Vec<Effect> {
+pub fn lock_when_due(state: &mut State) -> Vec<Effect> {
     if due(state).is_none_or(|at| at > state.now) {
         return Vec::new();
     }

@@ -146,7 +146,7 @@ pub fn draw_bottom(canvas: &mut Canvas, area: Rect, state: &State) {
 }
 
 /// Mark and role of a level.
-pub fn bottom_level(level: NoticeLevel) -> (&'static str, Role) {
+pub fn notice_level(level: NoticeLevel) -> (&'static str, Role) {
     match level {
         NoticeLevel::Info => ("› ", Role::Accent),
         NoticeLevel::Warning => ("◐ ", Role::Warning),
@@ -180,7 +180,7 @@ fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
         }
         return;
     };
-    let (mark, role) = bottom_level(toast.level);
+    let (mark, role) = notice_level(toast.level);
     let hint = hint(state);
     let lines = wrap(&toast.text, width_beside(&hint, area.width));
     let shown = lines.len().min(MOST_LINES);

@@ -199,7 +199,7 @@ fn draw_line(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(line) = state.log.selected() else { return };
     canvas.put(area, &format!("{}  {}  {}", line.at, level_word(line.level), line.key), Role::Dim);
     let role =
-        if line.level == crate::service::NoticeLevel::Info { Role::Body } else { bars::bottom_level(line.level).1 };
+        if line.level == crate::service::NoticeLevel::Info { Role::Body } else { bars::notice_level(line.level).1 };
     let lines: Vec<Vec<Piece>> = wrap(&line.text, area.width).into_iter().map(|text| vec![(text, role)]).collect();
     put_lines(canvas, below(area, 2), &lines, 0);
 }

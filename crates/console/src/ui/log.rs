@@ -2,7 +2,7 @@
 
 use ratatui::layout::Rect;
 
-use super::bars::bottom_level;
+use super::bars::notice_level;
 use super::canvas::Canvas;
 use super::table::{Column, Sheet, draw as draw_table, with_local_time};
 use super::theme::Role;
@@ -49,7 +49,7 @@ fn from(line: &LogLine) -> String {
 }
 
 fn cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
-    let role = if line.level == NoticeLevel::Info { Role::Dim } else { bottom_level(line.level).1 };
+    let role = if line.level == NoticeLevel::Info { Role::Dim } else { notice_level(line.level).1 };
     vec![
         (state.clock(line.at), Role::Dim),
         (level_word(line.level).to_owned(), role),

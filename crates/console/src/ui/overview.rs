@@ -152,7 +152,7 @@ fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
     let (when, mark, role) = match alert.resolved {
         Some(at) => (format!("resolved {}{often}", state.clock(at)), "● ", Role::Good),
         None => {
-            let (mark, role) = bars::bottom_level(alert.level);
+            let (mark, role) = bars::notice_level(alert.level);
             (format!("{since}{}{often}", state.clock(alert.since)), mark, role)
         }
     };

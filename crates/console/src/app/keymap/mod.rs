@@ -338,7 +338,7 @@ fn lines(source: &Source) -> Result<Vec<Read>, KeymapError> {
 
 fn one(source: &Source, place: Place, line: Line) -> Result<Read, KeymapError> {
     let at = line.on.span();
-    let on = file_keys(source, at.start, line.on.into_inner())?;
+    let on = read_keys(source, at.start, line.on.into_inner())?;
     let (run, run_at) = (line.run.get_ref().as_str(), line.run.span().start);
     let entry = VERBS.iter().find(|entry| entry.name == run);
     if entry.is_none() && run != NONE {
@@ -349,7 +349,7 @@ fn one(source: &Source, place: Place, line: Line) -> Result<Read, KeymapError> {
     Ok(Read { place, change: Change { on, entry, desc }, at })
 }
 
-fn file_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, KeymapError> {
+fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, KeymapError> {
     let labels = match on {
         On::One(label) => vec![label],
         On::Chord(labels) => labels,

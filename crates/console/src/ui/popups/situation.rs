@@ -151,7 +151,7 @@ fn reason(word: &str) -> &str {
 /// Draws a line of the log, whole.
 pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
     let about = format!("{}  {}  {}", words::moment(line.at), level_word(line.level), line.key);
-    let role = if line.level == NoticeLevel::Info { Role::Body } else { bars::bottom_level(line.level).1 };
+    let role = if line.level == NoticeLevel::Info { Role::Body } else { bars::notice_level(line.level).1 };
     draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
 }
 
