@@ -1,5 +1,5 @@
 //! ROS 2 topics of a real DDS peer (Eclipse Cyclone DDS with ROS 2's names and QoS), captured in a network namespace of
-//! the test's own. No rmw node was available; `docs/ros2.md` says so.
+//! the test's own. Real nodes of ROS 2 are in `ros2_leaving.rs`.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
