@@ -561,7 +561,7 @@ mod tests {
         why.sort_unstable();
         assert_eq!(findings.messages_skipped(), 4);
         assert!(
-            matches!(&why[..], [("", number), ("/a", before), ("/a", row), ("/x", format)]
+            matches!(&why[..], [("", number), ("/a", row), ("/a", before), ("/x", format)]
             if number.contains("topic 9") && before.contains("1970") && row.contains("its row") && format.contains("'rtps'")),
             "{why:?}"
         );
