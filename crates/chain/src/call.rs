@@ -1,11 +1,16 @@
 //! Calls of the contract and their encoding.
 
-use ethers::abi::Token as AbiToken;
-use ethers::types::{H160, U256};
+use std::sync::LazyLock;
 
-use super::ChainError;
-use super::artefact::artefact;
-use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, grant::MOST_TOPICS};
+use ethers::abi::{Abi, Function, Token as AbiToken};
+use ethers::types::{H160, U256};
+use ethers::utils::keccak256;
+use serde::Deserialize;
+
+use crate::ChainError;
+use crate::model::bytes::unhex;
+use crate::model::grant::MOST_TOPICS;
+use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token};
 
 /// The most grantees in one [`Call::Wrap`] (contract limit).
 pub const MOST_WRAPS: usize = 32;
@@ -14,153 +19,59 @@ pub const LONGEST_ENVELOPE: usize = 4096;
 
 /// A change of the contract's state, made by the sender of the transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Call {
-    /// Registers the sender at epoch 1.
-    Register {
-        /// Token, keys and proof.
-        identity: Identity,
-        /// The epoch's key, wrapped for the sender; empty if it seals nothing.
-        envelope: Vec<u8>,
-    },
-    /// Replaces the sender's SM2 keys; the epoch continues.
-    RotateKeys {
-        /// Current token, new keys and proof.
-        identity: Identity,
-        /// The new keys, wrapped for the keys that they replace.
-        envelope: Vec<u8>,
-    },
-    /// Puts one digest on the chain.
-    DataUpload {
-        /// SM3 of the record.
-        digest: Digest,
-        /// Any token that the sender has ever registered.
-        token: Token,
-        /// When the record was captured.
-        timestamp: Timestamp,
-    },
-    /// Lets a grantee read.
-    AuthorityGrant {
-        /// The grantee.
-        grantee: Address,
-        /// The epoch whose key the envelope carries.
-        epoch: u64,
-        /// When it ends, whole seconds; `None` = never.
-        expiry: Option<Timestamp>,
-        /// The topics.
-        scope: Scope,
-        /// The wrapped keys, at most [`LONGEST_ENVELOPE`].
-        envelope: Vec<u8>,
-    },
-    /// Gives grantees the envelopes of another epoch.
-    Wrap {
-        /// The epoch.
-        epoch: u64,
-        /// Grantees and their envelopes, at most [`MOST_WRAPS`].
-        envelopes: Vec<(Address, Vec<u8>)>,
-    },
+    /// Registers the sender at epoch 1. The envelope wraps the epoch's key for the sender; empty if it seals nothing.
+    Register { identity: Identity, envelope: Vec<u8> },
+    /// Replaces the sender's SM2 keys; the epoch continues, so the identity holds its token. The envelope wraps the new
+    /// keys for those that they replace.
+    RotateKeys { identity: Identity, envelope: Vec<u8> },
+    /// Puts the digest of one record on the chain, with any token that the sender has ever registered and the time of
+    /// capture.
+    DataUpload { digest: Digest, token: Token, timestamp: Timestamp },
+    /// Lets a grantee read until the expiry, whole seconds, `None` = for ever. The envelope, at most
+    /// [`LONGEST_ENVELOPE`], wraps the key of the epoch.
+    AuthorityGrant { grantee: Address, epoch: u64, expiry: Option<Timestamp>, scope: Scope, envelope: Vec<u8> },
+    /// Gives grantees the envelopes of another epoch, at most [`MOST_WRAPS`] at once.
+    Wrap { epoch: u64, envelopes: Vec<(Address, Vec<u8>)> },
     /// Ends a grant and the epoch.
-    AuthorityRevoke {
-        /// The grantee.
-        grantee: Address,
-        /// Token of the next epoch.
-        new_token: Token,
-        /// Its key, wrapped for the sender.
-        envelope: Vec<u8>,
-    },
+    AuthorityRevoke { grantee: Address, new_token: Token, envelope: Vec<u8> },
     /// Ends the epoch.
-    Rotate {
-        /// Token of the next epoch.
-        new_token: Token,
-        /// Its key, wrapped for the sender.
-        envelope: Vec<u8>,
-    },
-    /// Anchors a Merkle root.
-    Anchor {
-        /// The root.
-        root: Hash,
-        /// Number of leaves.
-        count: u64,
-        /// The sender's last root, zero for the first.
-        previous: Hash,
-    },
-    /// Lets a device sign for the sender.
-    Lend {
-        /// SM3 of its public key.
-        device: SignerId,
-        /// When it ends, whole seconds; `None` = never.
-        until: Option<Timestamp>,
-    },
-    /// Ends a loan.
-    Recall {
-        /// SM3 of the device's public key.
-        device: SignerId,
-    },
+    Rotate { new_token: Token, envelope: Vec<u8> },
+    /// Anchors a Merkle root over `count` leaves; `previous` is the sender's last root, zero for the first.
+    Anchor { root: Hash, count: u64, previous: Hash },
+    /// Lets a device, named by the SM3 of its public key, sign for the sender until then, whole seconds; `None` = for
+    /// ever.
+    Lend { device: SignerId, until: Option<Timestamp> },
+    /// Ends the loan of a device, named by the SM3 of its public key.
+    Recall { device: SignerId },
     /// Administrator: lets an account register while registration is closed.
-    Admit {
-        /// The account.
-        account: Address,
-    },
+    Admit { account: Address },
     /// Administrator: withdraws an admission.
-    Dismiss {
-        /// The account.
-        account: Address,
-    },
+    Dismiss { account: Address },
     /// Administrator: opens or closes registration.
-    SetOpen {
-        /// Whether anyone may register.
-        open: bool,
-    },
+    SetOpen { open: bool },
     /// Administrator: suspends an account's changes.
-    Suspend {
-        /// The account.
-        account: Address,
-    },
+    Suspend { account: Address },
     /// Administrator: lifts an account's suspension.
-    Restore {
-        /// The account.
-        account: Address,
-    },
-    /// Administrator: pauses all changes except those that take rights away, until a given time.
-    Pause {
-        /// When they resume, whole seconds; at most [`super::LONGEST_PAUSE`] ahead.
-        until: Timestamp,
-    },
+    Restore { account: Address },
+    /// Administrator: pauses all changes except those that take rights away, until then, whole
+    /// seconds, at most [`super::LONGEST_PAUSE`] ahead.
+    Pause { until: Timestamp },
     /// Administrator: resumes changes before the pause ends.
     Resume,
     /// Administrator: proposes the successor of a lost account.
-    ProposeSuccession {
-        /// The account whose key is lost.
-        lost: Address,
-        /// The successor.
-        successor: Address,
-    },
+    ProposeSuccession { lost: Address, successor: Address },
     /// Recovery account or administrator: stops a pending succession.
-    CancelSuccession {
-        /// The lost account.
-        lost: Address,
-    },
+    CancelSuccession { lost: Address },
     /// Anyone: completes a succession whose delay is over.
-    CompleteSuccession {
-        /// The lost account.
-        lost: Address,
-    },
-    /// Names the account that may stop a succession of the sender's account.
-    NameRecovery {
-        /// The recovery account; `None` = nobody.
-        recovery: Option<Address>,
-    },
-    /// Extends a grant.
-    Extend {
-        /// The grantee.
-        grantee: Address,
-        /// Its new end, whole seconds; `None` = never.
-        expiry: Option<Timestamp>,
-    },
-    /// Administrator: nominates the next administrator.
-    Nominate {
-        /// The nominee; the zero address withdraws the nomination.
-        account: Address,
-    },
+    CompleteSuccession { lost: Address },
+    /// Names the account that may stop a succession of the sender's account; `None` = nobody.
+    NameRecovery { recovery: Option<Address> },
+    /// Extends a grant to a new end, whole seconds; `None` = for ever.
+    Extend { grantee: Address, expiry: Option<Timestamp> },
+    /// Administrator: nominates the next administrator; the zero address withdraws the nomination.
+    Nominate { account: Address },
     /// The nominee takes over.
     AcceptAdministrator,
 }
@@ -304,6 +215,89 @@ fn wrap(epoch: u64, envelopes: &[(Address, Vec<u8>)]) -> Result<Vec<AbiToken>, C
     Ok(vec![AbiToken::Array(grantees), number(epoch), AbiToken::Array(bytes.collect::<Result<_, _>>()?)])
 }
 
+// The compiled contract built into this program.
+
+const ARTEFACT: &str = include_str!("../../../contracts/AuthROS.json");
+
+/// ABI and code of AuthROS.sol.
+#[derive(Debug)]
+pub struct Artefact {
+    /// Functions and events.
+    pub abi: Abi,
+    /// Creation code, without the constructor's arguments.
+    pub creation: Vec<u8>,
+    /// Keccak-256 of the deployed code.
+    pub code_hash: Hash,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct File {
+    abi: Abi,
+    bytecode: String,
+    deployed_bytecode: String,
+}
+
+static READ: LazyLock<Result<Artefact, String>> = LazyLock::new(|| read(ARTEFACT));
+
+fn read(json: &str) -> Result<Artefact, String> {
+    let file: File = serde_json::from_str(json).map_err(|error| format!("the contract's artefact: {error}"))?;
+    let code = |text: &str| unhex(text).ok_or_else(|| "the contract's artefact is not hex".to_owned());
+    Ok(Artefact {
+        creation: code(&file.bytecode)?,
+        code_hash: Hash(keccak256(code(&file.deployed_bytecode)?)),
+        abi: file.abi,
+    })
+}
+
+/// The artefact.
+///
+/// # Errors
+/// [`ChainError::Internal`] if the file built into the program is broken.
+pub fn artefact() -> Result<&'static Artefact, ChainError> {
+    READ.as_ref().map_err(|error| ChainError::Internal(error.clone()))
+}
+
+impl Artefact {
+    /// A function of the contract.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] if there is none of that name.
+    pub fn function(&self, name: &str) -> Result<&Function, ChainError> {
+        self.abi.function(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))
+    }
+
+    /// Call data of a function.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] if name or arguments do not match the ABI.
+    pub fn encode(&self, name: &str, arguments: &[AbiToken]) -> Result<Vec<u8>, ChainError> {
+        let encoded = self.function(name)?.encode_input(arguments);
+        encoded.map_err(|error| ChainError::Internal(format!("{name}: {error}")))
+    }
+
+    /// The first topic of an event.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] if there is none of that name.
+    pub fn event_signature(&self, name: &str) -> Result<Hash, ChainError> {
+        let event = self.abi.event(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))?;
+        Ok(Hash(event.signature().0))
+    }
+
+    /// Creation code with the constructor's arguments: whether registration is open, and the delay of a succession,
+    /// seconds.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] if the artefact has no constructor.
+    pub fn creation(&self, open: bool, delay: u64) -> Result<Vec<u8>, ChainError> {
+        let constructor = self.abi.constructor().ok_or_else(|| ChainError::Internal("no constructor".into()))?;
+        let arguments = [AbiToken::Bool(open), AbiToken::Uint(delay.into())];
+        let code = constructor.encode_input(self.creation.clone(), &arguments);
+        code.map_err(|error| ChainError::Internal(format!("constructor: {error}")))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -335,5 +329,30 @@ mod tests {
         ] {
             assert!(matches!(bad.encode(), Err(ChainError::Input(_))), "{bad:?}");
         }
+    }
+}
+
+#[cfg(test)]
+mod artefact_tests {
+    use super::*;
+    use std::path::Path;
+    use std::process::Command;
+
+    #[test]
+    fn the_artefact_is_for_old_evms_and_small_enough() {
+        let file: serde_json::Value = serde_json::from_str(ARTEFACT).expect("JSON");
+        assert!(file["compiler"].as_str().expect("compiler").starts_with("0.7.6"));
+        assert!(artefact().expect("artefact").creation.len() < 24_576);
+    }
+
+    #[test]
+    fn artefact_recompiles() {
+        let Some(solc) = std::env::var_os("AUTHROS_SOLC") else {
+            println!("SKIPPED artefact_recompiles: AUTHROS_SOLC names no folder of the npm module solc 0.7.6");
+            return;
+        };
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../contracts/compile.mjs");
+        let output = Command::new("node").arg(script).arg("--check").arg(solc).output().expect("node runs");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
 }

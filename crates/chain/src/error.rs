@@ -13,27 +13,15 @@ pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --hom
 
 /// Why something on the chain did not happen.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum ChainError {
-    /// The node does not answer, or what stands before it does not let requests through.
+    /// The node does not answer, or what stands before it does not let requests through: its URL
+    /// without credentials and path, what happened as a predicate of the node, and what to do.
     #[error("the node at {url} {reason}; {advice}")]
-    Unreachable {
-        /// Its URL, without credentials and path.
-        url: String,
-        /// What happened, as a predicate of the node.
-        reason: String,
-        /// What to do.
-        advice: String,
-    },
+    Unreachable { url: String, reason: String, advice: String },
     /// The peer does not speak Ethereum's JSON-RPC as expected.
     #[error("{url} gave an unexpected answer to {method} ({reason}); check that `chain.url` is an Ethereum node")]
-    Answer {
-        /// The peer.
-        url: String,
-        /// The request.
-        method: String,
-        /// What is wrong with it.
-        reason: String,
-    },
+    Answer { url: String, method: String, reason: String },
     /// The URL is not that of a node.
     #[error("'{0}' is not the address of a node; use http://HOST:PORT, https://, ws://, wss:// or ipc:/PATH")]
     Url(String),
@@ -45,31 +33,16 @@ pub enum ChainError {
         "the chain at {url} is not the pinned one: its {what} is {found}, not {pinned}; {SEAL_ANEW}, or start the pinned \
          chain again; anchoring has stopped, nothing is lost"
     )]
-    Swapped {
-        /// The chain's URL.
-        url: String,
-        /// Which part of the pin differs.
-        what: &'static str,
-        /// What was pinned.
-        pinned: String,
-        /// What was found.
-        found: String,
-    },
+    Swapped { url: String, what: &'static str, pinned: String, found: String },
     /// The embedded chain that was pinned has no file any more.
     #[error(
         "the embedded chain {} is gone; {SEAL_ANEW}, or put the file back from a backup; anchoring has stopped, nothing \
          is lost", path.display()
     )]
-    Gone {
-        /// Where it was.
-        path: PathBuf,
-    },
+    Gone { path: PathBuf },
     /// Only what was kept of the chain is there: it cannot be asked.
     #[error("the chain cannot be asked: {why}")]
-    Absent {
-        /// Why not.
-        why: String,
-    },
+    Absent { why: String },
     /// No contract is known yet.
     #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
     NoContract,
@@ -78,10 +51,7 @@ pub enum ChainError {
     NotTheContract(Address),
     /// The contract reverted.
     #[error("the contract refused: {}", explain(.code))]
-    Reverted {
-        /// The contract's reason code, unchanged.
-        code: String,
-    },
+    Reverted { code: String },
     /// The node already has this very transaction.
     #[error("the node already has this transaction; wait for its receipt")]
     AlreadyKnown,
@@ -99,41 +69,19 @@ pub enum ChainError {
     NoEther(Shortfall),
     /// The network requires more than the operator's cap.
     #[error("the network requires {needed} per gas, more than chain.max_fee = {cap} allows; wait or raise it")]
-    TooDear {
-        /// The price per gas.
-        needed: Wei,
-        /// The cap per gas.
-        cap: Wei,
-    },
+    TooDear { needed: Wei, cap: Wei },
     /// A block of this network has too little room for the transaction.
     #[error(
         "the transaction needs up to {needed} gas, and the node says that a block of this network holds {limit}; raise \
          the network's block gas limit, or correct `chain.url`"
     )]
-    BlockTooSmall {
-        /// The gas it needs.
-        needed: u64,
-        /// The gas that a block holds.
-        limit: u64,
-    },
+    BlockTooSmall { needed: u64, limit: u64 },
     /// The node refused for another reason.
     #[error("the node refused {method}: {reason}")]
-    Rejected {
-        /// The request.
-        method: String,
-        /// Why, in its own words.
-        reason: String,
-    },
-    /// A transaction was not mined in time.
+    Rejected { method: String, reason: String },
+    /// A transaction was not mined in time; `blocks` passed it by, `price` is the last that it offered.
     #[error("the transaction was sent but not mined within {seconds} s: {}", passed_by(*.blocks, *.price))]
-    NotMined {
-        /// How long it waited.
-        seconds: u64,
-        /// How many blocks passed it by.
-        blocks: u64,
-        /// The last price per gas that it offered.
-        price: Wei,
-    },
+    NotMined { seconds: u64, blocks: u64, price: Wei },
     /// A value cannot be encoded in a call.
     #[error("{0}")]
     Input(String),
@@ -142,47 +90,21 @@ pub enum ChainError {
         "the embedded chain {} was changed or damaged at block {block}: {what}; restore it from a backup, or move it \
          away: {SEAL_ANEW}", path.display()
     )]
-    Tampered {
-        /// The file.
-        path: PathBuf,
-        /// The first block that does not match.
-        block: u64,
-        /// What does not match.
-        what: String,
-    },
+    Tampered { path: PathBuf, block: u64, what: String },
     /// The embedded chain's file cannot be used.
     #[error("the embedded chain {} cannot be used: {reason}; check the directory's permissions and free \
              space", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        reason: String,
-    },
+    File { path: PathBuf, reason: String },
     /// The embedded chain was written by a later version of this program.
     #[error("the embedded chain {} has version {found}, but this program supports only {known}; use a newer \
              authros", path.display())]
-    Newer {
-        /// The file.
-        path: PathBuf,
-        /// The version found.
-        found: i64,
-        /// The version known.
-        known: i64,
-    },
+    Newer { path: PathBuf, found: i64, known: i64 },
     /// The embedded chain was founded with another consensus.
     #[error(
         "the embedded chain {} was created with {founded}, but {asked} was requested; leave `chain.consensus` empty, \
          or use another --home", path.display()
     )]
-    OtherConsensus {
-        /// The file.
-        path: PathBuf,
-        /// The consensus it was founded with.
-        founded: Consensus,
-        /// The consensus requested.
-        asked: Consensus,
-    },
+    OtherConsensus { path: PathBuf, founded: Consensus, asked: Consensus },
     /// A fault of this program.
     #[error("internal error in the chain code: {0}; please report it")]
     Internal(String),

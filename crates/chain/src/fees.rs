@@ -1,17 +1,18 @@
 //! Gas prices, and re-signing transactions: the same call at another price or nonce.
 
+use std::time::{Duration, Instant};
+
 use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest, U256};
 use ethers::utils::rlp;
 use serde_json::json;
 
-use super::artefact::artefact;
-use super::connect::RawBlock;
-use super::gas;
-use super::sender::{sign_request, wallet};
-use super::{BlockRef, Call, Chain, ChainError, Shortfall, SignedTransaction};
+use crate::call::artefact;
+use crate::connect::RawBlock;
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Wei};
+use crate::sender::{sign_request, wallet};
+use crate::{BlockRef, Call, Chain, ChainError, SignedTransaction};
 
 /// The highest tip on top of the base fee, wei.
 const LARGEST_TIP: u128 = 1_000_000_000;
@@ -150,7 +151,7 @@ impl Chain {
             Some(function) => {
                 // It may fail because an earlier transaction of the lane is in no block yet.
                 let estimate = self.estimate(eoa.address(), Some(self.contract()?), &data).await.unwrap_or(0);
-                gas::limit(estimate, gas::known_cost(&function, &data), self.room())?
+                limit(estimate, known_cost(&function, &data), self.room())?
             }
             None => TRANSFER_GAS,
         };
@@ -204,6 +205,190 @@ fn no_transaction() -> ChainError {
     ChainError::Input("the stored bytes are not a legacy transaction; check the ledger with `authros audit`".into())
 }
 
+// What transactions may cost: the operator's floor and cap, and when a waiting one is worth a higher price.
+
+/// Blocks that skip the first waiting transaction before it counts as passed by.
+const PASSED_BY: u64 = 6;
+/// The shortest wait before it counts as passed by.
+pub const STARVING: Duration = Duration::from_secs(10);
+
+/// The operator's limits, wei per gas.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Policy {
+    /// The most; `None` = no cap.
+    pub cap: Option<u128>,
+    /// The least, whatever the node quotes.
+    pub floor: u128,
+}
+
+/// A price, or a refusal because of the cap.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
+pub enum Priced {
+    /// Wei per gas.
+    At(u128),
+    /// The price would have to exceed the cap; both in wei per gas.
+    Capped { needed: u128, cap: u128 },
+}
+
+impl Policy {
+    /// The same limits with a higher floor, as far as the cap allows.
+    pub fn with_floor(self, floor: u128) -> Self {
+        let floor = self.cap.map_or(floor, |cap| floor.min(cap));
+        Self { floor: self.floor.max(floor), ..self }
+    }
+
+    /// The price of a new transaction: the market's price, raised to the floor, lowered to the cap if that can still be
+    /// mined.
+    pub fn fresh(&self, market: &Market) -> Priced {
+        let needed = market.base.unwrap_or_else(|| market.quoted.min(market.offer()));
+        self.within(market.offer().max(self.floor), needed.max(self.floor))
+    }
+
+    /// The price of a transaction that replaces one signed at `signed`: the market's price or the floor, but at least an
+    /// eighth more (nodes refuse replacements below a tenth).
+    pub fn replacement(&self, signed: u128, market: &Market) -> Priced {
+        let least = signed.saturating_add((signed / 8).saturating_add(1)).max(self.floor);
+        self.within(market.offer().max(least), least.max(market.base.unwrap_or(0)))
+    }
+
+    /// Whether a transaction that blocks pass by is offered at a higher price although the quote did not move. Not
+    /// where gas costs nothing: such networks refuse any other price.
+    pub fn raises(&self, market: &Market) -> bool {
+        market.offer().max(self.floor) > 0
+    }
+
+    /// `wanted`, or the cap if that is at least `needed`.
+    fn within(&self, wanted: u128, needed: u128) -> Priced {
+        match self.cap {
+            Some(cap) if wanted > cap && needed > cap => Priced::Capped { needed, cap },
+            Some(cap) => Priced::At(wanted.min(cap)),
+            None => Priced::At(wanted),
+        }
+    }
+}
+
+/// Whether a block made now cannot include a transaction signed at this price.
+pub fn is_outbid(signed: u128, market: &Market) -> bool {
+    market.base.is_some_and(|base| base > signed)
+}
+
+/// How long a transaction has been the next one to be mined, and since when at its present price.
+#[derive(Debug, Clone, Copy)]
+pub struct Wait {
+    patience: Duration,
+    since: (u64, Instant),
+    raised: Option<(u64, Instant)>,
+}
+
+impl Wait {
+    /// From this block on; nothing counts as passed by sooner than after `patience`.
+    pub fn from(block: u64, patience: Duration) -> Self {
+        Self { patience, since: (block, Instant::now()), raised: None }
+    }
+
+    /// It was just offered at a higher price.
+    pub fn raise(&mut self, block: u64) {
+        self.raised = Some((block, Instant::now()));
+    }
+
+    /// How long it has waited.
+    pub fn length(&self) -> Duration {
+        self.since.1.elapsed()
+    }
+
+    /// Whether it was offered at a higher price because blocks passed it by.
+    pub fn is_raised(&self) -> bool {
+        self.raised.is_some()
+    }
+
+    /// How many blocks have passed it by, if that is too many.
+    pub fn passed_by(&self, block: u64) -> Option<u64> {
+        self.is_long(self.since, block).then(|| block.saturating_sub(self.since.0))
+    }
+
+    /// Whether too many blocks have passed it by at its present price.
+    pub fn is_due(&self, block: u64) -> bool {
+        self.is_long(self.raised.unwrap_or(self.since), block)
+    }
+
+    fn is_long(&self, (since, at): (u64, Instant), block: u64) -> bool {
+        block.saturating_sub(since) >= PASSED_BY && at.elapsed() >= self.patience
+    }
+}
+
+/// What an account holds, and what it needs for its next transaction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Shortfall {
+    /// The account.
+    pub account: Address,
+    /// Its ether.
+    pub held: Wei,
+    /// The most that the transaction may cost.
+    pub needed: Wei,
+}
+
+impl std::fmt::Display for Shortfall {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { account, held, needed } = self;
+        write!(
+            f,
+            "{account} has too little ether to pay for gas: it has {held} and needs {needed}; send it some on this chain"
+        )
+    }
+}
+
+// What each call is known to cost, and how far a node's estimate is believed. Gas that a transaction does not use is not
+// paid, so a limit above the cost is harmless; one that no block can hold blocks its account's lane for ever.
+
+/// Gas for each byte of a call's data, in the dearest rules known (EIP-7623), and its copy in an event.
+const PER_BYTE: u64 = 70;
+/// An estimate above this multiple of the known cost is not believed.
+const BELIEVED: u64 = 4;
+
+/// The most gas that a call of the contract uses, with a quarter to spare: measured under both rule sets
+/// (`contracts/gas.txt`), and proportional to its data.
+pub(super) fn known_cost(function: &str, data: &[u8]) -> u64 {
+    let fixed: u64 = match function {
+        "register" => 345_000,
+        "rotateKeys" => 121_000,
+        "dataUpload" => 83_000,
+        "authorityGrant" => 75_000,
+        "authorityRevoke" => 66_000,
+        "nameRecovery" => 76_000,
+        "proposeSuccession" => 63_000,
+        "wrap" => 30_000,
+        _ => 60_000,
+    };
+    let bytes = data.len() as u64 * PER_BYTE;
+    fixed.saturating_add(bytes).saturating_mul(5) / 4
+}
+
+/// The gas limit of a transaction: what the call is known to cost, or the node's estimate with a quarter to spare where
+/// that is higher, up to four times the known cost and never more than a block holds.
+///
+/// # Errors
+/// [`ChainError::BlockTooSmall`] if a block holds less than the call is known to cost.
+pub(super) fn limit(estimate: u64, known: u64, block: Option<u64>) -> Result<u64, ChainError> {
+    let block = block.filter(|limit| *limit > 0).unwrap_or(u64::MAX);
+    if block < known {
+        return Err(ChainError::BlockTooSmall { needed: known, limit: block });
+    }
+    Ok(with_margin(estimate).clamp(known, known.saturating_mul(BELIEVED)).min(block))
+}
+
+/// An estimate with a quarter to spare: the state may change until the transaction is mined.
+pub(super) fn with_margin(estimate: u64) -> u64 {
+    estimate.saturating_add(estimate / 4)
+}
+
+impl Call {
+    /// The most gas that this call uses, as far as is known.
+    pub(super) fn known_cost(&self, data: &[u8]) -> u64 {
+        known_cost(self.name(), data)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -241,5 +426,148 @@ mod tests {
         assert!(!is_same_call(&first.raw, &other.raw));
         assert!(!is_same_call(&[1], &[1]) && offered(&[0xc0]).is_err() && call_data(&[]).is_err());
         assert_eq!(offered(&first.raw).map(|offered| offered.cost_at(2)), Ok(100_000));
+    }
+}
+
+#[cfg(test)]
+mod price_tests {
+    use super::*;
+    use crate::BlockRef;
+    use crate::model::Hash;
+    use proptest::prelude::*;
+
+    fn market(base: Option<u128>, quoted: u128) -> Market {
+        Market { head: BlockRef { number: 1, hash: Hash([0; 32]), timestamp: 0 }, base, quoted }
+    }
+
+    #[test]
+    fn a_cap_is_never_passed_and_used_where_it_can_be_mined() {
+        let policy = Policy { cap: Some(100), floor: 0 };
+        assert_eq!(policy.fresh(&market(Some(60), 60)), Priced::At(100), "twice 60 is too much, 100 is mined");
+        assert_eq!(policy.fresh(&market(Some(101), 101)), Priced::Capped { needed: 101, cap: 100 });
+        assert_eq!(policy.fresh(&market(None, 90)), Priced::At(90));
+        assert_eq!(policy.fresh(&market(None, 101)), Priced::Capped { needed: 101, cap: 100 });
+        assert_eq!(policy.replacement(96, &market(Some(97), 97)), Priced::Capped { needed: 109, cap: 100 });
+        assert_eq!(policy.replacement(80, &market(Some(97), 97)), Priced::At(100));
+        assert_eq!(Policy::default().replacement(0, &market(None, 0)), Priced::At(1));
+    }
+
+    #[test]
+    fn a_floor_is_offered_whatever_the_node_quotes() {
+        let policy = Policy { cap: Some(100), floor: 50 };
+        assert_eq!(policy.fresh(&market(None, 0)), Priced::At(50));
+        assert_eq!(policy.fresh(&market(None, 70)), Priced::At(70));
+        assert_eq!(policy.fresh(&market(Some(10), 12)), Priced::At(50));
+        assert_eq!(policy.replacement(8, &market(None, 8)), Priced::At(50));
+        assert_eq!(policy.replacement(48, &market(None, 8)), Priced::At(55), "an eighth more all the same");
+        assert_eq!(Policy { cap: Some(40), floor: 50 }.fresh(&market(None, 1)), Priced::Capped { needed: 50, cap: 40 });
+        assert_eq!(policy.with_floor(90).fresh(&market(None, 1)), Priced::At(90));
+        assert_eq!(policy.with_floor(900).fresh(&market(None, 1)), Priced::At(100), "no higher than the cap");
+        assert_eq!(policy.with_floor(9), policy);
+    }
+
+    #[test]
+    fn only_where_gas_has_a_price_is_it_raised() {
+        assert!(Policy::default().raises(&market(None, 1)));
+        assert!(!Policy::default().raises(&market(None, 0)));
+        assert!(Policy { cap: None, floor: 1 }.raises(&market(None, 0)));
+    }
+
+    #[test]
+    fn a_transaction_is_passed_by_after_blocks_and_time() {
+        let mut wait = Wait::from(10, STARVING);
+        assert_eq!((wait.passed_by(16), wait.is_due(16)), (None, false), "too soon");
+        let Some(begun) = Instant::now().checked_sub(2 * STARVING) else { return };
+        wait.since.1 = begun;
+        assert_eq!((wait.passed_by(15), wait.passed_by(16), wait.is_due(16)), (None, Some(6), true));
+        wait.raise(16);
+        assert_eq!((wait.passed_by(30), wait.is_due(30), wait.is_raised()), (Some(20), false, true));
+        wait.raised = Some((16, begun));
+        assert!(wait.is_due(22) && !wait.is_due(21) && !wait.is_due(3), "a node that fell behind is no reason");
+    }
+
+    #[test]
+    fn only_the_base_fee_outbids() {
+        assert!(is_outbid(99, &market(Some(100), 0)));
+        assert!(!is_outbid(100, &market(Some(100), 500)));
+        assert!(!is_outbid(0, &market(None, 500)));
+    }
+
+    proptest! {
+        #[test]
+        fn replacements_are_an_eighth_more_and_within_the_limits(signed in 0u128..1 << 90, base: Option<u64>, quoted: u64, cap: Option<u64>, floor: u64) {
+            let policy = Policy { cap: cap.map(u128::from), floor: u128::from(floor) };
+            match policy.replacement(signed, &market(base.map(u128::from), u128::from(quoted))) {
+                Priced::At(price) => {
+                    prop_assert!(price > signed && (price - signed) * 8 >= signed);
+                    prop_assert!(policy.cap.is_none_or(|cap| price <= cap) && price >= policy.floor);
+                    prop_assert!(base.is_none_or(|base| price >= u128::from(base)));
+                }
+                Priced::Capped { needed, cap } => prop_assert!(needed > cap),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod gas_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Each row of `contracts/gas.txt`: a call, and its gas under both rule sets.
+    fn measured() -> Vec<(String, u64)> {
+        let text = include_str!("../../../contracts/gas.txt");
+        let rows =
+            text.lines().skip_while(|line| !line.starts_with("Per call")).skip(1).take_while(|line| !line.is_empty());
+        let row = |line: &str| {
+            let mut words: Vec<&str> = line.split_whitespace().collect();
+            let osaka: u64 = words.pop()?.parse().ok()?;
+            let istanbul: u64 = words.pop()?.parse().ok()?;
+            Some((words.join(" "), istanbul.max(osaka)))
+        };
+        rows.filter(|line| !line.starts_with("prototype")).map(|line| row(line).expect("a row")).collect()
+    }
+
+    #[test]
+    fn every_measured_call_is_covered_and_none_is_exaggerated() {
+        let rows = measured();
+        assert!(rows.len() > 25, "{rows:?}");
+        for (call, gas) in rows {
+            let function = call.split([' ', ',']).next().expect("a name");
+            // Data of the shape that the row describes.
+            let bytes = match call.as_str() {
+                "authorityGrant, 32 topics, envelope of 2000 bytes" => 2000 + 32 * 32,
+                "authorityGrant, all topics, envelope of 400 bytes" => 400,
+                "register" | "rotateKeys" | "rotate" | "authorityRevoke" => 400,
+                "wrap for 1 grantee" => 512,
+                "wrap for 32 grantees" => 32 * 512,
+                _ => 0,
+            };
+            let known = known_cost(function, &vec![1; bytes]);
+            assert!(known >= gas, "{call}: {known} < {gas}");
+            assert!(known <= 5 * gas.max(40_000), "{call}: {known} is far above {gas}");
+        }
+    }
+
+    #[test]
+    fn wrong_numbers_do_no_harm() {
+        let known = known_cost("anchor", &[0; 100]);
+        for lie in [0, 1, 21_000, 1 << 32, 5_284_823_450, u64::MAX] {
+            let gas = limit(lie, known, Some(4_294_967_295)).expect("a limit");
+            assert!((known..=4 * known).contains(&gas), "{lie}: {gas}");
+        }
+        assert_eq!(limit(80_000, 72_000, None).ok(), Some(100_000), "an honest higher estimate counts");
+        assert_eq!(limit(80_000, 72_000, Some(0)).ok(), Some(100_000), "no block has no room at all");
+        assert!(matches!(limit(80_000, 72_000, Some(71_999)), Err(ChainError::BlockTooSmall { .. })));
+    }
+
+    proptest! {
+        #[test]
+        fn a_limit_fits_into_a_block_and_covers_the_call(estimate: u64, known in 21_000_u64..20_000_000, block: Option<u64>) {
+            if let Ok(gas) = limit(estimate, known, block) {
+                prop_assert!(gas >= known && gas <= 4 * known);
+                prop_assert!(block.is_none_or(|block| block == 0 || gas <= block));
+            }
+        }
     }
 }

@@ -4,28 +4,15 @@
 //! and events, signing and sending, reads and news. Which record is in which transaction, when to resend and what to do
 //! after a reorg is up to the pipeline.
 
-use crate as chain;
-use authros_crypto as crypto;
-use authros_model as model;
-
-mod anchor_proof;
-mod artefact;
-mod block_events;
 mod call;
 mod connect;
-mod deploying;
-mod development;
 mod embedded;
 mod error;
 mod event;
 mod fees;
-mod gas;
 mod genesis;
-mod price;
 mod reader;
 pub mod relay;
-mod rhythm;
-mod sealed_by;
 mod sealing;
 mod sender;
 pub mod serve;
@@ -33,33 +20,32 @@ mod state_proof;
 #[cfg(test)]
 mod tests;
 mod transport;
-mod watcher;
 pub mod web;
-mod work;
 
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use authros_crypto as crypto;
+use authros_model as model;
 use serde::{Deserialize, Serialize};
 
-pub use self::anchor_proof::AnchorProof;
-pub use self::block_events::{AT_ONCE, BlockEvents, Completeness, NEAR};
-pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
-pub use self::deploying::{DEFAULT_DELAY, Deployment, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
-pub use self::embedded::check_embedded_chain;
-pub use self::error::{ChainError, SEAL_ANEW, explain, passed_by};
-pub use self::event::Event;
-pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
-pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
-pub use self::price::{Policy, Priced, STARVING, Shortfall, Wait, is_outbid};
-pub use self::reader::Nonces;
-pub use self::relay::{Relay, RelayError, RelayLine};
-pub use self::rhythm::MEASURED;
-pub use self::sealed_by::{SealedBy, SealerKind};
-pub use self::sealing::Sealing;
+pub use crate::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
+pub use crate::connect::{DEFAULT_DELAY, Deployment, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
 pub use crate::crypto::merkle;
+pub use crate::embedded::check_embedded_chain;
+pub use crate::error::{ChainError, SEAL_ANEW, explain, passed_by};
+pub use crate::event::{AT_ONCE, BlockEvents, Completeness, Event, NEAR};
+pub use crate::fees::{
+    Market, Offered, Policy, Priced, STARVING, Shortfall, Wait, call_data, is_outbid, is_same_call, offered,
+};
+pub use crate::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
 pub use crate::model::Consensus;
+pub use crate::reader::Nonces;
+pub use crate::relay::{Relay, RelayError, RelayLine};
+pub use crate::sealing::{MEASURED, SealedBy, SealerKind, Sealing};
+pub use crate::state_proof::AnchorProof;
+
 use crate::model::{Address, Digest, Domain, Hash, Identity, Timestamp, Token};
 
 /// The location of the chain.

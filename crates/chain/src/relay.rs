@@ -1,19 +1,21 @@
 //! A chain reached through another party's connection: what may pass, how it is passed on, and the transport that sends
 //! one's own requests that way.
 
+#[cfg(test)]
+mod rules_tests;
+
 use std::fmt;
 use std::sync::Arc;
 
 use async_trait::async_trait;
-use serde_json::Value;
+use serde_json::{Value, json};
 
-pub mod rules;
-
-pub use rules::{Asker, Ground, Passed, examine};
-
-use super::Chain;
-use super::transport::{JsonRpcError, TransportError};
-use crate::model::clean;
+use crate::call::Call;
+use crate::embedded::Transaction;
+use crate::model::bytes::unhex;
+use crate::model::{Address, Identity, clean};
+use crate::transport::{JsonRpcError, TransportError};
+use crate::{Chain, Pin};
 
 /// Only what this program's own client needs is passed on: reads and raw transactions. Nothing here signs, keeps state
 /// at the node, or reaches its settings and keys. [`rules`] say what passes for whom.
@@ -50,20 +52,14 @@ const LONGEST_WORDS: usize = 400;
 
 /// Why a relayed request failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum RelayError {
     /// The method is not passed on.
     #[error("this method is not forwarded to the chain; connect to a node for it")]
     NotAllowed,
     /// The node answered with an error.
     #[error("{message}")]
-    Answered {
-        /// JSON-RPC's code.
-        code: i64,
-        /// The node's words, cleaned.
-        message: String,
-        /// Its data: revert data.
-        data: Option<Value>,
-    },
+    Answered { code: i64, message: String, data: Option<Value> },
     /// No answer came, or it was not JSON-RPC.
     #[error("{0}")]
     Silent(String),
@@ -151,6 +147,195 @@ impl Chain {
         check(method, parameters)?;
         Ok(self.transport().request_for_another(method, parameters.clone()).await?)
     }
+}
+
+// Which requests of other parties are passed on to the chain: a visitor's reads, and a registered caller's
+// transactions as well; of both only what concerns the one contract, in bounded portions.
+
+/// The most gas of a transaction that is passed on: several times that of the contract's most expensive call.
+pub const MOST_GAS: u64 = 10_000_000;
+/// The most blocks whose logs a visitor may request at once: as many as this program's own clients do.
+const VISITORS_BLOCKS: u64 = 2_000;
+/// The same for registered callers.
+const MOST_BLOCKS: u64 = 10_000;
+/// The longest call data of a read, bytes: that of the longest transaction.
+const LONGEST_DATA: usize = LONGEST_RAW;
+/// The most slots of one proof.
+const MOST_SLOTS: usize = 64;
+/// Where a registration's call data has its identity: after the selector, two offsets and a length.
+const IDENTITY_AT: usize = 4 + 3 * 32;
+/// Where its envelope begins: after the identity and a length.
+const ENVELOPE_AT: usize = IDENTITY_AT + Identity::LENGTH + 32;
+
+/// The caller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Asker {
+    /// A caller without a transport key.
+    Visitor,
+    /// The holder of a transport key, which belongs to a registered account.
+    Registered,
+}
+
+/// What is known of the chain without a request.
+#[derive(Debug, Clone, Copy)]
+pub struct Ground<'a> {
+    /// The chain and its contract.
+    pub pin: &'a Pin,
+    /// The newest block number seen; used only to interpret `latest`.
+    pub head: u64,
+}
+
+/// A request that may pass, judged from the request alone.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
+pub enum Passed {
+    /// It reads, with these parameters.
+    Read(Value),
+    /// It asks for logs of blocks that have none.
+    NoLogs,
+    /// It asks how much gas a call of the contract would use.
+    Estimate { from: Option<Address>, registers: Option<Box<Identity>> },
+    /// It sends a transaction to the contract.
+    Transaction {
+        /// The signer.
+        sender: Address,
+        /// The signed bytes.
+        raw: Vec<u8>,
+        /// The identity, if it registers one.
+        registers: Option<Box<Identity>>,
+    },
+}
+
+fn refused<T>(code: i64, words: impl Into<String>) -> Result<T, RelayError> {
+    Err(RelayError::Answered { code, message: words.into(), data: None })
+}
+
+/// Examines a request.
+///
+/// # Errors
+/// [`RelayError::NotAllowed`] for a method that is not passed on for this caller, [`RelayError::Answered`] saying what
+/// else is wrong.
+pub fn examine(ground: Ground<'_>, asker: Asker, method: &str, parameters: &Value) -> Result<Passed, RelayError> {
+    check(method, parameters)?;
+    let first = parameters.get(0).unwrap_or(&Value::Null);
+    match (method, asker) {
+        ("eth_getProof" | "eth_feeHistory", Asker::Visitor) => Err(RelayError::NotAllowed),
+        ("eth_getProof", _) => {
+            let slots = parameters.get(1).and_then(Value::as_array).map_or(0, Vec::len);
+            if slots > MOST_SLOTS { refused(-32602, "too many slots at once") } else { read(parameters) }
+        }
+        ("eth_sendRawTransaction", _) => transaction(ground.pin, first),
+        ("eth_call", _) => message(ground.pin, parameters).and_then(|_| read(parameters)),
+        ("eth_estimateGas", _) => {
+            let data = message(ground.pin, parameters)?;
+            Ok(Passed::Estimate { from: address(first.get("from")), registers: registration(&data) })
+        }
+        ("eth_getLogs", _) => logs(ground, asker, first),
+        ("eth_getBlockByNumber" | "eth_getBlockByHash", Asker::Visitor) => match parameters.get(1) {
+            Some(Value::Bool(true)) => refused(-32602, "a visitor may only get blocks without their transactions"),
+            _ => read(parameters),
+        },
+        _ => read(parameters),
+    }
+}
+
+#[expect(clippy::unnecessary_wraps, reason = "one of several outcomes")]
+fn read(parameters: &Value) -> Result<Passed, RelayError> {
+    Ok(Passed::Read(parameters.clone()))
+}
+
+fn address(value: Option<&Value>) -> Option<Address> {
+    value?.as_str()?.to_lowercase().parse().ok()
+}
+
+fn bytes(value: &Value) -> Option<Vec<u8>> {
+    unhex(value.as_str()?)
+}
+
+/// The data of a call of the contract; the block may follow it, nothing else.
+fn message(pin: &Pin, parameters: &Value) -> Result<Vec<u8>, RelayError> {
+    const FIELDS: [&str; 5] = ["from", "to", "data", "input", "gas"];
+    let Some(call) = parameters.get(0).and_then(Value::as_object) else { return refused(-32602, "no call") };
+    if parameters.get(2).is_some() || !call.keys().all(|key| FIELDS.contains(&key.as_str())) {
+        return refused(-32602, "a call takes from, to, data and a block; nothing else is forwarded");
+    }
+    if address(call.get("to")) != Some(pin.contract) {
+        return refused(-32602, format!("only calls to the contract {} are forwarded", pin.contract));
+    }
+    let data = match (call.get("data"), call.get("input")) {
+        (Some(_), Some(_)) => None,
+        (Some(data), None) | (None, Some(data)) => bytes(data),
+        (None, None) => Some(Vec::new()),
+    };
+    match data.filter(|data| data.len() <= LONGEST_DATA) {
+        Some(data) => Ok(data),
+        None => refused(-32602, "call data is not hex, or too long"),
+    }
+}
+
+fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
+    let rejected = |words: String| refused(-32003, words);
+    let Some(raw) = bytes(raw) else { return refused(-32602, "no signed transaction") };
+    let decoded = match Transaction::decode(&raw, pin.chain_id) {
+        Ok(decoded) => decoded,
+        Err(reason) => return refused(-32000, reason),
+    };
+    if decoded.to != Some(pin.contract) || !decoded.value.is_zero() {
+        return rejected(format!("only transactions to the contract {} without value are forwarded", pin.contract));
+    }
+    if decoded.gas_limit > MOST_GAS {
+        return rejected(format!("the transaction may use {} gas; at most {MOST_GAS} is forwarded", decoded.gas_limit));
+    }
+    Ok(Passed::Transaction { sender: decoded.sender, registers: registration(&decoded.input), raw })
+}
+
+/// The identity that this call data registers, if that is exactly what it does.
+pub(crate) fn registration(data: &[u8]) -> Option<Box<Identity>> {
+    if data.len() > LONGEST_DATA {
+        return None;
+    }
+    let identity = Identity::parse(data.get(IDENTITY_AT..IDENTITY_AT + Identity::LENGTH)?).ok()?;
+    let length = u32::from_be_bytes(data.get(ENVELOPE_AT - 4..ENVELOPE_AT)?.try_into().ok()?);
+    let envelope = data.get(ENVELOPE_AT..)?.get(..usize::try_from(length).ok()?)?.to_vec();
+    // What differs anywhere else is no registration.
+    let call = Call::Register { identity, envelope }.encode().ok()?;
+    (call == data).then(|| Box::new(identity))
+}
+
+/// Logs of the contract alone, for a bounded number of blocks; blocks before the contract's are left out.
+fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, RelayError> {
+    let Some(fields) = filter.as_object() else { return refused(-32602, "no filter") };
+    let place = match fields.get("address") {
+        Some(Value::Array(all)) if all.len() == 1 => address(all.first()),
+        one => address(one),
+    };
+    if place != Some(ground.pin.contract) {
+        return refused(-32602, format!("only logs of the contract {} are forwarded", ground.pin.contract));
+    }
+    if fields.contains_key("blockHash") {
+        return read(&json!([filter]));
+    }
+    let bound = |name: &str| match fields.get(name).map(|value| value.as_str()) {
+        None | Some(Some("latest" | "pending" | "safe" | "finalized")) => Some(ground.head),
+        Some(Some("earliest")) => Some(0),
+        Some(Some(number)) => u64::from_str_radix(number.strip_prefix("0x")?, 16).ok(),
+        Some(None) => None,
+    };
+    let (Some(from), Some(to)) = (bound("fromBlock"), bound("toBlock")) else { return refused(-32602, "no blocks") };
+    let first = from.max(ground.pin.deployed_at);
+    if to < first {
+        return Ok(Passed::NoLogs);
+    }
+    let most = if asker == Asker::Visitor { VISITORS_BLOCKS } else { MOST_BLOCKS };
+    if to - first >= most {
+        return refused(-32005, format!("logs of more than {most} blocks; ask for fewer at once"));
+    }
+    let mut bounded = fields.clone();
+    if first > from {
+        bounded.insert("fromBlock".to_owned(), json!(format!("{first:#x}")));
+    }
+    // The end is left as requested: the chain may be further than is known here.
+    read(&json!([bounded]))
 }
 
 #[cfg(test)]

@@ -9,15 +9,14 @@ use ethers_signers::LocalWallet;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::embedded::Transaction;
-use super::error::explain;
-use super::gas;
-use super::reader::reason;
-use super::relay::rules::registration;
-use super::watcher::RawLog;
-use super::{Call, Chain, ChainError, Receipt, SignedTransaction};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Hash, Identity, bytes::hex};
+use crate::embedded::Transaction;
+use crate::error::explain;
+use crate::model::bytes::hex;
+use crate::model::{Address, Hash, Identity};
+use crate::reader::{RawLog, reason};
+use crate::relay::registration;
+use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, fees};
 
 impl Chain {
     /// Signs a call as a legacy transaction. Nothing is sent.
@@ -48,7 +47,7 @@ impl Chain {
         if matches!(call, Call::DataUpload { .. } | Call::Anchor { .. }) {
             self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).insert(key, estimate);
         }
-        gas::limit(estimate, call.known_cost(data), self.room())
+        fees::limit(estimate, call.known_cost(data), self.room())
     }
 
     /// Notes how much gas the newest block may hold.

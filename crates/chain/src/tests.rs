@@ -81,7 +81,7 @@ async fn from_deployment_to_a_query() {
     assert!(!chain.data_query(Address([9; 20]), token, owner).await.expect("answers").authorised);
     let events = chain.events(pin.deployed_at, receipt.block).await.expect("events");
     assert_eq!(events.len(), 5);
-    assert_eq!(events[2].event, Event::DelayFixed { seconds: crate::chain::DEFAULT_DELAY.as_secs() });
+    assert_eq!(events[2].event, Event::DelayFixed { seconds: crate::DEFAULT_DELAY.as_secs() });
     assert!(matches!(events[3].event, Event::Registered { owner: who, .. } if who == owner));
     assert!(matches!(events[4].event, Event::DataUploaded { digest: what, .. } if what == digest));
     assert_eq!((events[4].block, events[4].block_hash), (receipt.block, receipt.block_hash));

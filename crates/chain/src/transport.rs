@@ -3,9 +3,6 @@
 
 mod address;
 mod answer;
-mod http;
-mod kept;
-mod refusal;
 mod socket;
 #[cfg(test)]
 mod tests;
@@ -17,15 +14,14 @@ use std::time::Duration;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use self::address::{Address, Place};
 pub(super) use self::answer::JsonRpcError;
-use self::http::Http;
-use self::kept::Kept;
-use self::socket::{Local, WebSocket};
-use super::embedded::{Embedded, Fault};
-use super::relay::RelayLine;
-use super::{ChainError, Endpoint};
+
+use self::address::{Address, Kept, Place};
+use self::socket::{Http, Local, WebSocket};
+use crate::embedded::{Embedded, Fault};
 use crate::model::clean;
+use crate::relay::RelayLine;
+use crate::{ChainError, Endpoint};
 
 /// The most requests to a node at a time; further ones wait.
 const TOGETHER: usize = 8;
@@ -82,6 +78,7 @@ enum Line {
 
 /// Why a request failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum TransportError {
     /// The node answered with an error.
     #[error("{0}")]
@@ -101,14 +98,10 @@ pub enum TransportError {
     /// The answer has more than this many bytes.
     #[error("an answer of more than {} MiB", .0 / MIB)]
     TooLong(usize),
-    /// The node, or what stands before it, cannot be used as it is asked.
+    /// The node, or what stands before it, cannot be used as it is asked; the reason is a predicate
+    /// of the node.
     #[error("the node {reason}")]
-    Unusable {
-        /// What is wrong, as a predicate of the node.
-        reason: String,
-        /// What to do.
-        advice: String,
-    },
+    Unusable { reason: String, advice: String },
 }
 
 impl From<Fault> for TransportError {

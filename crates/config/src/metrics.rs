@@ -8,14 +8,10 @@ use super::read::{Values, switch, value, wrong};
 
 /// Where figures are served.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum FiguresPlace {
     /// An address; on this machine only, unless `open` allows others to reach it.
-    Address {
-        /// The address.
-        address: SocketAddr,
-        /// Whether other machines may reach it.
-        open: bool,
-    },
+    Address { address: SocketAddr, open: bool },
     /// A socket in the file system, protected by its folder's permissions.
     Socket(PathBuf),
 }

@@ -2,21 +2,28 @@
 //! records with, for some topics or for all. It never holds d_C, K_C or the EOA key, so a stolen robot is not a stolen
 //! identity; it holds IK only if it covers all topics. The file format is in `file`.
 
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
+use crate::error::shown;
+use crate::gateway_addresses::{encoded, read_addresses};
+use crate::keystore::{FileKey, SaveKeys, put_work, read_work};
 use crate::model::wire::{Reader, WireError, put_text};
-use crate::model::{Address, Domain, ProfileName, PublicKey, RecorderId, SignerId, Timestamp, Token, TopicId};
-
-use super::gateway_addresses::{encoded, read_addresses};
-use super::{IndexKey, ProviderName, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, signer_id};
-
-mod file;
-mod issue;
-mod notice;
-
-pub use file::SealedEnrolment;
-pub use issue::{EpochIssue, IssuedKeys, IssuedTopic, SealingKey};
-pub use notice::Notice;
+use crate::model::{
+    Address, Domain, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp, Token, TopicId,
+};
+use crate::passphrase::Work;
+use crate::private_file::{create_private, read_private, write_private};
+use crate::{
+    CryptoError, EpochKey, FilterKey, GatewayAddresses, IndexKey, OwnerKeyChange, Passphrase, ProviderName,
+    SignedPolicy, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, random_bytes, signer_id,
+};
 
 /// The most topics whose keys are issued at once, including those for statements.
 pub const MOST_TOPICS: usize = 1024;
@@ -177,5 +184,400 @@ fn read_device(reader: &mut Reader<'_>) -> Result<SmKeyPair, WireError> {
         .map_err(|_| WireError::Value("device key"))
 }
 
-#[cfg(test)]
-mod tests;
+// An enrolment on disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and
+// length (4), then the enrolment under SM4-GCM with all of that as AAD. `file_key` says how the passphrase becomes the
+// key.
+
+const MAGIC: [u8; 8] = *b"\x89AuthEnr";
+const VERSION: u8 = 1;
+const LABEL: &str = "AuthROS/enrolment/1";
+/// The largest file accepted, bytes.
+const LARGEST: usize = 1024 * 1024;
+/// Length of the header, bytes.
+const HEADER: usize = 110;
+
+fn header(key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], length: usize) -> Vec<u8> {
+    let mut out = MAGIC.to_vec();
+    out.push(VERSION);
+    put_work(&mut out, key.work);
+    out.extend_from_slice(&key.salt);
+    out.extend_from_slice(save_salt);
+    out.extend_from_slice(commit);
+    out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_be_bytes());
+    out
+}
+
+struct Parts<'a> {
+    work: Work,
+    salt: [u8; 32],
+    save_salt: [u8; 24],
+    commit: [u8; 32],
+    aad: &'a [u8],
+    sealed: &'a [u8],
+}
+
+/// The parts of a file's bytes; `path` is only for the words of an error.
+fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
+    let damaged = |_: WireError| damaged(path);
+    let mut reader = Reader::new(bytes);
+    if reader.array("magic").map_err(damaged)? != MAGIC {
+        return Err(self::damaged(path));
+    }
+    match reader.u8("version").map_err(damaged)? {
+        VERSION => read_parts(bytes, &mut reader).map_err(damaged),
+        found => Err(CryptoError::Version { path: shown(path), what: "an enrolment", found }),
+    }
+}
+
+fn read_parts<'a>(bytes: &'a [u8], reader: &mut Reader<'a>) -> Result<Parts<'a>, WireError> {
+    let work = read_work(reader)?;
+    let (salt, save_salt, commit) =
+        (reader.array("salt")?, reader.array("salt of the save")?, reader.array("commitment")?);
+    let length = usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?;
+    let sealed = reader.take(length, "sealed enrolment")?;
+    reader.end()?;
+    Ok(Parts { work, salt, save_salt, commit, aad: bytes.get(..HEADER).unwrap_or_default(), sealed })
+}
+
+fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
+    let mut sealed = enrolment.encode();
+    let save_salt = random_bytes()?;
+    let keys = SaveKeys::derive(key, &save_salt, LABEL);
+    let header = header(key, &save_salt, &keys.commit, sealed.len() + 16);
+    if header.len() + sealed.len() + 16 > LARGEST {
+        return Err(CryptoError::Length { what: "enrolment", found: sealed.len(), allowed: "at most 1 MiB" });
+    }
+    provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &header, &mut sealed)?;
+    Ok([&header[..], &sealed].concat())
+}
+
+fn damaged(path: &Path) -> CryptoError {
+    let found = "it is damaged or not an enrolment; ask its owner to enrol the robot again".to_owned();
+    CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
+}
+
+/// An enrolment in memory with its file's key, so that later saves need no derivation.
+pub struct SealedEnrolment {
+    /// The enrolment; call [`Self::save`] after changing it.
+    pub enrolment: Enrolment,
+    key: FileKey,
+}
+
+impl SealedEnrolment {
+    /// A new enrolment; derives the passphrase's key (about 0.3 s).
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`].
+    pub fn new(enrolment: Enrolment, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        Ok(Self { enrolment, key: FileKey::new(passphrase)? })
+    }
+
+    /// The bytes of the file.
+    ///
+    /// # Errors
+    /// [`CryptoError::Length`] if it is too large, [`CryptoError::Random`].
+    pub fn seal(&self) -> Result<Vec<u8>, CryptoError> {
+        seal(&self.enrolment, &self.key)
+    }
+
+    /// Reads and opens a file (about 0.3 s).
+    ///
+    /// # Errors
+    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::NotAKey`], [`CryptoError::Version`] or
+    /// [`CryptoError::WrongPassphrase`].
+    pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        let bytes = read_private(path, LARGEST)?;
+        let parts = split(path, &bytes)?;
+        let key = FileKey::with(passphrase, parts.work, parts.salt)?;
+        let keys = SaveKeys::derive(&key, &parts.save_salt, LABEL);
+        if !bool::from(keys.commit.ct_eq(&parts.commit)) {
+            return Err(CryptoError::WrongPassphrase(shown(path)));
+        }
+        let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
+        let plain = opened.map_err(|_| damaged(path))?;
+        let enrolment = Enrolment::parse(&plain).map_err(|_| damaged(path))?;
+        Ok(Self { enrolment, key })
+    }
+
+    /// Takes over what a later save of the same enrolment holds, if there is one; needs no derivation. A file of
+    /// another enrolment changes nothing.
+    ///
+    /// # Errors
+    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`].
+    pub fn catch_up(&mut self, path: &Path) -> Result<(), CryptoError> {
+        if !path.exists() {
+            return Ok(());
+        }
+        let bytes = read_private(path, LARGEST)?;
+        let Ok(parts) = split(path, &bytes) else { return Ok(()) };
+        let keys = SaveKeys::derive(&self.key, &parts.save_salt, LABEL);
+        if parts.salt != self.key.salt || !bool::from(keys.commit.ct_eq(&parts.commit)) {
+            return Ok(());
+        }
+        let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
+        if let Some(later) = opened.ok().and_then(|plain| Enrolment::parse(&plain).ok())
+            && later.device_id() == self.enrolment.device_id()
+            && later.keys.now.epoch >= self.enrolment.keys.now.epoch
+        {
+            self.enrolment = later;
+        }
+        Ok(())
+    }
+
+    /// Writes a new file, never over one that is there.
+    ///
+    /// # Errors
+    /// [`CryptoError::Write`], also if the file exists.
+    pub fn create(&self, path: &Path) -> Result<(), CryptoError> {
+        create_private(path, &self.seal()?)
+    }
+
+    /// Replaces the file in one step.
+    ///
+    /// # Errors
+    /// [`CryptoError::Write`]; the old file is then still intact.
+    pub fn save(&self, path: &Path) -> Result<(), CryptoError> {
+        write_private(path, &self.seal()?)
+    }
+
+    /// The file in the robot's directory that keeps what it has learnt since enrolment.
+    pub fn kept_in(directory: &Path) -> PathBuf {
+        directory.join("enrolment")
+    }
+}
+
+// The keys of an epoch as an owner issues them to a device, and their encoding.
+
+/// The most topics whose keys are issued at once, including those for statements.
+const MOST_ISSUED: usize = MOST_TOPICS;
+
+const EPOCH: u8 = 0;
+const TOPICS: u8 = 1;
+/// Prefix of topic names that are not ROS topics: statements are filed under them.
+const STATEMENTS: &str = "authros/";
+
+/// What a device needs to seal one topic's records in an epoch; it need not hold IK.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct IssuedTopic {
+    /// The topic's pseudonym.
+    pub id: TopicId,
+    /// The filter key for the pseudonyms of its types and tags.
+    pub filters: FilterKey,
+    /// Its key.
+    pub key: TopicKey,
+}
+
+/// The source of an epoch's topic keys.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SealingKey {
+    /// EK, for any topic.
+    Epoch(EpochKey),
+    /// Keys for some topics, by name; other topics cannot be sealed.
+    Topics(BTreeMap<String, IssuedTopic>),
+}
+
+impl SealingKey {
+    /// The topics it is limited to, without those that statements are filed under; `None` if it covers all topics.
+    pub fn topics(&self) -> Option<Vec<String>> {
+        match self {
+            Self::Epoch(_) => None,
+            Self::Topics(keys) => Some(keys.keys().filter(|name| !name.starts_with(STATEMENTS)).cloned().collect()),
+        }
+    }
+}
+
+/// The keys of one epoch, as an owner issues them to a device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EpochIssue {
+    /// The epoch's number.
+    pub epoch: u64,
+    /// Its token.
+    pub token: Token,
+    /// When its earliest grant expires: nothing captured from then on may be sealed under it.
+    pub ends: Option<Timestamp>,
+    /// Its keys.
+    pub key: SealingKey,
+}
+
+/// The keys a device seals with now, and those from a known moment on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct IssuedKeys {
+    /// Now.
+    pub now: EpochIssue,
+    /// The keys from the moment the earliest grant of the present epoch expires.
+    pub next: Option<(Timestamp, EpochIssue)>,
+}
+
+impl IssuedKeys {
+    /// Its encoding, the body of a notice: issue || 0 or 1 || [moment (8) || issue]. An issue is epoch (8) || token
+    /// (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic, topic id (16),
+    /// filter key (32) and key (32) each.
+    pub fn encode(&self) -> Zeroizing<Vec<u8>> {
+        let length = self.now.length() + self.next.as_ref().map_or(1, |(_, next)| 9 + next.length());
+        // Reserved in one piece, tag included: growing the buffer would leave unwiped copies behind.
+        let mut out = Zeroizing::new(Vec::with_capacity(length + 16));
+        self.now.put(&mut out);
+        match &self.next {
+            None => out.push(0),
+            Some((moment, next)) => {
+                out.push(1);
+                out.extend_from_slice(&moment.0.to_be_bytes());
+                next.put(&mut out);
+            }
+        }
+        out
+    }
+
+    /// From the body of a notice.
+    ///
+    /// # Errors
+    /// [`WireError`] if it is malformed.
+    pub fn parse(body: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(body);
+        let issued = Self::read(&mut reader)?;
+        reader.end()?;
+        Ok(issued)
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let now = EpochIssue::read(reader)?;
+        let next = match reader.u8("next epoch")? {
+            0 => None,
+            1 => Some((Timestamp(reader.u64("moment")?), EpochIssue::read(reader)?)),
+            _ => return Err(WireError::Value("next epoch")),
+        };
+        if next.as_ref().is_some_and(|(_, next)| next.epoch <= now.epoch) {
+            return Err(WireError::Value("next epoch"));
+        }
+        Ok(Self { now, next })
+    }
+}
+
+impl EpochIssue {
+    fn length(&self) -> usize {
+        49 + match &self.key {
+            SealingKey::Epoch(_) => 32,
+            SealingKey::Topics(keys) => 2 + keys.keys().map(|topic| topic.len() + 82).sum::<usize>(),
+        }
+    }
+
+    fn put(&self, out: &mut Vec<u8>) {
+        out.extend_from_slice(&self.epoch.to_be_bytes());
+        out.extend_from_slice(&self.token.0);
+        out.extend_from_slice(&self.ends.map_or(0, |ends| ends.0).to_be_bytes());
+        match &self.key {
+            SealingKey::Epoch(key) => {
+                out.push(EPOCH);
+                out.extend_from_slice(key.expose());
+            }
+            SealingKey::Topics(keys) => {
+                out.push(TOPICS);
+                let count = keys.len().min(MOST_ISSUED);
+                out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
+                for (topic, issued) in keys.iter().take(count) {
+                    put_text(out, topic);
+                    out.extend_from_slice(&issued.id.0);
+                    out.extend_from_slice(issued.filters.expose());
+                    out.extend_from_slice(issued.key.expose());
+                }
+            }
+        }
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let (epoch, token) = (reader.u64("epoch")?, Token(reader.array("token")?));
+        if epoch == 0 {
+            return Err(WireError::Value("epoch"));
+        }
+        let ends = Some(Timestamp(reader.u64("end")?)).filter(|ends| ends.0 > 0);
+        let key = match reader.u8("key")? {
+            EPOCH => SealingKey::Epoch(EpochKey::new(reader.array("epoch key")?)),
+            TOPICS => SealingKey::Topics(read_topics(reader)?),
+            _ => return Err(WireError::Value("key")),
+        };
+        Ok(Self { epoch, token, ends, key })
+    }
+}
+
+fn read_topics(reader: &mut Reader<'_>) -> Result<BTreeMap<String, IssuedTopic>, WireError> {
+    let count = usize::from(reader.u16("topic count")?);
+    if count > MOST_ISSUED {
+        return Err(WireError::Value("topic count"));
+    }
+    let mut keys = BTreeMap::new();
+    for _ in 0..count {
+        let topic = reader.text("topic")?;
+        // Sorted by name, so that every value has exactly one encoding.
+        if keys.last_key_value().is_some_and(|(last, _)| *last >= topic) {
+            return Err(WireError::Value("topic"));
+        }
+        let issued = IssuedTopic {
+            id: TopicId(reader.array("topic id")?),
+            filters: FilterKey::new(reader.array("filter key")?),
+            key: TopicKey::new(reader.array("topic key")?),
+        };
+        keys.insert(topic, issued);
+    }
+    Ok(keys)
+}
+
+// The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
+// is far below 2^56), 1 for another P_C of the owner, 2 for its gateway's addresses, 3 for a span of the device's ring, 4 for its
+// policy; further kinds take the next numbers.
+
+/// What an owner tells a device.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Notice {
+    /// The keys to seal with from now on.
+    Keys(IssuedKeys),
+    /// The key the owner signs with from now on.
+    OwnerKey(OwnerKeyChange),
+    /// The addresses of its gateway from now on.
+    Addresses(GatewayAddresses),
+    /// A span of its ring is to be sent like other records.
+    Pull(RingSpan),
+    /// The policy to work by from now on.
+    Policy(SignedPolicy),
+    /// A kind that this version does not know, by its number; it is ignored.
+    Unknown(u8),
+}
+
+impl Notice {
+    /// The kind of [`Self::Keys`].
+    const KEYS: u8 = 0;
+    /// The kind of [`Self::OwnerKey`].
+    const OWNER_KEY: u8 = 1;
+    /// The kind of [`Self::Addresses`].
+    const ADDRESSES: u8 = 2;
+    /// The kind of [`Self::Pull`].
+    const PULL: u8 = 3;
+    /// The kind of [`Self::Policy`].
+    const POLICY: u8 = 4;
+
+    /// Its encoding, the body of the record.
+    pub fn encode(&self) -> Zeroizing<Vec<u8>> {
+        match self {
+            Self::Keys(keys) => keys.encode(),
+            Self::OwnerKey(change) => Zeroizing::new([&[Self::OWNER_KEY], &change.encode()[..]].concat()),
+            Self::Addresses(list) => Zeroizing::new([&[Self::ADDRESSES], &list.encode()[..]].concat()),
+            Self::Pull(span) => Zeroizing::new([&[Self::PULL], &span.encode()[..]].concat()),
+            Self::Policy(policy) => Zeroizing::new([&[Self::POLICY], &policy.encode()[..]].concat()),
+            Self::Unknown(kind) => Zeroizing::new(vec![*kind]),
+        }
+    }
+
+    /// From the body of a record.
+    ///
+    /// # Errors
+    /// [`WireError`] if it is malformed.
+    pub fn parse(body: &[u8]) -> Result<Self, WireError> {
+        match body.split_first() {
+            Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),
+            Some((&Self::OWNER_KEY, change)) => OwnerKeyChange::parse(change).map(Self::OwnerKey),
+            Some((&Self::ADDRESSES, list)) => GatewayAddresses::parse(list).map(Self::Addresses),
+            Some((&Self::PULL, span)) => RingSpan::parse(span).map(Self::Pull),
+            Some((&Self::POLICY, policy)) => SignedPolicy::parse(policy).map(Self::Policy),
+            Some((kind, _)) => Ok(Self::Unknown(*kind)),
+        }
+    }
+}

@@ -1,16 +1,18 @@
 //! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around the terms and keys, signed by the owner's
 //! d_C. Whether the grant exists is for the chain to say; the terms inside must be exactly those of its event.
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeSet;
 
+use zeroize::Zeroizing;
+
 use crate::model::grant::MOST_TOPICS;
-use crate::model::wire::{Reader, WireError};
-use crate::model::{Domain, GrantTerms, PublicKey, Scope, Signature, TopicId, TopicName};
-
-use super::sm3::sm3;
-use super::{CryptoError, EpochKey, IndexKey, Provider, SmKeyPair, SmSecret, TopicKey};
-
-mod body;
+use crate::model::wire::{Reader, WireError, put_text};
+use crate::model::{Address, Domain, GrantTerms, PublicKey, Scope, Signature, Timestamp, TopicId, TopicName};
+use crate::sm3::sm3;
+use crate::{CryptoError, EpochKey, IndexKey, Provider, SmKeyPair, SmSecret, TopicKey};
 
 /// The largest envelope, bytes.
 pub const LARGEST_ENVELOPE: usize = 64 * 1024;
@@ -56,7 +58,7 @@ pub fn wrap(
     grantee: &PublicKey,
 ) -> Result<Vec<u8>, CryptoError> {
     check_fit(wrapped)?;
-    let plain = body::encode(domain, wrapped);
+    let plain = encode(domain, wrapped);
     let too_long = |found| CryptoError::Length { what: WHAT, found, allowed: "at most 65,536" };
     if plain.len() > LARGEST_ENVELOPE {
         return Err(too_long(plain.len()));
@@ -85,7 +87,7 @@ pub fn unwrap(
     let (signed, sealed, signature) = parts(envelope).map_err(CryptoError::malformed(WHAT))?;
     provider.verify(owner, &signed_bytes(domain, signed), &signature)?;
     let plain = provider.decrypt(grantee, sealed)?;
-    let (named, wrapped) = body::parse(&plain).map_err(CryptoError::malformed(WHAT))?;
+    let (named, wrapped) = parse(&plain).map_err(CryptoError::malformed(WHAT))?;
     compare(domain, &named, expected, &wrapped.terms)?;
     check_fit(&wrapped)?;
     Ok(wrapped)
@@ -147,5 +149,138 @@ fn is_range(numbers: &BTreeSet<u64>, epoch: u64) -> bool {
     numbers.first().is_some_and(|first| *first > 0) && numbers.last() == Some(&epoch)
 }
 
-#[cfg(test)]
-mod tests;
+// The bytes inside an envelope: label, domain, owner, grantee, epoch, expiry, scope, keys.
+
+const LABEL: &[u8] = b"AuthROS/envelope/1";
+const ALL: u8 = 1;
+const TOPICS: u8 = 2;
+/// The longest key entry: epoch, name with its length, id and key.
+const LONGEST_ENTRY: usize = 8 + 2 + 255 + 16 + 32;
+
+fn encode(domain: &Domain, wrapped: &WrappedKeys) -> Zeroizing<Vec<u8>> {
+    let entries = match &wrapped.keys {
+        GrantedKeys::All { epochs, .. } => epochs.len(),
+        GrantedKeys::Topics { keys } => keys.len(),
+    };
+    // Reserved in one piece: growing the buffer would leave unwiped copies of keys behind.
+    let mut out = Zeroizing::new(Vec::with_capacity(1024 + entries * LONGEST_ENTRY));
+    let terms = &wrapped.terms;
+    out.extend_from_slice(LABEL);
+    out.extend_from_slice(&domain.0);
+    out.extend_from_slice(&terms.owner.0);
+    out.extend_from_slice(&terms.grantee.0);
+    out.extend_from_slice(&terms.epoch.to_be_bytes());
+    put_expiry(&mut out, terms.expiry);
+    put_scope(&mut out, &terms.scope);
+    put_keys(&mut out, &wrapped.keys, entries);
+    out
+}
+
+fn put_expiry(out: &mut Vec<u8>, expiry: Option<Timestamp>) {
+    out.push(u8::from(expiry.is_some()));
+    out.extend_from_slice(&expiry.map_or(0, |moment| moment.0).to_be_bytes());
+}
+
+fn put_scope(out: &mut Vec<u8>, scope: &Scope) {
+    match scope {
+        Scope::All => out.push(ALL),
+        Scope::Topics(topics) => {
+            out.push(TOPICS);
+            out.extend_from_slice(&u16::try_from(topics.len()).unwrap_or(u16::MAX).to_be_bytes());
+            topics.iter().for_each(|topic| out.extend_from_slice(&topic.0));
+        }
+    }
+}
+
+fn put_keys(out: &mut Vec<u8>, keys: &GrantedKeys, entries: usize) {
+    let count = u16::try_from(entries).unwrap_or(u16::MAX).to_be_bytes();
+    match keys {
+        GrantedKeys::All { epochs, index_key } => {
+            out.push(ALL);
+            out.extend_from_slice(index_key.expose());
+            out.extend_from_slice(&count);
+            for (epoch, key) in epochs {
+                out.extend_from_slice(&epoch.to_be_bytes());
+                out.extend_from_slice(key.expose());
+            }
+        }
+        GrantedKeys::Topics { keys } => {
+            out.push(TOPICS);
+            out.extend_from_slice(&count);
+            for (epoch, name, id, key) in keys {
+                out.extend_from_slice(&epoch.to_be_bytes());
+                put_text(out, name);
+                out.extend_from_slice(&id.0);
+                out.extend_from_slice(key.expose());
+            }
+        }
+    }
+}
+
+fn parse(plain: &[u8]) -> Result<(Domain, WrappedKeys), WireError> {
+    let mut reader = Reader::new(plain);
+    if reader.take(LABEL.len(), "label")? != LABEL {
+        return Err(WireError::Value("label"));
+    }
+    let domain = Domain(reader.array("domain")?);
+    let terms = GrantTerms {
+        owner: Address(reader.array("owner")?),
+        grantee: Address(reader.array("grantee")?),
+        epoch: reader.u64("epoch")?,
+        expiry: read_expiry(&mut reader)?,
+        scope: read_scope(&mut reader)?,
+    };
+    let keys = read_keys(&mut reader)?;
+    reader.end()?;
+    Ok((domain, WrappedKeys { terms, keys }))
+}
+
+fn read_expiry(reader: &mut Reader<'_>) -> Result<Option<Timestamp>, WireError> {
+    match (reader.u8("expiry")?, reader.u64("expiry")?) {
+        (0, 0) => Ok(None),
+        (1, moment) => Ok(Some(Timestamp(moment))),
+        _ => Err(WireError::Value("expiry")),
+    }
+}
+
+fn read_scope(reader: &mut Reader<'_>) -> Result<Scope, WireError> {
+    match reader.u8("scope")? {
+        ALL => Ok(Scope::All),
+        TOPICS => {
+            let count = usize::from(reader.u16("scope")?);
+            if count > MOST_TOPICS {
+                return Err(WireError::Value("scope"));
+            }
+            let topics: Result<_, WireError> = (0..count).map(|_| reader.array("scope").map(TopicId)).collect();
+            topics.map(Scope::Topics)
+        }
+        _ => Err(WireError::Value("scope")),
+    }
+}
+
+fn read_keys(reader: &mut Reader<'_>) -> Result<GrantedKeys, WireError> {
+    match reader.u8("kind of keys")? {
+        ALL => {
+            let index_key = IndexKey::new(reader.array("index key")?);
+            let count = reader.u16("number of keys")?;
+            let epochs: Result<_, WireError> =
+                (0..count).map(|_| Ok((reader.u64("epoch")?, EpochKey::new(reader.array("epoch key")?)))).collect();
+            Ok(GrantedKeys::All { epochs: epochs?, index_key })
+        }
+        TOPICS => {
+            let count = reader.u16("number of keys")?;
+            let keys: Result<_, WireError> = (0..count).map(|_| read_topic(reader)).collect();
+            Ok(GrantedKeys::Topics { keys: keys? })
+        }
+        _ => Err(WireError::Value("kind of keys")),
+    }
+}
+
+fn read_topic(reader: &mut Reader<'_>) -> Result<(u64, String, TopicId, TopicKey), WireError> {
+    Ok((
+        reader.u64("epoch")?,
+        reader.text("topic")?,
+        TopicId(reader.array("topic id")?),
+        TopicKey::new(reader.array("topic key")?),
+    ))
+}

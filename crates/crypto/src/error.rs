@@ -8,6 +8,7 @@ use crate::model::{ErrorKind, clean};
 
 /// Why an operation on keys, records, envelopes or key files failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum CryptoError {
     /// The operating system's random source failed.
     #[error("the operating system returned no random bytes; nothing was sealed or generated, try again")]
@@ -32,22 +33,10 @@ pub enum CryptoError {
     BadCiphertext,
     /// More or fewer bytes than the format allows.
     #[error("the {what} is {found} bytes long, but {allowed} are allowed; split it or make it smaller")]
-    Length {
-        /// What it is.
-        what: &'static str,
-        /// Its length, bytes.
-        found: usize,
-        /// What length would be accepted.
-        allowed: &'static str,
-    },
+    Length { what: &'static str, found: usize, allowed: &'static str },
     /// Bytes that do not have the expected structure.
     #[error("the {what} is malformed ({why}); get it again from its source")]
-    Malformed {
-        /// The structure.
-        what: &'static str,
-        /// What is wrong with it.
-        why: WireError,
-    },
+    Malformed { what: &'static str, why: WireError },
     /// A field whose value contradicts another.
     #[error("the {0} does not match the rest; correct it and try again")]
     Inconsistent(&'static str),
@@ -71,12 +60,7 @@ pub enum CryptoError {
     WrongKey,
     /// An envelope or identity whose terms differ from those on the chain.
     #[error("the {what} was rejected: its {field} does not match the chain; ask its owner to issue it again")]
-    NotAccepted {
-        /// Envelope or identity.
-        what: &'static str,
-        /// The field that differs.
-        field: &'static str,
-    },
+    NotAccepted { what: &'static str, field: &'static str },
     /// The keyring's passphrase is wrong.
     #[error("wrong passphrase for {0}; try again, nothing was changed")]
     WrongPassphrase(String),
@@ -91,52 +75,21 @@ pub enum CryptoError {
     PassphraseNeeded(String),
     /// A file or directory that others can read.
     #[error("{path} is accessible to others (mode {mode:04o}); run: chmod {wanted:o} {path}")]
-    OpenToOthers {
-        /// The file or directory.
-        path: String,
-        /// Its permission bits.
-        mode: u32,
-        /// The permission bits it should have.
-        wanted: u32,
-    },
+    OpenToOthers { path: String, mode: u32, wanted: u32 },
     /// A file of the wrong kind or form.
     #[error("{path} is not {wanted}: {found}")]
-    NotAKey {
-        /// The file.
-        path: String,
-        /// What was expected, with its article.
-        wanted: &'static str,
-        /// What was found, and what to do.
-        found: String,
-    },
+    NotAKey { path: String, wanted: &'static str, found: String },
     /// A file of another version of its form.
     #[error(
         "{path} is {what} of version {found}, but this program reads only version 1; use the authros that wrote it"
     )]
-    Version {
-        /// The file.
-        path: String,
-        /// What it is, with its article.
-        what: &'static str,
-        /// Its version.
-        found: u8,
-    },
+    Version { path: String, what: &'static str, found: u8 },
     /// A file that cannot be read.
     #[error("{path} cannot be read ({source}); check the path and its permissions")]
-    Read {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
+    Read { path: String, source: std::io::Error },
     /// A file that cannot be written.
     #[error("{path} cannot be written ({source}); check the directory, its permissions and the free space")]
-    Write {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
+    Write { path: String, source: std::io::Error },
     /// A file that is never overwritten, and stands there already.
     #[error("{0} already exists and is never overwritten; choose another file")]
     Exists(String),
@@ -149,14 +102,7 @@ pub enum CryptoError {
          {read}); nothing was written and no key is lost: run the command again, and if it still fails, stop the site of \
          this home and start it again"
     )]
-    Superseded {
-        /// The file.
-        path: String,
-        /// The generation that was read.
-        read: u64,
-        /// The generation of the file.
-        found: u64,
-    },
+    Superseded { path: String, read: u64, found: u64 },
     /// A keyring that lacks an epoch.
     #[error("the keyring has no key for epoch {0} on this chain; it may be out of date, restore a newer one")]
     NoEpoch(u64),

@@ -81,8 +81,8 @@ pub fn take_over(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::crypto::{ProviderName, provider};
     use crate::model::{Signature, Token};
+    use crate::{ProviderName, provider};
 
     struct Change {
         eoa: EoaSecret,

@@ -8,12 +8,11 @@ use sm2::pkcs8::der::{SecretDocument, pem};
 use sm2::pkcs8::{DecodePrivateKey as _, EncodePrivateKey as _, EncodePublicKey as _, LineEnding};
 use zeroize::Zeroizing;
 
+use crate::error::shown;
 use crate::model::PublicKey;
 use crate::model::bytes::hex;
-
-use super::error::shown;
-use super::private_file::read_private;
-use super::{CryptoError, EoaSecret, Sm4Key, SmSecret, keystore, rustcrypto};
+use crate::private_file::read_private;
+use crate::{CryptoError, EoaSecret, Sm4Key, SmSecret, keystore, provider};
 
 /// The longest key file read, bytes.
 const LONGEST: usize = 64 * 1024;
@@ -237,7 +236,7 @@ pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
 /// # Errors
 /// [`CryptoError::PublicPoint`] if it is not a point of the curve.
 pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
-    let point = rustcrypto::point(public)?;
+    let point = provider::point(public)?;
     point.to_public_key_pem(LineEnding::LF).map_err(|_| CryptoError::Internal("SPKI encoding"))
 }
 

@@ -11,11 +11,16 @@ use sha3::{Digest as _, Keccak256};
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
+use crate::derive::kept_key;
+use crate::kdf::{self, Info};
 use crate::model::bytes::{hex, unhex};
-use crate::model::clean;
-
-use super::passphrase::{Work, stretch};
-use super::{CryptoError, EoaSecret, random_bytes};
+use crate::model::wire::{Reader, WireError};
+use crate::model::{Address, Domain, PublicKey, clean};
+use crate::passphrase::{Work, stretch};
+use crate::{
+    AccountSignature, CryptoError, EoaSecret, Passphrase, Provider, SmSecret, TransportKey, TypedStructure,
+    random_bytes, recover_account, sign_hash,
+};
 
 #[derive(Serialize, Deserialize)]
 struct Keystore {
@@ -195,6 +200,179 @@ fn uuid(mut bytes: [u8; 16]) -> String {
     [&text[..8], &text[8..12], &text[12..16], &text[16..20], &text[20..]].join("-")
 }
 
+// The notice that an owner's signing key has changed. The notice is signed by the old key, and its content by the
+// owner's account, so a thief who has only one of them cannot take a robot over.
+
+/// The EIP-712 type that the account signs.
+const TYPE: &str = "OwnerKey(address owner,bytes oldKey,bytes newKey)";
+const WHAT: &str = "owner's new key";
+
+/// A change from one P_C to another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OwnerKeyChange {
+    /// The P_C until now, which signs the notice.
+    pub old: PublicKey,
+    /// The P_C from now on.
+    pub new: PublicKey,
+    /// The owner's EOA signature over both.
+    pub account_signature: AccountSignature,
+}
+
+impl OwnerKeyChange {
+    /// Length of the encoding, bytes.
+    pub const LENGTH: usize = 193;
+
+    /// The owner's change from `old` to `new`, signed by the account.
+    ///
+    /// # Errors
+    /// [`CryptoError::Internal`].
+    pub fn sign(domain: &Domain, account: &EoaSecret, old: PublicKey, new: PublicKey) -> Result<Self, CryptoError> {
+        let hash = signed_hash(domain, &account.address(), &old, &new);
+        Ok(Self { old, new, account_signature: sign_hash(account, &hash)? })
+    }
+
+    /// Whether the owner may change the `known` key to this one. The signer of the notice was checked with the record.
+    ///
+    /// # Errors
+    /// [`CryptoError::NotAccepted`] if it replaces a key other than the known one, or the account did not sign it;
+    /// [`CryptoError::PublicPoint`].
+    pub fn check(
+        &self,
+        provider: &dyn Provider,
+        domain: &Domain,
+        owner: &Address,
+        known: &PublicKey,
+    ) -> Result<(), CryptoError> {
+        if self.old != *known || self.new == self.old {
+            return Err(CryptoError::NotAccepted { what: WHAT, field: "old key" });
+        }
+        provider.check_public_key(&self.new)?;
+        let signed = recover_account(&signed_hash(domain, owner, &self.old, &self.new), &self.account_signature);
+        if signed.is_ok_and(|account| account == *owner) {
+            return Ok(());
+        }
+        Err(CryptoError::NotAccepted { what: WHAT, field: "account's signature" })
+    }
+
+    /// Old P_C (64) || new P_C (64) || signature of the account (65).
+    pub fn encode(&self) -> Vec<u8> {
+        [&self.old.0[..], &self.new.0, &self.account_signature.0].concat()
+    }
+
+    /// From its encoding; only the form is checked.
+    ///
+    /// # Errors
+    /// [`WireError`] if it is not exactly [`Self::LENGTH`] bytes.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        let change = Self {
+            old: PublicKey(reader.array("old key")?),
+            new: PublicKey(reader.array("new key")?),
+            account_signature: AccountSignature(reader.array("account's signature")?),
+        };
+        reader.end()?;
+        Ok(change)
+    }
+}
+
+fn signed_hash(domain: &Domain, owner: &Address, old: &PublicKey, new: &PublicKey) -> [u8; 32] {
+    TypedStructure::new(TYPE).address(owner).bytes(&old.0).bytes(&new.0).signing_hash(domain)
+}
+
+// How secret files are sealed at rest: the passphrase's key is derived once (scrypt); each save draws a salt and, as
+// for records, derives its own key, nonce and commitment. The commitment tells a wrong passphrase from damage.
+
+/// The key derived from a passphrase, and how it was derived.
+#[derive(Clone)]
+pub(super) struct FileKey {
+    pub work: Work,
+    pub salt: [u8; 32],
+    pub key: Zeroizing<[u8; 32]>,
+}
+
+impl FileKey {
+    /// For a new file.
+    pub fn new(passphrase: &Passphrase) -> Result<Self, CryptoError> {
+        Self::with(passphrase, Work::WRITTEN, random_bytes()?)
+    }
+
+    /// For a file whose header gives salt and work.
+    pub fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self, CryptoError> {
+        Ok(Self { work, salt, key: stretch(passphrase.expose(), &salt, work)? })
+    }
+}
+
+/// The work as stored in headers: log2 n (1), r (4), p (4).
+pub(super) fn put_work(out: &mut Vec<u8>, work: Work) {
+    out.push(work.log_n);
+    out.extend_from_slice(&work.r.to_be_bytes());
+    out.extend_from_slice(&work.p.to_be_bytes());
+}
+
+/// Reads the work and refuses unreasonable values.
+pub(super) fn read_work(reader: &mut Reader<'_>) -> Result<Work, WireError> {
+    let work = Work { log_n: reader.u8("work")?, r: reader.u32("work")?, p: reader.u32("work")? };
+    if work.is_bearable() { Ok(work) } else { Err(WireError::Value("work")) }
+}
+
+/// Key, nonce and commitment of one save.
+pub(super) struct SaveKeys {
+    pub key: Zeroizing<[u8; 16]>,
+    pub nonce: [u8; 12],
+    pub commit: [u8; 32],
+}
+
+impl SaveKeys {
+    /// For a save with this salt, in a file of the kind that `label` names.
+    pub fn derive(key: &FileKey, save_salt: &[u8; 24], label: &str) -> Self {
+        let bytes = Zeroizing::new(kdf::derived::<60>(&*key.key, save_salt, &Info::new(label)));
+        Self {
+            key: Zeroizing::new(std::array::from_fn(|index| bytes[index])),
+            nonce: std::array::from_fn(|index| bytes[16 + index]),
+            commit: std::array::from_fn(|index| bytes[28 + index]),
+        }
+    }
+}
+
+// A gateway's transport keys at rest, sealed under a key derived from its keeper's d_E, which no grant gives away.
+
+/// Bytes of the nonce in front of the ciphertext.
+const NONCE: usize = 12;
+
+/// Seals the transport key of a name: nonce (12) || SM4-GCM (32 + 16), with the name as AAD.
+///
+/// # Errors
+/// From the random source.
+pub fn seal_transport_key(
+    provider: &dyn Provider,
+    keeper: &SmSecret,
+    name: &str,
+    key: &TransportKey,
+) -> Result<Vec<u8>, CryptoError> {
+    let nonce: [u8; NONCE] = random_bytes()?;
+    // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
+    let mut buffer = Vec::with_capacity(TransportKey::LENGTH + 16);
+    buffer.extend_from_slice(key.expose());
+    provider.gcm_seal(&kept_key(keeper), &nonce, name.as_bytes(), &mut buffer)?;
+    Ok([&nonce[..], &buffer].concat())
+}
+
+/// Opens what [`seal_transport_key`] sealed for this name.
+///
+/// # Errors
+/// [`CryptoError::BadCiphertext`] if it was sealed for another name, by another keeper, or altered.
+pub fn open_transport_key(
+    provider: &dyn Provider,
+    keeper: &SmSecret,
+    name: &str,
+    sealed: &[u8],
+) -> Result<TransportKey, CryptoError> {
+    let (nonce, rest) = sealed.split_first_chunk::<NONCE>().ok_or(CryptoError::BadCiphertext)?;
+    let plain = provider.gcm_open(&kept_key(keeper), nonce, name.as_bytes(), rest)?;
+    let bytes: &[u8; 32] = plain.as_slice().try_into().map_err(|_| CryptoError::BadCiphertext)?;
+    Ok(TransportKey::new(*bytes))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -270,5 +448,64 @@ mod tests {
             assert!(matches!(open(text.as_bytes(), "testpassword"), Err(Refusal::Content(_))), "{to}");
         }
         assert!(matches!(open(b"{}", "x"), Err(Refusal::Content(_))));
+    }
+}
+
+#[cfg(test)]
+mod owner_key_tests {
+    use super::*;
+    use crate::{ProviderName, SmKeyPair, provider};
+
+    #[test]
+    fn only_the_owners_account_and_only_from_the_known_key() {
+        let provider = provider(ProviderName::RustCrypto);
+        let [old, new, other] = [(); 3].map(|()| SmKeyPair::generate(provider).expect("generates").public);
+        let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
+        let (domain, owner) = (Domain([1; 32]), account.address());
+        let change = OwnerKeyChange::sign(&domain, &account, old, new).expect("signs");
+        assert!(change.check(provider, &domain, &owner, &old).is_ok());
+        assert!(change.check(provider, &domain, &owner, &other).is_err(), "a key that is not known");
+        assert!(change.check(provider, &domain, &owner, &new).is_err(), "a second time");
+        assert!(change.check(provider, &Domain([2; 32]), &owner, &old).is_err(), "of another network");
+        assert!(change.check(provider, &domain, &thief.address(), &old).is_err(), "of another owner");
+        assert!(OwnerKeyChange { new: other, ..change }.check(provider, &domain, &owner, &old).is_err());
+        let forged = OwnerKeyChange::sign(&domain, &thief, old, other).expect("signs");
+        assert!(forged.check(provider, &domain, &owner, &old).is_err(), "by another account");
+        let nowhere = OwnerKeyChange::sign(&domain, &account, old, PublicKey([7; 64])).expect("signs");
+        assert!(nowhere.check(provider, &domain, &owner, &old).is_err(), "no point of the curve");
+
+        let bytes = change.encode();
+        assert_eq!((bytes.len(), OwnerKeyChange::parse(&bytes)), (OwnerKeyChange::LENGTH, Ok(change)));
+        assert!(OwnerKeyChange::parse(&bytes[1..]).is_err());
+        for at in 0..bytes.len() {
+            let mut altered = bytes.clone();
+            altered[at] ^= 1;
+            let altered = OwnerKeyChange::parse(&altered).expect("the form is right");
+            assert!(altered.check(provider, &domain, &owner, &old).is_err(), "byte {at}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod kept_key_tests {
+    use super::*;
+    use crate::{ProviderName, provider};
+
+    #[test]
+    fn only_the_same_keeper_and_name_open_it() {
+        let provider = provider(ProviderName::RustCrypto);
+        let [keeper, other] = [1, 2].map(|byte| SmSecret::from_slice(&[byte; 32]).expect("in range"));
+        let key = TransportKey::new([3; 32]);
+        let sealed = seal_transport_key(provider, &keeper, "robot-1", &key).expect("seals");
+        assert_eq!(open_transport_key(provider, &keeper, "robot-1", &sealed).expect("opens").expose(), key.expose());
+        assert!(open_transport_key(provider, &keeper, "robot-2", &sealed).is_err());
+        assert!(open_transport_key(provider, &other, "robot-1", &sealed).is_err());
+        for place in 0..sealed.len() {
+            let mut changed = sealed.clone();
+            changed[place] ^= 1;
+            assert!(open_transport_key(provider, &keeper, "robot-1", &changed).is_err());
+            assert!(open_transport_key(provider, &keeper, "robot-1", &sealed[..place]).is_err());
+        }
+        assert!(!crate::model::bytes::hex(&sealed).contains(&crate::model::bytes::hex(key.expose())));
     }
 }

@@ -10,13 +10,12 @@ use libsm::sm3::hash::Sm3Hash;
 use libsm::sm4::cipher::Sm4Cipher;
 use zeroize::Zeroizing;
 
+use crate::der::CipherParts;
+use crate::gcm::{self, BlockCipher};
 use crate::model::{PublicKey, Signature};
-
-use super::der::CipherParts;
-use super::gcm::{self, BlockCipher};
-use super::provider::{Provider, check_plain};
-use super::secret::{ORDER, uncompressed, unprefixed};
-use super::{CryptoError, SmSecret};
+use crate::provider::{Provider, check_plain};
+use crate::secret::{ORDER, uncompressed, unprefixed};
+use crate::{CryptoError, SmSecret};
 
 /// The guarded `libsm` provider.
 #[derive(Debug, Clone, Copy)]
@@ -90,7 +89,7 @@ fn padded(big_endian: &[u8]) -> Result<[u8; 32], CryptoError> {
 #[cfg(test)]
 pub(super) fn signed_hash(public: &PublicKey, message: &[u8]) -> Result<[u8; 32], CryptoError> {
     CONTEXT
-        .hash(super::rustcrypto::DISTINGUISHED_ID, &point(public)?, message)
+        .hash(crate::provider::DISTINGUISHED_ID, &point(public)?, message)
         .map_err(|_| CryptoError::Internal("SM2 hash"))
 }
 

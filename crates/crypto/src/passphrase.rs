@@ -5,9 +5,8 @@ use std::fmt;
 use scrypt::Params;
 use zeroize::Zeroizing;
 
+use crate::CryptoError;
 use crate::model::bytes::hex;
-
-use super::{CryptoError, random_bytes};
 
 /// The fewest characters of a passphrase.
 pub const SHORTEST_PASSPHRASE: usize = 8;
@@ -83,6 +82,18 @@ pub(super) fn stretch<const N: usize>(
     let mut out = Zeroizing::new([0; N]);
     scrypt::scrypt(passphrase.as_bytes(), salt, &params, &mut *out).map_err(|_| CryptoError::Internal("scrypt"))?;
     Ok(out)
+}
+
+// Random bytes from the operating system; the only source of randomness in this crate.
+
+/// `N` fresh random bytes.
+///
+/// # Errors
+/// [`CryptoError::Random`] if the operating system provides none.
+pub fn random_bytes<const N: usize>() -> Result<[u8; N], CryptoError> {
+    let mut bytes = [0; N];
+    getrandom::fill(&mut bytes).map_err(|_| CryptoError::Random)?;
+    Ok(bytes)
 }
 
 #[cfg(test)]

@@ -7,10 +7,10 @@ use std::io::{self, Read, Write};
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
-use super::file_key::{FileKey, SaveKeys, put_work, read_work};
-use super::passphrase::Work;
-use super::{CryptoError, Passphrase, Provider, ProviderName, provider, random_bytes};
+use crate::keystore::{FileKey, SaveKeys, put_work, read_work};
 use crate::model::wire::{Reader, WireError};
+use crate::passphrase::Work;
+use crate::{CryptoError, Passphrase, Provider, ProviderName, provider, random_bytes};
 
 const MAGIC: [u8; 8] = *b"\x89AuthBak";
 const VERSION: u8 = 1;

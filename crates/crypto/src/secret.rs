@@ -2,19 +2,19 @@
 //! derived from each other, `keyring` how they are stored on disk.
 
 use std::fmt;
+use std::hint::black_box;
+use std::str::FromStr;
+use std::sync::{LazyLock, OnceLock};
 
+use sm2::dsa::SigningKey;
 use subtle::ConstantTimeEq as _;
-use zeroize::{Zeroize, ZeroizeOnDrop};
+use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
-use super::CryptoError;
-use super::random::random_bytes;
-
-mod eoa;
-mod sm2_secret;
-
-pub use eoa::EoaSecret;
-pub use sm2_secret::{Fingerprint, FingerprintError, SmKeyPair, SmSecret};
-pub(super) use sm2_secret::{ORDER, uncompressed, unprefixed};
+use crate::model::bytes::{hex, unhex};
+use crate::model::{Address, PublicKey, SignerId, clean};
+use crate::passphrase::random_bytes;
+use crate::provider::{self, Provider};
+use crate::{CryptoError, derive, sm2 as kernels};
 
 macro_rules! secret_bytes {
     ($($(#[$doc:meta])* $name:ident($size:literal);)*) => {$(
@@ -85,6 +85,293 @@ secret_bytes! {
     EpochSalt(32);
 }
 
+// The secp256k1 key of an Ethereum account.
+
+/// The private key of an externally owned account.
+#[derive(Clone, Zeroize, ZeroizeOnDrop)]
+pub struct EoaSecret {
+    secret: [u8; 32],
+    /// Public, and asked for far oftener than anything is signed.
+    #[zeroize(skip)]
+    address: Address,
+}
+
+impl EoaSecret {
+    /// Fresh, from the operating system's random source.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] if that fails.
+    pub fn generate() -> Result<Self, CryptoError> {
+        loop {
+            let bytes = Zeroizing::new(random_bytes::<32>()?);
+            if let Ok(secret) = Self::from_slice(&*bytes) {
+                return Ok(secret);
+            }
+        }
+    }
+
+    /// From 32 bytes, big endian, 1 to n - 1 of secp256k1.
+    ///
+    /// # Errors
+    /// [`CryptoError::SecretRange`] if it is out of range or of another length.
+    pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
+        let range = CryptoError::SecretRange("secp256k1");
+        let Ok(secret) = <[u8; 32]>::try_from(bytes) else { return Err(range) };
+        let Ok(key) = k256::ecdsa::SigningKey::from_slice(bytes) else { return Err(range) };
+        let mut point = [0; 64];
+        point.copy_from_slice(&key.verifying_key().to_encoded_point(false).as_bytes()[1..]);
+        Ok(Self { secret, address: Address::from_public_key(&point) })
+    }
+
+    /// The secret bytes; do not copy them anywhere that outlives their use.
+    pub fn expose(&self) -> &[u8; 32] {
+        &self.secret
+    }
+
+    /// The account's address.
+    pub fn address(&self) -> Address {
+        self.address
+    }
+}
+
+/// In constant time.
+impl PartialEq for EoaSecret {
+    fn eq(&self, other: &Self) -> bool {
+        self.secret.ct_eq(&other.secret).into()
+    }
+}
+
+impl Eq for EoaSecret {}
+
+impl fmt::Debug for EoaSecret {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "EoaSecret({})", self.address())
+    }
+}
+
+// SM2 private keys and pairs, and the fingerprint of a public key that people compare.
+
+/// The order n of the SM2 group (GB/T 32918.5-2017, 4), big endian.
+pub(crate) const ORDER: [u8; 32] = [
+    0xff, 0xff, 0xff, 0xfe, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x72, 0x03, 0xdf,
+    0x6b, 0x21, 0xc6, 0x05, 0x2b, 0x53, 0xbb, 0xf4, 0x09, 0x39, 0xd5, 0x41, 0x23,
+];
+
+/// 04 || x || y, the uncompressed encoding of a point.
+pub(crate) fn uncompressed(public: &PublicKey) -> [u8; 65] {
+    let mut bytes = [4; 65];
+    bytes[1..].copy_from_slice(&public.0);
+    bytes
+}
+
+/// x || y as a public key, not yet checked.
+pub(crate) fn unprefixed(x: &[u8; 32], y: &[u8; 32]) -> PublicKey {
+    let mut bytes = [0; 64];
+    bytes[..32].copy_from_slice(x);
+    bytes[32..].copy_from_slice(y);
+    PublicKey(bytes)
+}
+
+/// Whether `number` + 1 < n and `number` > 0, in constant time.
+fn is_secret(number: &[u8; 32]) -> bool {
+    let mut bound = ORDER;
+    bound[31] -= 1;
+    let borrow = number.iter().zip(bound).rev().fold(0u16, |borrow, (digit, limit)| {
+        u16::from(*digit).wrapping_sub(u16::from(limit)).wrapping_sub(borrow) >> 15
+    });
+    let any = number.iter().fold(0, |any, digit| any | digit);
+    borrow == 1 && any != 0
+}
+
+/// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1).
+///
+/// The signing keys derived from it (public point, ZA), ours and the crate's, are computed once and wiped with it.
+pub struct SmSecret {
+    bytes: Zeroizing<[u8; 32]>,
+    kernel: OnceLock<Box<kernels::SigningKey>>,
+    signing: OnceLock<Box<SigningKey>>,
+    public: OnceLock<PublicKey>,
+}
+
+impl SmSecret {
+    /// Fresh, from the operating system's random source.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] if that fails.
+    pub fn generate() -> Result<Self, CryptoError> {
+        loop {
+            let bytes = Zeroizing::new(random_bytes::<32>()?);
+            if let Ok(secret) = Self::from_slice(&*bytes) {
+                return Ok(secret);
+            }
+        }
+    }
+
+    /// From 32 bytes, big endian.
+    ///
+    /// # Errors
+    /// [`CryptoError::SecretRange`] if it is out of range or of another length.
+    pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
+        let array = <[u8; 32]>::try_from(bytes).map(Zeroizing::new).map_err(|_| CryptoError::SecretRange("SM2"))?;
+        if !is_secret(&array) {
+            return Err(CryptoError::SecretRange("SM2"));
+        }
+        Ok(Self { bytes: array, kernel: OnceLock::new(), signing: OnceLock::new(), public: OnceLock::new() })
+    }
+
+    /// The secret bytes; do not copy them anywhere that outlives their use.
+    pub fn expose(&self) -> &[u8; 32] {
+        &self.bytes
+    }
+
+    /// The signing key for our own kernels.
+    pub(crate) fn kernel_key(&self) -> Result<&kernels::SigningKey, CryptoError> {
+        if self.kernel.get().is_none() {
+            // Another thread may have been first; its key is the same, and the second one wipes itself.
+            let _ = self.kernel.set(Box::new(kernels::SigningKey::new(&self.bytes)?));
+        }
+        self.kernel.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
+    }
+
+    /// The signing key for the crate.
+    pub(crate) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
+        if self.signing.get().is_none() {
+            // Another thread may have been first; its key is the same.
+            if let Err(mut second) = self.signing.set(Box::new(provider::signing_key(&self.bytes)?)) {
+                wipe(&mut second);
+            }
+        }
+        self.signing.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
+    }
+
+    /// The public key, computed by `provider` the first time.
+    pub(crate) fn public_key(&self, provider: &dyn Provider) -> Result<&PublicKey, CryptoError> {
+        if self.public.get().is_none() {
+            let _ = self.public.set(provider.public_key(self)?);
+        }
+        self.public.get().ok_or(CryptoError::Internal("SM2"))
+    }
+}
+
+impl Clone for SmSecret {
+    fn clone(&self) -> Self {
+        let (kernel, signing) = (OnceLock::new(), OnceLock::new());
+        Self { bytes: self.bytes.clone(), kernel, signing, public: self.public.clone() }
+    }
+}
+
+impl Drop for SmSecret {
+    fn drop(&mut self) {
+        if let Some(key) = self.signing.get_mut() {
+            wipe(key);
+        }
+    }
+}
+
+/// The crate's key does not wipe itself, so its memory is overwritten here.
+fn wipe(key: &mut SigningKey) {
+    static BLANK: LazyLock<Option<SigningKey>> = LazyLock::new(|| provider::signing_key(&[1; 32]).ok());
+    if let Some(blank) = BLANK.as_ref() {
+        *key = blank.clone();
+        black_box(key);
+    }
+}
+
+/// In constant time.
+impl PartialEq for SmSecret {
+    fn eq(&self, other: &Self) -> bool {
+        self.bytes.ct_eq(&*other.bytes).into()
+    }
+}
+
+impl Eq for SmSecret {}
+
+impl fmt::Debug for SmSecret {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("SmSecret(secret)")
+    }
+}
+
+/// An SM2 private key and its public key.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SmKeyPair {
+    /// d.
+    pub secret: SmSecret,
+    /// P = [d]G.
+    pub public: PublicKey,
+}
+
+impl SmKeyPair {
+    /// A fresh pair.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`] if the random source fails.
+    pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
+        Self::from_secret(provider, SmSecret::generate()?)
+    }
+
+    /// The pair of a private key.
+    ///
+    /// # Errors
+    /// [`CryptoError::Internal`] if the algorithm fails.
+    pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
+        let public = *secret.public_key(provider)?;
+        Ok(Self { secret, public })
+    }
+
+    /// The fingerprint of the public key.
+    pub fn fingerprint(&self) -> Fingerprint {
+        Fingerprint::of(&self.public)
+    }
+}
+
+/// The first 16 bytes of SM3 of a public key, in eight groups of four hex characters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Fingerprint([u8; 16]);
+
+/// Why a text is not a fingerprint.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "'{0}' is not a complete fingerprint; it has eight groups of four hex characters, as `authros identity show` \
+     prints it"
+)]
+pub struct FingerprintError(String);
+
+impl Fingerprint {
+    /// Of `public`.
+    pub fn of(public: &PublicKey) -> Self {
+        Self::of_signer(&derive::signer_id(public))
+    }
+
+    /// For the key whose SM3 is `signer`.
+    pub fn of_signer(signer: &SignerId) -> Self {
+        let mut first = [0; 16];
+        first.copy_from_slice(&signer.0[..16]);
+        Self(first)
+    }
+}
+
+/// Reads the form that is shown, other separators of the groups (none, `:`, `-`) and capitals. A part of a fingerprint
+/// is refused: the rest could differ.
+impl FromStr for Fingerprint {
+    type Err = FingerprintError;
+
+    fn from_str(text: &str) -> Result<Self, FingerprintError> {
+        let parting = |character: &char| character.is_whitespace() || *character == ':' || *character == '-';
+        let digits: String = text.chars().filter(|character| !parting(character)).collect();
+        let bytes = unhex(&digits).filter(|_| !digits.starts_with("0x"));
+        let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
+        bytes.map(Self).ok_or_else(|| FingerprintError(clean(text, 60)))
+    }
+}
+
+impl fmt::Display for Fingerprint {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let groups: Vec<String> = self.0.chunks(2).map(hex).collect();
+        formatter.write_str(&groups.join(" "))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -96,5 +383,64 @@ mod tests {
         assert_ne!(key, Sm4Key::generate().expect("random"));
         assert_eq!(format!("{key:?}"), "Sm4Key(secret)");
         assert!(Sm4Key::from_slice(&[0; 15]).is_none());
+    }
+}
+
+#[cfg(test)]
+mod eoa_tests {
+    use super::*;
+
+    #[test]
+    fn addresses_of_well_known_keys() {
+        let mut one = [0; 32];
+        one[31] = 1;
+        let address = EoaSecret::from_slice(&one).expect("in range").address();
+        assert_eq!(address.to_string(), "0x7E5F4552091A69125d5DfCb7b8C2659029395Bdf");
+        assert!(EoaSecret::from_slice(&[0; 32]).is_err());
+        assert!(EoaSecret::from_slice(&[0xff; 32]).is_err());
+        assert!(EoaSecret::from_slice(&[1; 31]).is_err());
+        let shown = format!("{:?}", EoaSecret::from_slice(&one));
+        assert!(!shown.contains(&"00".repeat(8)), "{shown}");
+    }
+}
+
+#[cfg(test)]
+mod sm2_secret_tests {
+    use super::*;
+    use crate::{ProviderName, provider};
+
+    #[test]
+    fn the_range_is_one_to_n_minus_two() {
+        let with_last = |last: u8| {
+            let mut bytes = ORDER;
+            bytes[31] = last;
+            bytes
+        };
+        let mut one = [0; 32];
+        one[31] = 1;
+        assert!(SmSecret::from_slice(&one).is_ok());
+        assert!(SmSecret::from_slice(&with_last(0x21)).is_ok(), "n - 2");
+        for bad in [[0; 32], with_last(0x22), with_last(0x23), with_last(0x24), [0xff; 32]] {
+            assert!(SmSecret::from_slice(&bad).is_err(), "{bad:02x?}");
+        }
+        assert!(SmSecret::from_slice(&one[..31]).is_err());
+    }
+
+    #[test]
+    fn fingerprints_are_eight_groups_and_debug_is_redacted() {
+        let provider = provider(ProviderName::RustCrypto);
+        let pair = SmKeyPair::generate(provider).expect("pair");
+        provider.sign(&pair.secret, b"x").expect("signs");
+        let shown = pair.fingerprint().to_string();
+        assert_eq!(shown.len(), 39);
+        for way in [shown.clone(), shown.to_uppercase(), shown.replace(' ', ""), shown.replace(' ', ":")] {
+            assert_eq!(way.parse(), Ok(pair.fingerprint()), "{way}");
+        }
+        for bad in ["", &shown[..34], &format!("{shown}00"), &shown.replace(' ', "g")] {
+            assert!(bad.parse::<Fingerprint>().is_err(), "{bad}");
+        }
+        assert_eq!(shown.replace(' ', ""), derive::signer_id(&pair.public).to_hex()[..32]);
+        assert!(!format!("{pair:?}").contains(&hex(pair.secret.expose())));
+        assert_eq!(pair.clone(), pair);
     }
 }

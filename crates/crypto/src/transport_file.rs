@@ -77,7 +77,7 @@ pub fn load_transport_key(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::crypto::{ProviderName, provider};
+    use crate::{ProviderName, provider};
 
     #[test]
     fn it_opens_for_the_same_use_under_the_same_keyring_only() {

@@ -3,15 +3,15 @@
 use sm2::Scalar;
 use sm2::dsa::signature::hazmat::PrehashVerifier as _;
 use sm2::elliptic_curve::ops::Reduce as _;
-use sm2::elliptic_curve::{Group as _, PrimeField as _, ProjectivePoint, point::AffineCoordinates as _};
+use sm2::elliptic_curve::point::AffineCoordinates as _;
+use sm2::elliptic_curve::{Group as _, PrimeField as _, ProjectivePoint};
 
+use crate::der::{CipherParts, signature_der, signature_from_der};
+use crate::gcm::BlockCipher;
+use crate::kernel::tests::Sm4Block;
 use crate::model::bytes::{hex, unhex};
 use crate::model::{PublicKey, Signature};
-
-use super::der::{CipherParts, signature_der, signature_from_der};
-use super::gcm::BlockCipher;
-use super::kernel::tests::Sm4Block;
-use super::{CryptoError, Provider, ProviderName, SmSecret, libsm_provider, provider, rustcrypto, sm3};
+use crate::{CryptoError, Provider, ProviderName, SmSecret, libsm_provider, provider, sm3};
 
 const KEY: &str = "0123456789abcdeffedcba9876543210";
 const BLOCKS: &str = "aaaaaaaaaaaaaaaabbbbbbbbbbbbbbbbccccccccccccccccdddddddddddddddd\
@@ -134,12 +134,12 @@ fn sm2_za_and_e_of_annex_a() {
                  32c4ae2c1f1981195f9904466a39c9948fe30bbff2660be1715a4589334c74c7\
                  bc3736a2f4f6779c59bdcee36b692153d0a9877cc62a474002df32e52139f0a0";
     let public = PublicKey(bytes(P));
-    let id = rustcrypto::DISTINGUISHED_ID.as_bytes();
+    let id = provider::DISTINGUISHED_ID.as_bytes();
     let za = sm3::sm3(&[&[0, 0x80], id, &unhex(curve).expect("hex"), &public.0]);
     assert_eq!(hex(&za), ZA);
     assert_eq!(hex(&sm3::sm3(&[&za, b"message digest"])), E);
     assert_eq!(hex(&libsm_provider::signed_hash(&public, b"message digest").expect("hash")), E);
-    let key = rustcrypto::signing_key(&bytes(D)).expect("key");
+    let key = provider::signing_key(&bytes(D)).expect("key");
     let signature = sm2::dsa::Signature::from_slice(&bytes::<64>(SIGNATURE)).expect("in range");
     key.verifying_key().verify_prehash(&bytes::<32>(E), &signature).expect("valid");
 }

@@ -62,22 +62,12 @@ impl BundleError {
 /// How a record was anchored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "snake_case", tag = "mode")]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Anchoring {
     /// Its digest by itself, by its owner. The braces refuse further lines, which serde takes beside a bare word.
     Each {},
-    /// The root of its batch.
-    Batch {
-        /// The account that anchored it.
-        account: Address,
-        /// The root.
-        root: Hash,
-        /// The leaf's place, from 0.
-        index: u64,
-        /// Leaves in the batch.
-        count: u64,
-        /// Hashes from the leaf up.
-        path: Vec<Hash>,
-    },
+    /// The root of its batch: the leaf's index from 0, the number of leaves, and the hashes from the leaf up.
+    Batch { account: Address, root: Hash, index: u64, count: u64, path: Vec<Hash> },
 }
 
 /// The exporter's claim of where a record is anchored, and after which block the state shows that.

@@ -36,28 +36,17 @@ impl fmt::Display for Protocol {
 
 /// Why the seals in a header are not those of such a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum Flaw {
     /// Fewer than two thirds of the validators it names.
     #[error("its header has the seals of {have} of the {named} validators that it names, and {needed} are needed")]
-    TooFew {
-        /// How many sealed it.
-        have: usize,
-        /// How many validators it names.
-        named: usize,
-        /// How many of these have to seal.
-        needed: usize,
-    },
+    TooFew { have: usize, named: usize, needed: usize },
     /// One seal is there twice.
     #[error("{0} has sealed its header twice")]
     Twice(Address),
     /// The seals were made in another round.
     #[error("its seals are of round {sealed}, and its header says round {said}")]
-    Round {
-        /// The header's.
-        said: u32,
-        /// The seals'.
-        sealed: u32,
-    },
+    Round { said: u32, sealed: u32 },
     /// A seal fits no validator.
     #[error("a seal in its header is of no validator that it names: it was altered after it was sealed")]
     Altered,

@@ -6,24 +6,21 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::display::clean;
+use crate::Digest;
+use crate::display::clean;
+use crate::wire::{Reader, WireError};
 
 /// How an embedded chain seals its blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Consensus {
-    /// Proof of authority as in Clique (EIP-225): signers take turns.
-    Poa {
-        /// Number of signers, 1 to 16.
-        signers: u8,
-        /// The least time between two blocks, whole milliseconds, at most 10 minutes.
-        period: Duration,
-    },
-    /// Proof of work: Keccak-256 over seal hash and nonce, at a fixed difficulty. It is not ethash.
-    Pow {
-        /// Average number of hashes per block, 1 to 2^40.
-        difficulty: u64,
-    },
+    /// Proof of authority as in Clique (EIP-225): 1 to 16 signers take turns. The period is the least
+    /// time between two blocks, whole milliseconds, at most 10 minutes.
+    Poa { signers: u8, period: Duration },
+    /// Proof of work: Keccak-256 over seal hash and nonce, at a fixed difficulty: 1 to 2^40 hashes per
+    /// block on average. It is not ethash.
+    Pow { difficulty: u64 },
 }
 
 /// Why a text is not a consensus.
@@ -125,6 +122,92 @@ impl From<Consensus> for String {
     }
 }
 
+// How digests are put on the chain.
+
+/// The two ways of anchoring.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum AnchorMode {
+    /// The Merkle root of a batch in one transaction.
+    #[default]
+    Batch,
+    /// The paper's dataUpload: one transaction per record.
+    Each,
+}
+
+/// The word does not name a mode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("choose batch (Merkle roots) or each (one dataUpload per record)")]
+pub struct AnchorModeError;
+
+impl FromStr for AnchorMode {
+    type Err = AnchorModeError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "batch" => Ok(Self::Batch),
+            "each" => Ok(Self::Each),
+            _ => Err(AnchorModeError),
+        }
+    }
+}
+
+impl fmt::Display for AnchorMode {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Batch => "batch",
+            Self::Each => "each",
+        })
+    }
+}
+
+// The body of an audit record: the head of a home's audit log, anchored on the chain while the log changes.
+
+/// First bytes of the body.
+const LABEL: [u8; 20] = *b"AuthROS/audit-head/1";
+
+/// `label (20) || line (8) || hash (32) || previous line (8) || previous hash (32)`, big endian.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AuditHead {
+    /// How many lines the log had.
+    pub line: u64,
+    /// The hash stored with its last line.
+    pub hash: Digest,
+    /// The number of lines under the head that this owner anchored before; 0 = this is the first.
+    pub previous_line: u64,
+    /// The hash of that head, zeros if there is none.
+    pub previous_hash: Digest,
+}
+
+impl AuditHead {
+    /// Encodes the bytes to be sealed.
+    pub fn encode(&self) -> Vec<u8> {
+        let (line, previous) = (self.line.to_be_bytes(), self.previous_line.to_be_bytes());
+        [&LABEL[..], &line, &self.hash.0, &previous, &self.previous_hash.0].concat()
+    }
+
+    /// Parses a whole body.
+    ///
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one head, or it does not continue the one before.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        if reader.array::<20>("label")? != LABEL {
+            return Err(WireError::Value("label"));
+        }
+        let head = Self {
+            line: reader.u64("line")?,
+            hash: Digest(reader.array("hash")?),
+            previous_line: reader.u64("previous line")?,
+            previous_hash: Digest(reader.array("previous hash")?),
+        };
+        reader.end()?;
+        if head.line <= head.previous_line {
+            return Err(WireError::Value("line"));
+        }
+        Ok(head)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -182,6 +265,27 @@ mod tests {
         #[test]
         fn noise_never_panics(noise in "(poa|pow|:|0x|[0-9]|.){0,12}") {
             let _ = noise.parse::<Consensus>();
+        }
+    }
+}
+
+#[cfg(test)]
+mod audit_head_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read_and_nothing_else(previous in 0u64..9, more in 1u64..9, hash: [u8; 32], other: [u8; 32], noise: Vec<u8>) {
+            let (hash, previous_hash) = (Digest(hash), Digest(other));
+            let head = AuditHead { line: previous + more, hash, previous_line: previous, previous_hash };
+            let bytes = head.encode();
+            prop_assert_eq!((bytes.len(), AuditHead::parse(&bytes)), (100, Ok(head)));
+            prop_assert!((0..bytes.len()).all(|cut| AuditHead::parse(&bytes[..cut]).is_err()));
+            prop_assert!(AuditHead::parse(&[bytes, vec![0]].concat()).is_err());
+            prop_assert!(AuditHead::parse(&noise).is_err());
+            let back = AuditHead { line: previous, ..head };
+            prop_assert!(AuditHead::parse(&back.encode()).is_err(), "a head goes on from the one before");
         }
     }
 }

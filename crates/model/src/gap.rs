@@ -1,11 +1,10 @@
-//! The body of a gap record: which messages of a topic did not become records, and why, so that the loss itself is
-//! evidence.
+//! What is reported about a topic: gaps, and messages held in quarantine.
 
-use super::wire::{Reader, WireError, put_text};
-use super::{Timestamp, TopicId};
+use crate::wire::{Reader, WireError, put_text};
+use crate::{Digest, Timestamp, TopicId};
 
 /// First bytes of the body.
-const LABEL: [u8; 13] = *b"AuthROS/gap/1";
+const GAP_LABEL: [u8; 13] = *b"AuthROS/gap/1";
 
 /// Why messages did not become records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -99,7 +98,7 @@ pub struct GapReport {
 impl GapReport {
     /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = [&LABEL[..], &self.topic_id.0].concat();
+        let mut out = [&GAP_LABEL[..], &self.topic_id.0].concat();
         put_text(&mut out, &self.topic);
         put_text(&mut out, &self.publisher);
         out.push(self.reason.code());
@@ -119,7 +118,7 @@ impl GapReport {
     /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
-        if reader.array::<13>("label")? != LABEL {
+        if reader.array::<13>("label")? != GAP_LABEL {
             return Err(WireError::Value("label"));
         }
         let topic_id = TopicId(reader.array("topic id")?);
@@ -136,6 +135,70 @@ impl GapReport {
         let (first_at, last_at) = (Timestamp(reader.u64("first time")?), Timestamp(reader.u64("last time")?));
         reader.end()?;
         Ok(Self { topic_id, topic, publisher, reason, count, numbers, first_at, last_at })
+    }
+}
+
+// The body of a quarantine record: which messages of one topic and minute were quarantined, so that none can be
+// removed selectively.
+
+/// First bytes of the body.
+const QUARANTINE_LABEL: [u8; 20] = *b"AuthROS/quarantine/1";
+
+/// `label (20) || topic id (16) || topic (2 + n) || minute (8) || first seq (8) || last seq (8) || count (8) ||
+/// rolling (32)`, big endian.
+///
+/// The rolling hash begins with SM3(`AuthROS/quarantined/1` || domain || owner || recorder || topic id || minute) and
+/// continues with SM3(rolling || D) for each quarantined record's digest D in the order of acknowledgement.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct QuarantineReport {
+    /// The topic's pseudonym, as in its records.
+    pub topic_id: TopicId,
+    /// Its name.
+    pub topic: String,
+    /// Minutes since 1970 UTC, by the capture times.
+    pub minute: u64,
+    /// The lowest sequence number quarantined.
+    pub first_seq: u64,
+    /// The highest one.
+    pub last_seq: u64,
+    /// The number of records quarantined.
+    pub count: u64,
+    /// The rolling hash over their digests.
+    pub rolling: Digest,
+}
+
+impl QuarantineReport {
+    /// Encodes the bytes to be sealed.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = [&QUARANTINE_LABEL[..], &self.topic_id.0].concat();
+        put_text(&mut out, &self.topic);
+        for number in [self.minute, self.first_seq, self.last_seq, self.count] {
+            out.extend_from_slice(&number.to_be_bytes());
+        }
+        out.extend_from_slice(&self.rolling.0);
+        out
+    }
+
+    /// Parses a whole body.
+    ///
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one report.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        if reader.array::<20>("label")? != QUARANTINE_LABEL {
+            return Err(WireError::Value("label"));
+        }
+        let report = Self {
+            topic_id: TopicId(reader.array("topic id")?),
+            topic: reader.text("topic")?,
+            minute: reader.u64("minute")?,
+            first_seq: reader.u64("first seq")?,
+            last_seq: reader.u64("last seq")?,
+            count: reader.u64("count")?,
+            rolling: Digest(reader.array("rolling hash")?),
+        };
+        reader.end()?;
+        Ok(report)
     }
 }
 
@@ -173,7 +236,33 @@ mod tests {
             prop_assert_eq!(GapReport::parse(&bytes), Ok(report));
             prop_assert!((0..bytes.len()).all(|cut| GapReport::parse(&bytes[..cut]).is_err()));
             prop_assert!(GapReport::parse(&[bytes, vec![0]].concat()).is_err());
-            let _ = GapReport::parse(&[&LABEL[..], &noise].concat());
+            let _ = GapReport::parse(&[&GAP_LABEL[..], &noise].concat());
+        }
+    }
+}
+
+#[cfg(test)]
+mod quarantine_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn round_trip_and_every_cut_is_refused(topic in "/[a-z]{0,20}", numbers in any::<[u64; 4]>(), rolling in any::<[u8; 32]>()) {
+            let [minute, first_seq, last_seq, count] = numbers;
+            let topic_id = TopicId([3; 16]);
+            let report =
+                QuarantineReport { topic_id, topic, minute, first_seq, last_seq, count, rolling: Digest(rolling) };
+            let bytes = report.encode();
+            prop_assert_eq!(QuarantineReport::parse(&bytes), Ok(report));
+            prop_assert!((0..bytes.len()).all(|cut| QuarantineReport::parse(&bytes[..cut]).is_err()));
+            prop_assert!(QuarantineReport::parse(&[bytes, vec![0]].concat()).is_err());
+        }
+
+        #[test]
+        fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let _ = QuarantineReport::parse(&noise);
+            let _ = QuarantineReport::parse(&[&QUARANTINE_LABEL[..], &noise].concat());
         }
     }
 }

@@ -1,11 +1,16 @@
-//! The subject of a command: an address, or a name from the address book.
+//! Who: addresses, identities, parties and their names, profiles and operators.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
+use sha3::{Digest as _, Keccak256};
 
-use super::{Address, clean};
+use crate::bytes::{PublicKey, Signature, Token, hex, unhex};
+use crate::clean;
+use crate::text::{as_text, names};
+use crate::wire::{Reader, WireError};
 
 /// Why a text names no party.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -18,19 +23,12 @@ pub enum PartyError {
     Name(String),
     /// It begins like an address but is not one.
     #[error(transparent)]
-    Address(#[from] super::address::AddressError),
+    Address(#[from] AddressError),
 }
 
 /// A name in the address book of a home; never on the chain.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ContactName(String);
-
-impl ContactName {
-    /// The name.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
 
 impl FromStr for ContactName {
     type Err = PartyError;
@@ -40,12 +38,6 @@ impl FromStr for ContactName {
         let begins = text.bytes().next().is_some_and(|first| first.is_ascii_alphabetic());
         let valid = begins && text.len() <= 40 && text.bytes().all(inner);
         if valid { Ok(Self(text.to_owned())) } else { Err(PartyError::Name(clean(text, 40))) }
-    }
-}
-
-impl fmt::Display for ContactName {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(&self.0)
     }
 }
 
@@ -101,22 +93,268 @@ impl fmt::Display for Party {
     }
 }
 
-macro_rules! as_text {
-    ($($type:ty),*) => {$(
-        impl Serialize for $type {
-            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                serializer.collect_str(self)
-            }
-        }
+names!(ContactName, OperatorName, ProfileName);
+as_text!(ContactName, Party, Address, ProfileName);
 
-        impl<'de> Deserialize<'de> for $type {
-            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
-            }
-        }
-    )*};
+// An Ethereum externally owned account (EOA), shown in EIP-55 checksum form.
+
+/// Why a text is not an address.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum AddressError {
+    /// Not 20 bytes of hex.
+    #[error("an address is 0x and 40 hex characters; copy it from `authros identity show`")]
+    Shape,
+    /// Mixed case that does not match EIP-55: a mistyped character.
+    #[error("the address checksum (EIP-55) does not match, so a character is wrong; copy the address again")]
+    Checksum,
 }
-as_text!(ContactName, Party);
+
+/// The 20 bytes of an EOA or contract address.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Address(pub [u8; 20]);
+
+impl Address {
+    /// The address for an uncompressed secp256k1 public key (x || y, 64 bytes).
+    pub fn from_public_key(point: &[u8; 64]) -> Self {
+        let hash = Keccak256::digest(point);
+        let mut bytes = [0; 20];
+        bytes.copy_from_slice(&hash[12..]);
+        Self(bytes)
+    }
+
+    /// From a slice of exactly 20 bytes.
+    pub fn from_slice(bytes: &[u8]) -> Option<Self> {
+        bytes.try_into().ok().map(Self)
+    }
+
+    /// The bytes.
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// `0x1234…`: for files given to others, so that they cannot link the content to an account.
+    pub fn redacted(&self) -> String {
+        format!("{}…", self.to_string().get(..6).unwrap_or_default())
+    }
+
+    /// `0x1234…abcd`, for narrow columns.
+    pub fn short(&self) -> String {
+        let text = self.to_string();
+        format!("{}…{}", &text[..6], &text[38..])
+    }
+}
+
+/// The text with every address in it [`Address::redacted`]; hashes and keys, which are longer, are left alone.
+pub fn redact_addresses(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find("0x") {
+        let (before, from) = rest.split_at(at);
+        let digits = from.bytes().skip(2).take_while(u8::is_ascii_hexdigit).count();
+        let whole = from.get(..2 + digits).unwrap_or(from);
+        out.push_str(before);
+        match (digits, whole.get(..6)) {
+            (40, Some(first)) => {
+                out.push_str(first);
+                out.push('…');
+            }
+            _ => out.push_str(whole),
+        }
+        rest = from.get(whole.len()..).unwrap_or_default();
+    }
+    out.push_str(rest);
+    out
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let lower = hex(&self.0);
+        let hash = Keccak256::digest(lower.as_bytes());
+        let mixed: String = lower
+            .char_indices()
+            .map(|(index, character)| {
+                let nibble = hash[index / 2] >> (4 * (1 - index % 2)) & 15;
+                if nibble >= 8 { character.to_ascii_uppercase() } else { character }
+            })
+            .collect();
+        write!(formatter, "0x{mixed}")
+    }
+}
+
+impl fmt::Debug for Address {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "Address({self})")
+    }
+}
+
+impl FromStr for Address {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, AddressError> {
+        // Not twice: below, another 0x would be passed over.
+        let digits = text.strip_prefix("0x").filter(|digits| !digits.starts_with("0x")).ok_or(AddressError::Shape)?;
+        let bytes = unhex(digits).ok_or(AddressError::Shape)?;
+        let address = Self::from_slice(&bytes).ok_or(AddressError::Shape)?;
+        let mixed = digits.bytes().any(|b| b.is_ascii_uppercase()) && digits.bytes().any(|b| b.is_ascii_lowercase());
+        if mixed && address.to_string() != text {
+            return Err(AddressError::Checksum);
+        }
+        Ok(address)
+    }
+}
+
+// The public identity that an EOA registers on the chain.
+
+/// `token || P_C || P_E || proof`: 224 bytes. The proof is an SM2 signature by d_C over label, domain, address, P_C,
+/// P_E and token; the contract cannot verify it, so every client does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Identity {
+    /// Token of the epoch at registration.
+    pub token: Token,
+    /// P_C, which verifies signatures.
+    pub signing: PublicKey,
+    /// P_E, to which envelopes are encrypted.
+    pub envelope: PublicKey,
+    /// Proof that the holder of d_C registered these keys for this address.
+    pub proof: Signature,
+}
+
+impl Identity {
+    /// Length of the encoding, bytes.
+    pub const LENGTH: usize = 224;
+
+    /// The argument of the contract's `register`.
+    pub fn encode(&self) -> Vec<u8> {
+        [&self.token.0[..], &self.signing.0, &self.envelope.0, &self.proof.0].concat()
+    }
+
+    /// From the chain's bytes.
+    ///
+    /// # Errors
+    /// [`WireError`] if they are not exactly [`Self::LENGTH`] bytes.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        let identity = Self {
+            token: Token(reader.array("token")?),
+            signing: PublicKey(reader.array("signing key")?),
+            envelope: PublicKey(reader.array("envelope key")?),
+            proof: Signature(reader.array("proof")?),
+        };
+        reader.end()?;
+        Ok(identity)
+    }
+}
+
+// Operators: Unix users who work at somebody else's site, with the rights that its owner gave them.
+
+/// The longest name, characters.
+const LONGEST: usize = 64;
+
+/// A text is not the name of a user or a group.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "'{0}' is not a usable name; use 1 to 64 letters, digits and . _ - + @ $ \\, starting with a letter, a digit or _"
+)]
+pub struct OperatorNameError(String);
+
+/// The name of a Unix user or group, as the user database has it.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct OperatorName(String);
+
+impl FromStr for OperatorName {
+    type Err = OperatorNameError;
+
+    fn from_str(text: &str) -> Result<Self, OperatorNameError> {
+        let begins = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
+        let body = |b: u8| begins(b) || b".-+@$\\".contains(&b);
+        let valid = text.len() <= LONGEST && text.bytes().next().is_some_and(begins) && text.bytes().all(body);
+        if valid { Ok(Self(text.to_owned())) } else { Err(OperatorNameError(clean(text, LONGEST))) }
+    }
+}
+
+/// A right that an operator may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OperatorRight {
+    /// Read what needs no decryption of a message: lists, states, checks, the audit log.
+    Look,
+    /// Decide what is captured: watches, captures, rules, pins.
+    Capture,
+    /// Decide who reads: grants, extensions, revocations.
+    Grant,
+}
+
+impl OperatorRight {
+    /// Its word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Look => "look",
+            Self::Capture => "capture",
+            Self::Grant => "grant",
+        }
+    }
+}
+
+/// The rights of an operator.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct OperatorRights(BTreeSet<OperatorRight>);
+
+impl OperatorRights {
+    /// Whether one of them is this.
+    pub fn has(&self, right: OperatorRight) -> bool {
+        self.0.contains(&right)
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Adds those of another rule.
+    pub fn add(&mut self, others: &Self) {
+        self.0.extend(&others.0);
+    }
+}
+
+impl FromIterator<OperatorRight> for OperatorRights {
+    fn from_iter<Rights: IntoIterator<Item = OperatorRight>>(rights: Rights) -> Self {
+        Self(rights.into_iter().collect())
+    }
+}
+
+impl fmt::Display for OperatorRights {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let words: Vec<&str> = self.0.iter().map(|right| right.word()).collect();
+        formatter.write_str(&words.join(","))
+    }
+}
+
+// The name of a profile: an identity on this machine.
+
+/// Why a text is not a profile name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("'{0}' is not a valid profile name; use 1 to 32 characters from a-z, 0-9, - and _, starting with a letter")]
+pub struct ProfileNameError(String);
+
+/// A profile's name on this machine; never on the chain.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ProfileName(String);
+
+impl Default for ProfileName {
+    fn default() -> Self {
+        Self("default".to_owned())
+    }
+}
+
+impl FromStr for ProfileName {
+    type Err = ProfileNameError;
+
+    fn from_str(text: &str) -> Result<Self, ProfileNameError> {
+        let body = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'_';
+        let valid = (1..=32).contains(&text.len()) && text.as_bytes()[0].is_ascii_lowercase() && text.bytes().all(body);
+        if valid { Ok(Self(text.to_owned())) } else { Err(ProfileNameError(crate::clean(text, 40))) }
+    }
+}
 
 #[cfg(test)]
 mod tests {
@@ -143,5 +381,81 @@ mod tests {
         }
         assert!(matches!("Bob.from-Lab_2".parse(), Ok(Party::Contact(_))));
         assert!("a".repeat(41).parse::<Party>().is_err());
+    }
+}
+
+#[cfg(test)]
+mod address_tests {
+    use super::*;
+
+    #[test]
+    fn eip55_examples() {
+        for text in ["0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed", "0xfB6916095ca1df60bB79Ce92cE3Ea74c37c5d359"] {
+            let address: Address = text.parse().expect("valid");
+            assert_eq!(address.to_string(), text);
+            assert_eq!(text.to_lowercase().parse(), Ok(address));
+        }
+    }
+
+    #[test]
+    fn one_wrong_case_is_a_checksum_error() {
+        let text = "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1Beaed";
+        assert_eq!(text.parse::<Address>(), Err(AddressError::Checksum));
+        assert_eq!("0x12".parse::<Address>(), Err(AddressError::Shape));
+        assert_eq!("hello".parse::<Address>(), Err(AddressError::Shape));
+        assert_eq!(format!("0x{}", text.to_lowercase()).parse::<Address>(), Err(AddressError::Shape), "0x twice");
+    }
+}
+
+#[cfg(test)]
+mod identity_tests {
+    use super::*;
+
+    #[test]
+    fn exactly_224_bytes() {
+        let bytes: Vec<u8> = (0..224).map(|i| u8::try_from(i).unwrap_or(0)).collect();
+        let identity = Identity::parse(&bytes).expect("parses");
+        assert_eq!(identity.encode(), bytes);
+        assert!(Identity::parse(&bytes[1..]).is_err());
+        assert!(Identity::parse(&[bytes.clone(), vec![0]].concat()).is_err());
+    }
+}
+
+#[cfg(test)]
+mod operator_tests {
+    use super::*;
+
+    #[test]
+    fn a_name_cannot_hide_a_slash_or_a_space() {
+        for good in ["bob", "night-shift_2", "Bob", "alice@corp.example", "CORP\\bob", "robot$"] {
+            assert_eq!(good.parse::<OperatorName>().expect(good).as_str(), good);
+        }
+        for bad in ["", "@robotics", "-bob", "alice/bob", "b ob", "b\u{1b}[2J", "b,c", "käthe", &"a".repeat(65)] {
+            let refused = bad.parse::<OperatorName>().expect_err(bad).to_string();
+            assert!(!refused.contains('\u{1b}'), "{refused:?}");
+        }
+    }
+
+    #[test]
+    fn rights_add_up() {
+        let mut rights: OperatorRights = [OperatorRight::Grant, OperatorRight::Look].into_iter().collect();
+        assert_eq!(rights.to_string(), "look,grant");
+        assert!(rights.has(OperatorRight::Look) && !rights.has(OperatorRight::Capture));
+        rights.add(&[OperatorRight::Look, OperatorRight::Capture].into_iter().collect());
+        assert_eq!(rights.to_string(), "look,capture,grant");
+        assert!(OperatorRights::default().is_empty());
+    }
+}
+
+#[cfg(test)]
+mod profile_tests {
+    use super::*;
+
+    #[test]
+    fn names() {
+        assert!("default".parse::<ProfileName>().is_ok());
+        for bad in ["", "A", "../x", "a/b", "1a", "a b", &"a".repeat(33)] {
+            assert!(bad.parse::<ProfileName>().is_err(), "{bad}");
+        }
     }
 }

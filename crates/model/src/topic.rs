@@ -1,9 +1,8 @@
 //! ROS graph names: topics and message types.
 
-use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use crate::text::{as_text, names};
 
 /// The longest topic or type name accepted, in bytes.
 pub const LONGEST_NAME: usize = 255;
@@ -44,13 +43,6 @@ fn is_part(part: &str) -> bool {
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicName(String);
 
-impl TopicName {
-    /// The name with its leading slash.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
-
 impl FromStr for TopicName {
     type Err = NameError;
 
@@ -65,13 +57,6 @@ impl FromStr for TopicName {
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TypeName(String);
 
-impl TypeName {
-    /// The name, `package/Type`.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
-
 impl FromStr for TypeName {
     type Err = NameError;
 
@@ -82,26 +67,8 @@ impl FromStr for TypeName {
     }
 }
 
-macro_rules! name_traits {
-    ($($name:ident)*) => {$(
-        impl fmt::Display for $name {
-            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-                formatter.write_str(&self.0)
-            }
-        }
-        impl Serialize for $name {
-            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                serializer.serialize_str(&self.0)
-            }
-        }
-        impl<'de> Deserialize<'de> for $name {
-            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
-            }
-        }
-    )*};
-}
-name_traits!(TopicName TypeName);
+names!(TopicName, TypeName);
+as_text!(TopicName, TypeName);
 
 #[cfg(test)]
 mod tests {

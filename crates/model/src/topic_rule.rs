@@ -1,13 +1,13 @@
 //! Rules for topics: which type, how many messages, which tags, how long they are kept.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 use super::topic::{LONGEST_NAME, TypeName};
+use crate::text::{as_text, names};
 
 /// Why a text is not a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -20,13 +20,10 @@ pub struct PatternError(String);
 /// A pattern for topic names: `*` within a part, `**` across parts, `?` for one letter.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicPattern(String);
+names!(TopicPattern);
+as_text!(TopicPattern);
 
 impl TopicPattern {
-    /// As written.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-
     /// Whether it is a plain name, not a pattern for many.
     pub fn is_plain(&self) -> bool {
         !self.0.contains(['*', '?'])
@@ -86,24 +83,6 @@ impl FromStr for TopicPattern {
             return Ok(Self(text.to_owned()));
         }
         Err(PatternError(super::clean(text, 80)))
-    }
-}
-
-impl fmt::Display for TopicPattern {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(&self.0)
-    }
-}
-
-impl Serialize for TopicPattern {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(&self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for TopicPattern {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
     }
 }
 

@@ -4,12 +4,13 @@
 //! inserted or moved. The log alone does not show lines cut off at the end: that takes a head that was anchored on the
 //! chain before ([`AuditLog::hash_of`] gives the line that head belongs to).
 
-use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 use sm3::{Digest as _, Sm3};
 
 use super::database::whole;
 use super::{Ledger, StoreError};
+use crate::database::Statements as _;
 use crate::model::{Digest, Timestamp};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
@@ -90,7 +91,8 @@ impl AuditLog {
         self.ledger.write(move |session| {
             let (count, head) = head(session.connection)?;
             let hash = chain(head, &entry);
-            session.connection.prepare_cached("INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")?.execute(
+            session.connection.run(
+                "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
                 params![
                     whole("line", count + 1)?,
                     whole("time", entry.at.0)?,
@@ -120,8 +122,7 @@ impl AuditLog {
     pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
         let line = whole("line", line)?;
         self.ledger.read(|connection| {
-            let mut statement = connection.prepare_cached("SELECT hash FROM audit WHERE line = ?1")?;
-            Ok(statement.query_row([line], |row| row.get(0)).optional()?.map(Digest))
+            Ok(connection.find("SELECT hash FROM audit WHERE line = ?1", [line], |row| row.get(0))?.map(Digest))
         })
     }
 
@@ -168,8 +169,7 @@ impl AuditLog {
     pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
         let next = whole("line", line.saturating_add(1))?;
         self.ledger.read(|connection| {
-            let mut statement = connection.prepare_cached("SELECT at FROM audit WHERE line = ?1")?;
-            let at = statement.query_row([next], |row| row.get::<_, i64>(0)).optional()?;
+            let at = connection.find("SELECT at FROM audit WHERE line = ?1", [next], |row| row.get::<_, i64>(0))?;
             Ok(at.map(|at| Timestamp(at.cast_unsigned())))
         })
     }
@@ -200,10 +200,9 @@ impl AuditLog {
 }
 
 fn head(connection: &Connection) -> Result<(u64, Digest), StoreError> {
-    let found = connection
-        .prepare_cached("SELECT line, hash FROM audit ORDER BY line DESC LIMIT 1")?
-        .query_row([], |row| Ok((row.get::<_, i64>(0)?.cast_unsigned(), Digest(row.get(1)?))))
-        .optional()?;
+    let found = connection.find("SELECT line, hash FROM audit ORDER BY line DESC LIMIT 1", [], |row| {
+        Ok((row.get::<_, i64>(0)?.cast_unsigned(), Digest(row.get(1)?)))
+    })?;
     Ok(found.unwrap_or((0, Digest([0; Digest::LENGTH]))))
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::config::DbConfig;
-use rusqlite::{Connection, OpenFlags, TransactionBehavior};
+use rusqlite::{CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Row, TransactionBehavior};
 
 use super::{StoreError, files};
 use crate::model::bytes::hex;
@@ -281,6 +281,53 @@ pub(super) fn quick_check(connection: &Connection, path: &Path) -> Result<(), St
 /// [`StoreError::TooBig`] above 2^63 - 1.
 pub(super) fn whole(field: &'static str, value: u64) -> Result<i64, StoreError> {
     i64::try_from(value).map_err(|_| StoreError::TooBig { field, value })
+}
+
+/// Statements by their text, prepared once for each connection.
+pub(super) trait Statements {
+    /// The prepared statement.
+    fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>>;
+
+    /// Executes it, and says how many rows it changed.
+    fn run(&self, sql: &str, values: impl Params) -> rusqlite::Result<usize> {
+        self.prepared(sql)?.execute(values)
+    }
+
+    /// The one row of a query.
+    fn one<T, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<T>
+    where
+        Read: FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+    {
+        self.prepared(sql)?.query_row(values, read)
+    }
+
+    /// The first row of a query, if there is one.
+    fn find<T, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<Option<T>>
+    where
+        Read: FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+    {
+        self.one(sql, values, read).optional()
+    }
+
+    /// All rows of a query.
+    fn list<T, All, Read>(&self, sql: &str, values: impl Params, read: Read) -> rusqlite::Result<All>
+    where
+        All: FromIterator<T>,
+        Read: FnMut(&Row<'_>) -> rusqlite::Result<T>,
+    {
+        self.prepared(sql)?.query_map(values, read)?.collect()
+    }
+
+    /// Whether a query has a row.
+    fn has(&self, sql: &str, values: impl Params) -> rusqlite::Result<bool> {
+        self.prepared(sql)?.exists(values)
+    }
+}
+
+impl Statements for Connection {
+    fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>> {
+        self.prepare_cached(sql)
+    }
 }
 
 #[cfg(test)]

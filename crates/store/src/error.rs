@@ -6,158 +6,78 @@ use crate::model::{ByteSize, Digest, Domain, ErrorKind, RecordState, clean};
 
 /// Why the ledger, the vault, the audit log or a file could not do as asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum StoreError {
     /// A directory or file of the home cannot be made, read or written.
     #[error("{} cannot be used: {detail}; make it writable for this user, or choose another home with \
              --home", path.display())]
-    Home {
-        /// The directory or file.
-        path: PathBuf,
-        /// The system's reason.
-        detail: String,
-    },
+    Home { path: PathBuf, detail: String },
     /// Others than the owner can read or write a private file.
     #[error(
         "{} has mode {mode:04o}, so others can access it; run `chmod {advised:o} {}`", path.display(), path.display()
     )]
-    Mode {
-        /// The file.
-        path: PathBuf,
-        /// Its permission bits.
-        mode: u32,
-        /// The permission bits it should have.
-        advised: u32,
-    },
+    Mode { path: PathBuf, mode: u32, advised: u32 },
     /// A home, or a folder above it, belongs to somebody else.
     #[error(
         "{} belongs to user {owner}, not to you (user {user}), who could read what you type and write here; run this as that \
          user, for example with `sudo -u`, or choose another home with --home", path.display()
     )]
-    Foreign {
-        /// The directory.
-        path: PathBuf,
-        /// Whose it is.
-        owner: u32,
-        /// Who asks.
-        user: u32,
-    },
+    Foreign { path: PathBuf, owner: u32, user: u32 },
     /// Others can write to a home, or to a folder above it.
     #[error(
         "others can write to {} and could put a keyring or a socket of their own there; run `chmod go-w {}`, check what is in \
          it, then try again", path.display(), path.display()
     )]
-    Open {
-        /// The directory.
-        path: PathBuf,
-    },
+    Open { path: PathBuf },
     /// The disk is full; nothing of the request was acknowledged.
     #[error("the disk that holds {} is full; free some space", file.display())]
-    DiskFull {
-        /// The database file.
-        file: PathBuf,
-    },
+    DiskFull { file: PathBuf },
     /// The vault accepts no records, and those waiting for it have used up their space.
     #[error(
         "{} of records wait on disk for the vault, more than vault.backlog ({}) allows; bring the vault back, then \
          work resumes automatically", ByteSize(*waiting), ByteSize(*limit)
     )]
-    Backlog {
-        /// Bytes waiting.
-        waiting: u64,
-        /// Bytes allowed.
-        limit: u64,
-    },
+    Backlog { waiting: u64, limit: u64 },
     /// A database file is damaged or not a database.
     #[error("{} is damaged ({detail}); keep a copy of it and restore the last backup", file.display())]
-    Corrupt {
-        /// The database file.
-        file: PathBuf,
-        /// What the check found.
-        detail: String,
-    },
+    Corrupt { file: PathBuf, detail: String },
     /// A database was written by a later version of this program.
     #[error("{} has schema {found}, but this program supports only {known}; use a newer authros", file.display())]
-    Newer {
-        /// The database file.
-        file: PathBuf,
-        /// Schema version found.
-        found: i64,
-        /// The schema version known.
-        known: i64,
-    },
+    Newer { file: PathBuf, found: i64, known: i64 },
     /// The ledger belongs to another chain or contract.
     #[error(
         "the ledger is bound to domain {bound}, but the chain and contract in use have domain {domain}; a home keeps its \
          chain: restore `chain-pin.json` of this home, or begin a new home for the other chain"
     )]
-    Bound {
-        /// What it is bound to.
-        bound: Domain,
-        /// What is in use.
-        domain: Domain,
-    },
+    Bound { bound: Domain, domain: Domain },
     /// Any other failure of SQLite.
     #[error("{} failed: {detail}; check the disk and the system log, then start again", file.display())]
-    Database {
-        /// The database file.
-        file: PathBuf,
-        /// SQLite's reason.
-        detail: String,
-    },
+    Database { file: PathBuf, detail: String },
     /// The ledger was closed while it still had work.
     #[error("the ledger is closed, so nothing more can be written; start the site again")]
     Closed,
     /// A number that the ledger cannot hold.
     #[error("{field} {value} does not fit into the ledger; the limit is 2^63 - 1")]
-    TooBig {
-        /// What the number means.
-        field: &'static str,
-        /// The number.
-        value: u64,
-    },
+    TooBig { field: &'static str, value: u64 },
     /// A record contradicts what the ledger already holds.
     #[error("record {digest} contradicts the ledger: {detail}; keep a copy of the home and report this")]
-    Conflict {
-        /// The record.
-        digest: Digest,
-        /// What differs.
-        detail: String,
-    },
+    Conflict { digest: Digest, detail: String },
     /// A record cannot go from this state to that one.
     #[error("a record cannot go from {} to {} this way; this is a bug, please report it", from.word(), to.word())]
-    IllegalEdge {
-        /// The present state.
-        from: RecordState,
-        /// The state requested.
-        to: RecordState,
-    },
+    IllegalEdge { from: RecordState, to: RecordState },
     /// An anchor in a block that is not among those read here, or not any more.
     #[error(
         "record {digest} is anchored in block {block} of a chain that the one here does not continue (any more); it is asked \
          for again; if that stays so, compare the nodes"
     )]
-    Replaced {
-        /// The record.
-        digest: Digest,
-        /// The block's number.
-        block: u64,
-    },
-    /// A record to be submitted has moved on (or never arrived) in the meantime.
+    Replaced { digest: Digest, block: u64 },
+    /// A record to be submitted has moved on (or never arrived) in the meantime; found is the name of
+    /// its state, or `unknown`.
     #[error("record {digest} is {found}, not ready to be submitted; read the stored records again")]
-    NotReady {
-        /// The record.
-        digest: Digest,
-        /// The name of its state, or `unknown`.
-        found: &'static str,
-    },
+    NotReady { digest: Digest, found: &'static str },
     /// A transaction that the ledger does not hold, or that is closed.
     #[error("transaction {hash} {detail}; read the open transactions again")]
-    Transaction {
-        /// Its hash, hex.
-        hash: String,
-        /// What is wrong.
-        detail: String,
-    },
+    Transaction { hash: String, detail: String },
     /// A malformed record id.
     #[error(
         "'{0}' is not a record id; give at least the first 4 of its hex characters, as `authros uploads list` shows \
@@ -175,46 +95,21 @@ pub enum StoreError {
         "vault.url {url} cannot be used: {detail}; use redis://HOST:PORT/DB, redis+unix:///PATH, \
          redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
     )]
-    VaultUrl {
-        /// The URL, without secrets.
-        url: String,
-        /// What is wrong.
-        detail: String,
-    },
+    VaultUrl { url: String, detail: String },
     /// Redis does not answer.
     #[error("Redis at {url} does not answer: {detail}; start it or correct vault.url")]
-    Unreachable {
-        /// The URL, without secrets.
-        url: String,
-        /// The connection's error.
-        detail: String,
-    },
+    Unreachable { url: String, detail: String },
     /// Redis would evict records when its memory is full.
     #[error("Redis at {url} {detail}; {advice}")]
-    Policy {
-        /// The URL, without secrets.
-        url: String,
-        /// What was found.
-        detail: String,
-        /// What to do about it.
-        advice: String,
-    },
+    Policy { url: String, detail: String, advice: String },
     /// Redis is out of memory. Nothing is lost: try again later.
     #[error(
         "Redis at {url} is out of memory; nothing is lost; raise its maxmemory, and the waiting records are stored"
     )]
-    VaultFull {
-        /// The URL, without secrets.
-        url: String,
-    },
+    VaultFull { url: String },
     /// Redis refused a command.
     #[error("Redis at {url} refused the request: {detail}; check its users, its configuration and its log")]
-    VaultRefused {
-        /// The URL, without secrets.
-        url: String,
-        /// Redis' words.
-        detail: String,
-    },
+    VaultRefused { url: String, detail: String },
 }
 
 impl StoreError {

@@ -4,46 +4,24 @@
 //! Everything acknowledged is in here; workers are functions of these tables, so a restart simply runs them again.
 //! Ciphertext is kept permanently in the vault, not here.
 
-mod ages;
-mod anchored;
 mod append;
 mod batches;
 mod chain_proofs;
 mod counts;
-mod coverage;
 mod directory;
-mod edges;
-mod erased;
 mod erasures;
-mod filter_choice;
 mod forwarding;
-mod gaps;
-mod glance;
-mod heights;
 mod incidents;
 mod inspect;
-mod integrity;
-mod kept;
-mod lanes;
-mod named;
-mod pins;
-mod place;
-mod proven;
 mod quarantine;
 mod query;
-mod recent;
 mod retention;
-mod rights;
 mod rows;
 mod settings;
 mod sightings;
-mod signers;
-mod stamps;
 #[cfg(test)]
 mod tests;
-mod trail;
 mod transactions;
-mod usage;
 mod writer;
 
 use std::path::{Path, PathBuf};
@@ -52,40 +30,28 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
-use super::StoreError;
-use super::database::{self, Schema};
-use crate::model::RecorderPrefix;
+pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
+pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, StampCounts, UnprovenBatch};
+pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
+pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights, WaitingSigner};
+pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
+pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
+pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
+pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
+pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};
+pub use self::query::{Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
+pub use self::retention::{KeptTopic, OldRecord, Retained};
+pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
+pub use self::settings::FilterChoice;
+pub use self::sightings::{KeptStanding, Sighting};
+pub use self::transactions::{
+    LaneCount, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
+};
+pub(super) use self::writer::Session;
 
-pub use ages::{LastSeen, NewestRecord};
-pub use batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, WaitingBatch};
-pub use chain_proofs::{HashedNode, KeptProof, ProofCounts, UnprovenBatch};
-pub use counts::{StateCounts, TopicCounts};
-pub use coverage::{Coverage, CoveragePart, CoverageQuery};
-pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};
-pub use edges::is_legal;
-pub use erased::{Erasure, TakenErased};
-pub use erasures::{ErasurePage, KeptErasure, StatedErasure, ToldErased, Unstated};
-pub use filter_choice::FilterChoice;
-pub use forwarding::{ForwardedPage, KeptReceipt};
-pub use gaps::{GapRow, Loss};
-pub use glance::Glance;
-pub use incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
-pub use inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
-pub use kept::KeptBinding;
-pub use lanes::{LaneCount, OpenTransaction, Reissue};
-pub use pins::{AlarmRow, PinRow};
-pub use proven::KeptStanding;
-pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
-pub use query::{RecordPage, RecordQuery};
-pub use retention::{KeptTopic, OldRecord, Retained};
-pub use rights::WaitingSigner;
-pub use rows::{Foreign, NewRecord, RecordRow};
-pub use sightings::Sighting;
-pub use signers::SignerTopic;
-pub use stamps::{KeptStamp, StampCounts};
-pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
-pub use usage::OwnerUsage;
-pub(super) use writer::Session;
+use crate::StoreError;
+use crate::database::{self, Schema, Statements as _};
+use crate::model::RecorderPrefix;
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
 const READERS_KEPT: usize = 8;
@@ -268,7 +234,7 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
         [inspect::COPIED_AT],
     )?;
     // Its location is new, and what its accounts anchored meanwhile is history.
-    let forgotten = params![place::PLACE, HISTORY];
+    let forgotten = params![rows::PLACE, HISTORY];
     transaction.execute("DELETE FROM settings WHERE key IN (?1, ?2)", forgotten)?;
     transaction.commit()?;
     Ok(connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)")?)
@@ -283,7 +249,7 @@ fn random_prefix(path: &Path) -> Result<RecorderPrefix, StoreError> {
 
 /// The prefix of this ledger's own recorders.
 fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
-    let prefix: Vec<u8> = connection.prepare_cached("SELECT recorder FROM about")?.query_row([], |row| row.get(0))?;
+    let prefix: Vec<u8> = connection.one("SELECT recorder FROM about", [], |row| row.get(0))?;
     Ok(RecorderPrefix::from_slice(&prefix).ok_or_else(|| rows::out_of_range(0))?)
 }
 

@@ -3,11 +3,6 @@
 //!
 //! Nothing here seals, opens or checks a record, and nothing here talks to the chain.
 
-use crate as store;
-use authros_chain as chain;
-use authros_crypto as crypto;
-use authros_model as model;
-
 pub mod archive;
 pub mod audit;
 mod database;
@@ -18,13 +13,16 @@ pub mod ledger;
 mod reserve;
 pub mod snapshot;
 pub mod vault;
-mod waiting;
 
-pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
-pub use disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord, note_restored};
-pub use error::StoreError;
-pub use files::{ConsoleLock, SiteLock, atomic_write};
-pub use ledger::{
+use authros_chain as chain;
+use authros_crypto as crypto;
+use authros_model as model;
+
+pub use crate::audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
+pub use crate::disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord, note_restored};
+pub use crate::error::StoreError;
+pub use crate::files::{ConsoleLock, SiteLock, atomic_write};
+pub use crate::ledger::{
     AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, Coverage, CoveragePart,
     CoverageQuery, Erasure, ErasurePage, FilterChoice, Foreign, GapRow, Glance, HashedNode, HeldMinute, HeldQuery,
     HeldRow, Hold, IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptEnvelope, KeptErasure, KeptProof,
@@ -35,6 +33,5 @@ pub use ledger::{
     TopicCounts, TransactionOutcome, TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch,
     WaitingSigner,
 };
-pub use reserve::{RESERVE_BYTES, Reserve};
-pub use vault::{Stored, Usage, Vault, open_vault};
-pub use waiting::{Waiting, WaitingFile};
+pub use crate::reserve::{RESERVE_BYTES, Reserve, Waiting, WaitingFile};
+pub use crate::vault::{Stored, Usage, Vault, open_vault};

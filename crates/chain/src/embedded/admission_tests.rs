@@ -3,11 +3,11 @@
 use std::rc::Rc;
 use std::time::Instant;
 
-use super::admission::{BLOCK_GAS, TOO_MUCH_WORK, TRANSACTION_GAS};
 use super::contract_tests::{Shelf, World, grant, identity};
 use super::machine::Environment;
 use super::payloads::Payload;
-use crate::chain::Call;
+use super::pool::{BLOCK_GAS, TOO_MUCH_WORK, TRANSACTION_GAS};
+use crate::Call;
 use crate::model::{Address, Token};
 
 fn place() -> Environment {

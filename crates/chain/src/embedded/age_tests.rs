@@ -4,13 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ethers::types::{H160, TransactionRequest, transaction::eip2718::TypedTransaction};
+use ethers::types::transaction::eip2718::TypedTransaction;
+use ethers::types::{H160, TransactionRequest};
 use ethers_signers::{LocalWallet, Signer};
 
 use super::block::created_address;
 use super::node::Node;
-use crate::chain::Call;
-use crate::chain::artefact::artefact;
+use crate::Call;
+use crate::call::artefact;
 use crate::model::{Address, Hash, Identity, PublicKey, Signature, Token};
 
 /// One block in this many anchors.

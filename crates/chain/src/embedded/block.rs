@@ -7,11 +7,14 @@ use ethers::abi::ethereum_types::BloomInput;
 use ethers::types::{Bloom, U256};
 use ethers::utils::keccak256;
 use ethers::utils::rlp::{Decodable, DecoderError, Encodable, Rlp, RlpStream};
-use k256::ecdsa::{RecoveryId, Signature, SigningKey};
+use k256::ecdsa::{RecoveryId, Signature, SigningKey, VerifyingKey};
+use serde_json::{Value, json};
 
-use super::admission::BLOCK_GAS;
-use super::transaction::recover;
+use super::pool::BLOCK_GAS;
 use super::trie::EMPTY_ROOT;
+use super::world::{Proof, Record};
+use crate::model::bytes::{hex, unhex};
+use crate::model::party::AddressError;
 use crate::model::{Address, Hash};
 
 /// Length of what precedes the seal in the extra data (Clique's vanity), bytes.
@@ -271,6 +274,271 @@ pub fn created_address(sender: Address, nonce: u64) -> Address {
     Address(address)
 }
 
+// A legacy (EIP-155) transaction: decoded from its raw bytes, with its sender recovered.
+//
+// Refusals are worded as in geth, so that one table of messages fits every node.
+
+/// The largest raw transaction accepted, bytes, as in geth.
+pub const LARGEST: usize = 128 * 1024;
+
+/// One signed transaction.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Transaction {
+    /// Keccak-256 of the raw bytes.
+    pub hash: Hash,
+    /// Who signed it.
+    pub sender: Address,
+    /// Its nonce.
+    pub nonce: u64,
+    /// Wei per gas.
+    pub gas_price: u128,
+    /// The most gas it may use.
+    pub gas_limit: u64,
+    /// The account it calls; `None` creates a contract.
+    pub to: Option<Address>,
+    /// Wei to send.
+    pub value: U256,
+    /// Call data or creation code.
+    pub input: Vec<u8>,
+    /// Recovery value with the chain id (EIP-155).
+    pub v: u64,
+    /// First half of the signature.
+    pub r: U256,
+    /// Second half of the signature.
+    pub s: U256,
+    /// Its raw bytes.
+    pub raw: Vec<u8>,
+}
+
+impl Transaction {
+    /// Decodes `raw` and recovers its sender.
+    ///
+    /// # Errors
+    /// What is wrong, in geth's words.
+    pub fn decode(raw: &[u8], chain_id: u64) -> Result<Self, String> {
+        if raw.len() > LARGEST {
+            return Err(format!("oversized data: transaction size {}, limit {LARGEST}", raw.len()));
+        }
+        if raw.first().is_some_and(|first| *first < 0xc0) {
+            return Err("transaction type not supported".into());
+        }
+        let mut transaction = Self::fields(raw).map_err(|error| format!("rlp: {error}"))?;
+        transaction.check_chain(chain_id)?;
+        transaction.sender =
+            transaction.recover(chain_id).ok_or("invalid sender: invalid transaction v, r, s values")?;
+        Ok(transaction)
+    }
+
+    fn fields(raw: &[u8]) -> Result<Self, DecoderError> {
+        let list = Rlp::new(raw);
+        if list.payload_info()?.total() != raw.len() || list.item_count()? != 9 {
+            return Err(DecoderError::RlpIncorrectListLen);
+        }
+        let to: Vec<u8> = list.val_at(3)?;
+        let price: U256 = list.val_at(1)?;
+        Ok(Self {
+            hash: Hash(keccak256(raw)),
+            sender: Address([0; 20]),
+            nonce: list.val_at(0)?,
+            gas_price: u128::try_from(price).map_err(|_| DecoderError::RlpIsTooBig)?,
+            gas_limit: list.val_at(2)?,
+            to: if to.is_empty() {
+                None
+            } else {
+                Some(Address::from_slice(&to).ok_or(DecoderError::RlpInvalidLength)?)
+            },
+            value: list.val_at(4)?,
+            input: list.val_at(5)?,
+            v: list.val_at(6)?,
+            r: list.val_at(7)?,
+            s: list.val_at(8)?,
+            raw: raw.to_vec(),
+        })
+    }
+
+    fn check_chain(&self, chain_id: u64) -> Result<(), String> {
+        if self.v < 35 {
+            return Err("only replay-protected (EIP-155) transactions allowed over RPC".into());
+        }
+        let have = (self.v - 35) / 2;
+        if have == chain_id {
+            Ok(())
+        } else {
+            Err(format!("invalid sender: invalid chain id for signer: have {have} want {chain_id}"))
+        }
+    }
+
+    fn recover(&self, chain_id: u64) -> Option<Address> {
+        let parity = u8::try_from((self.v - 35) % 2).ok()?;
+        let mut scalars = [0; 64];
+        self.r.to_big_endian(&mut scalars[..32]);
+        self.s.to_big_endian(&mut scalars[32..]);
+        let signature = Signature::from_slice(&scalars).ok()?;
+        if signature.normalize_s().is_some() {
+            return None;
+        }
+        recover(&self.signing_hash(chain_id), &signature, RecoveryId::from_byte(parity)?)
+    }
+
+    fn signing_hash(&self, chain_id: u64) -> [u8; 32] {
+        let mut list = RlpStream::new_list(9);
+        list.append(&self.nonce).append(&self.gas_price).append(&self.gas_limit);
+        list.append(&self.to.as_ref().map_or(&[][..], Address::as_bytes));
+        list.append(&self.value).append(&self.input).append(&chain_id).append(&0u8).append(&0u8);
+        keccak256(list.out())
+    }
+
+    /// Gas charged before the first instruction (Istanbul, EIP-2028).
+    pub fn intrinsic_gas(&self) -> u64 {
+        let data: u64 = self.input.iter().map(|byte| if *byte == 0 { 4 } else { 16 }).sum();
+        data + if self.to.is_some() { 21_000 } else { 53_000 }
+    }
+
+    /// The most that it can cost its sender, wei.
+    pub fn cost(&self) -> U256 {
+        U256::from(self.gas_price).saturating_mul(self.gas_limit.into()).saturating_add(self.value)
+    }
+}
+
+/// The address whose key signed `hash`.
+pub fn recover(hash: &[u8; 32], signature: &Signature, parity: RecoveryId) -> Option<Address> {
+    let key = VerifyingKey::recover_from_prehash(hash, signature, parity).ok()?;
+    let point = key.to_encoded_point(false);
+    point.as_bytes().get(1..)?.try_into().ok().map(Address::from_public_key)
+}
+
+// The JSON shapes of blocks, transactions, receipts and logs, and the parsing of parameters.
+
+/// Where a transaction was mined.
+#[derive(Clone, Copy)]
+pub struct Mining {
+    /// Block number.
+    pub block: u64,
+    /// Block hash.
+    pub hash: Hash,
+    /// Block time, seconds.
+    pub timestamp: u64,
+    /// Index in the block.
+    pub position: u64,
+}
+
+impl Mining {
+    /// At an index in a block.
+    pub fn at(header: &Header, place: usize) -> Self {
+        let position = u64::try_from(place).unwrap_or(u64::MAX);
+        Self { block: header.number, hash: header.hash(), timestamp: header.timestamp, position }
+    }
+}
+
+/// `0x` and hex digits without leading zeros.
+pub fn quantity(value: impl Into<U256>) -> Value {
+    Value::String(format!("{:#x}", value.into()))
+}
+
+/// `0x` and all bytes.
+pub fn data(bytes: &[u8]) -> Value {
+    Value::String(format!("0x{}", hex(bytes)))
+}
+
+/// Parses a quantity.
+pub fn read_quantity(value: &Value) -> Option<U256> {
+    let digits = value.as_str()?.strip_prefix("0x")?;
+    U256::from_str_radix(digits, 16).ok()
+}
+
+/// Parses bytes.
+pub fn read_data(value: &Value) -> Option<Vec<u8>> {
+    value.as_str()?.strip_prefix("0x").and_then(unhex)
+}
+
+/// Parses an address, in upper or lower case.
+pub fn read_address(value: &Value) -> Option<Address> {
+    let parsed: Result<Address, AddressError> = value.as_str()?.to_lowercase().parse();
+    parsed.ok()
+}
+
+/// Parses a 32-byte hash.
+pub fn read_hash(value: &Value) -> Option<Hash> {
+    read_data(value).and_then(|bytes| Hash::from_slice(&bytes))
+}
+
+/// A block; `transactions` are hashes or whole objects.
+pub fn block(header: &Header, hash: Hash, size: usize, total_difficulty: u128, transactions: Vec<Value>) -> Value {
+    json!({
+        "number": quantity(header.number), "hash": data(&hash.0), "parentHash": data(&header.parent.0),
+        "stateRoot": data(&header.state_root.0), "transactionsRoot": data(&header.transactions_root.0),
+        "receiptsRoot": data(&header.receipts_root.0), "logsBloom": data(header.bloom.as_bytes()),
+        "difficulty": quantity(header.difficulty), "totalDifficulty": quantity(total_difficulty),
+        "gasLimit": quantity(header.gas_limit), "gasUsed": quantity(header.gas_used),
+        "timestamp": quantity(header.timestamp), "extraData": data(&header.extra),
+        "miner": data(&header.beneficiary.0), "mixHash": data(&[0; 32]), "nonce": data(&header.nonce.to_be_bytes()),
+        "sha3Uncles": "0x1dcc4de8dec75d7aab85b567b6ccd41ad312451b948a7413f0a142fd40d49347",
+        "uncles": [], "size": quantity(size), "transactions": transactions,
+    })
+}
+
+/// The proof of an account (EIP-1186).
+pub fn proof(address: Address, proof: &Proof) -> Value {
+    let nodes = |way: &[std::sync::Arc<[u8]>]| way.iter().map(|node| data(node)).collect::<Vec<_>>();
+    let nobody = Record { nonce: 0, balance: U256::zero(), storage: EMPTY_ROOT, code: Hash(keccak256([])) };
+    let record = proof.record.unwrap_or(nobody);
+    let slots = proof
+        .slots
+        .iter()
+        .map(|(slot, value, way)| json!({ "key": quantity(*slot), "value": quantity(*value), "proof": nodes(way) }));
+    json!({
+        "address": data(&address.0), "balance": quantity(record.balance), "nonce": quantity(record.nonce),
+        "codeHash": data(&record.code.0), "storageHash": data(&record.storage.0),
+        "accountProof": nodes(&proof.way), "storageProof": slots.collect::<Vec<_>>(),
+    })
+}
+
+/// A transaction, mined or waiting.
+pub fn transaction(one: &Transaction, chain_id: u64, mining: Option<Mining>) -> Value {
+    json!({
+        "hash": data(&one.hash.0), "from": data(&one.sender.0), "to": one.to.map(|to| data(&to.0)),
+        "nonce": quantity(one.nonce), "gas": quantity(one.gas_limit), "gasPrice": quantity(one.gas_price),
+        "value": quantity(one.value), "input": data(&one.input), "type": "0x0", "chainId": quantity(chain_id),
+        "v": quantity(one.v), "r": quantity(one.r), "s": quantity(one.s),
+        "blockNumber": mining.map(|mining| quantity(mining.block)),
+        "blockHash": mining.map(|mining| data(&mining.hash.0)),
+        "transactionIndex": mining.map(|mining| quantity(mining.position)),
+    })
+}
+
+/// A receipt; `first_log` is the index of its first log in the block.
+pub fn receipt(one: &Transaction, receipt: &Receipt, mining: Mining, first_log: usize) -> Value {
+    let mut bloom = ethers::types::Bloom::zero();
+    receipt.accrue(&mut bloom);
+    let contract = receipt.contract.or_else(|| one.to.is_none().then(|| created_address(one.sender, one.nonce)));
+    let logs = receipt.logs.iter().enumerate();
+    let mut value = json!({
+        "transactionHash": data(&one.hash.0), "transactionIndex": quantity(mining.position),
+        "blockHash": data(&mining.hash.0), "blockNumber": quantity(mining.block),
+        "from": data(&one.sender.0), "to": one.to.map(|to| data(&to.0)),
+        "contractAddress": contract.map(|contract| data(&contract.0)),
+        "gasUsed": quantity(receipt.gas_used), "cumulativeGasUsed": quantity(receipt.cumulative_gas),
+        "effectiveGasPrice": quantity(one.gas_price), "status": quantity(u8::from(receipt.success)), "type": "0x0",
+        "logsBloom": data(bloom.as_bytes()),
+        "logs": logs.map(|(index, one_log)| log(one_log, one.hash, mining, first_log + index)).collect::<Vec<_>>(),
+    });
+    if !receipt.output.is_empty() {
+        value["revertReason"] = data(&receipt.output);
+    }
+    value
+}
+
+/// A log.
+pub fn log(log: &Log, transaction: Hash, mining: Mining, index: usize) -> Value {
+    json!({
+        "address": data(&log.address.0), "data": data(&log.data), "removed": false,
+        "topics": log.topics.iter().map(|topic| data(&topic.0)).collect::<Vec<_>>(),
+        "transactionHash": data(&transaction.0), "transactionIndex": quantity(mining.position),
+        "blockHash": data(&mining.hash.0), "blockNumber": quantity(mining.block),
+        "blockTimestamp": quantity(mining.timestamp), "logIndex": quantity(index),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -321,6 +589,53 @@ mod tests {
         fn noise_never_panics(noise: Vec<u8>) {
             let _ = rlp::decode::<Receipt>(&noise);
             let _ = Header::decode(&noise);
+        }
+    }
+}
+
+#[cfg(test)]
+mod transaction_tests {
+    use super::*;
+    use ethers::types::{TransactionRequest, transaction::eip2718::TypedTransaction};
+    use ethers_signers::{LocalWallet, Signer};
+    use proptest::prelude::*;
+
+    fn signed(chain_id: u64) -> (Vec<u8>, Address) {
+        let wallet = LocalWallet::from_bytes(&[7; 32]).expect("key");
+        let request = TransactionRequest::new().to(ethers::types::H160([1; 20])).nonce(3).gas(50_000).gas_price(0);
+        let request: TypedTransaction = request.data(vec![1, 0, 2]).chain_id(chain_id).into();
+        let signature = wallet.sign_transaction_sync(&request).expect("signs");
+        (request.rlp_signed(&signature).to_vec(), Address(wallet.address().0))
+    }
+
+    #[test]
+    fn decodes_what_ethers_signs() {
+        let (raw, sender) = signed(77);
+        let transaction = Transaction::decode(&raw, 77).expect("decodes");
+        assert_eq!((transaction.sender, transaction.nonce, transaction.gas_limit), (sender, 3, 50_000));
+        assert_eq!(transaction.to, Some(Address([1; 20])));
+        assert_eq!(transaction.intrinsic_gas(), 21_000 + 36);
+        assert!(Transaction::decode(&raw, 78).expect_err("chain").contains("chain id"));
+        assert!(Transaction::decode(&vec![0xf9; LARGEST + 1], 77).expect_err("size").contains("oversized"));
+        assert!(Transaction::decode(&[2, 0xc0], 77).expect_err("type").contains("not supported"));
+        assert!(Transaction::decode(&[raw, vec![0]].concat(), 77).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..300)) {
+            let _ = Transaction::decode(&noise, 77);
+        }
+
+        #[test]
+        fn a_flipped_bit_never_keeps_sender_and_hash(at in 0usize..112, bit in 0u8..8) {
+            let (mut raw, sender) = signed(77);
+            let hash = Transaction::decode(&raw, 77).expect("decodes").hash;
+            let at = at % raw.len();
+            raw[at] ^= 1 << bit;
+            if let Ok(changed) = Transaction::decode(&raw, 77) {
+                prop_assert!(changed.sender != sender && changed.hash != hash);
+            }
         }
     }
 }

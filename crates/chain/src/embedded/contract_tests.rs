@@ -8,17 +8,15 @@ use std::sync::Arc;
 use ethers::abi::Token as AbiToken;
 use ethers::types::U256;
 
-use super::admission::TRANSACTION_GAS;
-use super::block::created_address;
+use super::block::{Transaction, created_address};
 use super::machine::{Answer, Environment, Machine, Message};
-use super::transaction::Transaction;
+use super::pool::TRANSACTION_GAS;
 use super::trie::{EMPTY_ROOT, Nodes};
 use super::world::{Ground, Tries};
-use crate::chain::artefact::artefact;
-use crate::chain::call::{address, word};
-use crate::chain::error::decode_revert;
-use crate::chain::{Call, ChainError, Event};
+use crate::call::{address, artefact, word};
+use crate::error::decode_revert;
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Scope, Signature, SignerId, Timestamp, Token};
+use crate::{Call, ChainError, Event};
 
 const ADMIN: Address = Address([0xad; 20]);
 /// The delay of a succession, seconds.

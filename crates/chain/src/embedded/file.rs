@@ -3,23 +3,28 @@
 //! A block is one SQLite transaction, on disk (WAL, synchronous=FULL) before it is announced. While the chain is open
 //! no other process can open the file.
 
+use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::fs::{DirBuilder, OpenOptions};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
 
 use ethers::utils::rlp;
 use k256::ecdsa::SigningKey;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
+use tokio::sync::oneshot;
 use zeroize::Zeroizing;
 
-use super::block::{Header, Receipt};
-use super::state_file::{self, Cache};
-use super::transaction::Transaction;
-use super::world::Written;
-use crate::chain::{ChainError, Consensus};
+use super::block::{Header, Receipt, Transaction};
+use super::node::{Again, Node, header};
+use super::sealing;
+use super::trie::{receipts_root, transactions_root};
+use super::world::{self, Cache, Written};
 use crate::model::Hash;
+use crate::{ChainError, Consensus};
 
 /// The version of the file, kept in it.
 const VERSION: i64 = 1;
@@ -166,7 +171,7 @@ impl ChainFile {
                 let logs = i64::try_from(receipt.logs.len()).unwrap_or(i64::MAX);
                 insert.execute(params![number, position, one.hash.0, one.raw, &encoded[..], logs])?;
             }
-            state_file::write(transaction, block.header.number, block.written)
+            world::write(transaction, block.header.number, block.written)
         })
     }
 
@@ -381,4 +386,209 @@ fn header_columns(row: &Row<'_>) -> rusqlite::Result<(u64, Hash, Vec<u8>)> {
 
 fn mined_columns(row: &Row<'_>) -> rusqlite::Result<Mined> {
     Ok(Mined { raw: row.get(0)?, receipt: row.get(1)?, logs: natural(row, 2)? })
+}
+
+// Blocks from the file, checked when read: a header by its hash and by the block above it, transactions and receipts
+// by the header.
+
+/// A mined transaction, with its receipt.
+pub struct Done {
+    /// The transaction.
+    pub transaction: Transaction,
+    /// Its result.
+    pub receipt: Receipt,
+}
+
+/// The most blocks that are remembered, and the most bytes of transactions in them, each with so many beside its own.
+const MOST_BLOCKS: usize = 32;
+const MOST_BYTES: usize = 2 * 1024 * 1024;
+const BESIDE: usize = 1024;
+
+/// The blocks whose transactions were read or written last: callers ask for one after another, and several callers for the
+/// same ones. Their senders need not be recovered again.
+#[derive(Default)]
+pub struct Looked(RefCell<VecDeque<Block>>);
+
+/// A block's number and its transactions.
+type Block = (u64, Rc<Vec<Done>>);
+
+/// A block's header, its transactions with their results, and the index of one of them.
+pub type Place = (Header, Rc<Vec<Done>>, usize);
+
+impl Looked {
+    /// Remembers a block that was just written.
+    pub fn wrote(&self, number: u64, sent: Vec<Transaction>, receipts: Vec<Receipt>) {
+        let done = sent.into_iter().zip(receipts).map(|(transaction, receipt)| Done { transaction, receipt });
+        self.remember(number, Rc::new(done.collect()));
+    }
+
+    fn find(&self, number: u64) -> Option<Rc<Vec<Done>>> {
+        self.0.borrow().iter().find(|(known, _)| *known == number).map(|(_, done)| Rc::clone(done))
+    }
+
+    /// The ones remembered for longest make room; one block is remembered however long it is.
+    fn remember(&self, number: u64, done: Rc<Vec<Done>>) {
+        let mut blocks = self.0.borrow_mut();
+        blocks.retain(|(known, _)| *known != number);
+        blocks.push_back((number, done));
+        let sum = |blocks: &VecDeque<Block>| {
+            let all = blocks.iter().flat_map(|(_, done)| done.iter());
+            all.map(|done| done.transaction.raw.len() + BESIDE).sum::<usize>()
+        };
+        while blocks.len() > MOST_BLOCKS || blocks.len() > 1 && sum(&blocks) > MOST_BYTES {
+            blocks.pop_front();
+        }
+    }
+}
+
+impl Node {
+    /// A block's header; `None` above the newest.
+    ///
+    /// # Errors
+    /// [`ChainError::Tampered`] if it was altered.
+    pub fn header(&self, number: u64) -> Result<Option<Header>, ChainError> {
+        if number > self.head.number {
+            return Ok(None);
+        }
+        let found = header(&self.file, number)?;
+        if number < self.head.number {
+            let above = self.file.block(number + 1)?.and_then(|(_, bytes)| rlp::Rlp::new(&bytes).val_at(0).ok());
+            if above != Some(found.hash().0.to_vec()) {
+                return Err(self.file.tampered(number, "it is not the parent that the next block names"));
+            }
+        } else if found.hash() != self.head.hash {
+            return Err(self.file.tampered(number, "its hash was changed"));
+        }
+        Ok(Some(found))
+    }
+
+    /// A block's transactions with their receipts, in order.
+    ///
+    /// # Errors
+    /// [`ChainError::Tampered`] if they differ from what the header commits to.
+    pub fn done(&self, header: &Header) -> Result<Rc<Vec<Done>>, ChainError> {
+        let number = header.number;
+        if let Some(done) = self.looked.find(number) {
+            return Ok(done);
+        }
+        let mined = self.file.block_transactions(number)?;
+        let done = mined.iter().map(|one| self.decoded(header, one)).collect::<Result<Vec<_>, _>>()?;
+        let sent = done.iter().map(|done| &done.transaction.raw[..]);
+        let receipts: Vec<Receipt> = done.iter().map(|done| done.receipt.clone()).collect();
+        let same =
+            transactions_root(sent)? == header.transactions_root && receipts_root(&receipts)? == header.receipts_root;
+        if !same {
+            return Err(self.file.tampered(number, "its transactions or receipts were changed"));
+        }
+        let done = Rc::new(done);
+        self.looked.remember(number, Rc::clone(&done));
+        Ok(done)
+    }
+
+    fn decoded(&self, header: &Header, mined: &Mined) -> Result<Done, ChainError> {
+        let blame = |what: &str| self.file.tampered(header.number, what);
+        let transaction = Transaction::decode(&mined.raw, self.chain_id).map_err(|what| blame(&what))?;
+        let receipt = rlp::decode(&mined.receipt).map_err(|_| blame("a receipt is malformed"))?;
+        Ok(Done { transaction, receipt })
+    }
+
+    /// Where a transaction was mined: the block's header and the index in it.
+    ///
+    /// # Errors
+    /// [`ChainError::Tampered`] if the block was altered, or does not hold it.
+    pub fn mined(&self, hash: Hash) -> Result<Option<Place>, ChainError> {
+        let Some((number, position)) = self.file.place_of(hash)? else { return Ok(None) };
+        let gone = || self.file.tampered(number, "a transaction was moved");
+        let header = self.header(number)?.ok_or_else(gone)?;
+        let done = self.done(&header)?;
+        let place = usize::try_from(position).map_err(|_| gone())?;
+        if done.get(place).is_none_or(|done| done.transaction.hash != hash) {
+            return Err(gone());
+        }
+        Ok(Some((header, done, place)))
+    }
+}
+
+// The audit of a whole chain: every block is run again, a little at a time, so that requests and blocks do not have to
+// wait.
+
+/// How long an audit runs at a time.
+const SHARE: Duration = Duration::from_millis(20);
+
+/// An audit in progress.
+pub struct Auditing {
+    again: Again,
+    /// The newest block when it began.
+    newest: u64,
+    /// The nodes of the newest state still to be read from the file; `None` until all blocks have run.
+    nodes: Option<Vec<Hash>>,
+    reply: oneshot::Sender<Result<u64, ChainError>>,
+}
+
+impl Node {
+    /// Begins an audit.
+    pub fn begin_audit(&mut self, reply: oneshot::Sender<Result<u64, ChainError>>) {
+        match sealing::open(&self.file, None) {
+            Ok(founded) => {
+                let again = Again::new(&self.file, founded);
+                self.audits.push_back(Auditing { again, newest: self.head.number, nodes: None, reply });
+            }
+            Err(error) => drop(reply.send(Err(error))),
+        }
+    }
+
+    /// Continues the audit that has waited longest.
+    pub fn go_on_auditing(&mut self) {
+        let Some(auditing) = self.audits.pop_front().filter(|auditing| !auditing.reply.is_closed()) else { return };
+        if let Some(unfinished) = self.share_of(auditing) {
+            self.audits.push_back(unfinished);
+        }
+    }
+
+    /// Returns the audit if it is not finished.
+    fn share_of(&self, mut auditing: Auditing) -> Option<Auditing> {
+        let begun = Instant::now();
+        while begun.elapsed() < SHARE {
+            if auditing.again.last.number < auditing.newest {
+                match auditing.again.step() {
+                    Ok(again) => auditing.again = again,
+                    Err(error) => {
+                        drop(auditing.reply.send(Err(error)));
+                        return None;
+                    }
+                }
+                continue;
+            }
+            // Blocks mined meanwhile may have removed some of this state's nodes.
+            let nodes = auditing.nodes.get_or_insert_with(|| auditing.again.state_nodes());
+            let Some(hash) = nodes.pop() else {
+                drop(auditing.reply.send(Ok(auditing.newest)));
+                return None;
+            };
+            if let Err(error) = self.file.look_at(hash, self.head.number > auditing.newest) {
+                drop(auditing.reply.send(Err(error)));
+                return None;
+            }
+        }
+        Some(auditing)
+    }
+}
+
+#[cfg(test)]
+mod reading_tests {
+    use super::*;
+
+    #[test]
+    fn the_last_blocks_are_remembered_and_not_more() {
+        let looked = Looked::default();
+        for number in 1..=100 {
+            looked.wrote(number, Vec::new(), Vec::new());
+        }
+        let remembered: Vec<u64> = (1..=100).filter(|number| looked.find(*number).is_some()).collect();
+        assert_eq!(remembered, (100 - MOST_BLOCKS as u64 + 1..=100).collect::<Vec<_>>());
+        let first = looked.find(70).expect("remembered");
+        looked.remember(70, Rc::clone(&first));
+        looked.wrote(101, Vec::new(), Vec::new());
+        assert!(looked.find(69).is_none() && looked.find(70).is_some(), "the one that was read last stays");
+    }
 }

@@ -13,11 +13,10 @@ use revm::primitives::hardfork::SpecId;
 use revm::primitives::{Address as EvmAddress, Bytes, KECCAK_EMPTY, TxKind, U256 as Word};
 use revm::{Context, DatabaseCommit, DatabaseRef, ExecuteEvm, MainBuilder, MainContext};
 
-use super::admission::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
-use super::block::{Log, Receipt};
-use super::transaction::Transaction;
+use super::block::{Log, Receipt, Transaction};
+use super::pool::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
 use super::world::{Tries, Unread, Written};
-use crate::chain::ChainError;
+use crate::ChainError;
 use crate::model::{Address, Hash};
 
 /// The context of a block or call.

@@ -4,39 +4,28 @@
 //! other node. It runs on a thread of its own, and a proof-of-work search on a second one. Gas is free, and no block is
 //! empty: sealing begins when a transaction waits.
 
-mod admission;
 #[cfg(test)]
 mod admission_tests;
 #[cfg(test)]
 mod age_tests;
-mod auditing;
-mod authority;
 mod block;
 #[cfg(test)]
 mod contract_tests;
 mod file;
 #[cfg(test)]
 mod foreign_tests;
-mod founding;
-mod json;
-mod logs;
 mod machine;
 mod node;
 #[cfg(test)]
 mod payloads;
 mod pool;
 mod proof;
-mod reading;
-mod replay;
-mod roots;
 mod rpc;
 mod sealing;
 #[cfg(test)]
 mod sealing_tests;
-mod state_file;
 #[cfg(test)]
 mod state_tests;
-mod transaction;
 mod trie;
 #[cfg(test)]
 mod trie_tests;
@@ -52,12 +41,13 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tokio::sync::{oneshot, watch};
 
-use self::node::Node;
+pub use self::block::Transaction;
 pub use self::rpc::Fault;
-pub use self::transaction::Transaction;
-use super::{BlockRef, ChainError, Consensus};
+
+use self::node::Node;
 use crate::crypto::fault;
 use crate::model::Address;
+use crate::{BlockRef, ChainError, Consensus};
 
 /// How long the thread sleeps when nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);

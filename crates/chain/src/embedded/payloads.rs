@@ -3,7 +3,7 @@
 
 use ethers::types::U256;
 
-use super::transaction::Transaction;
+use super::block::Transaction;
 use crate::model::{Address, Hash};
 
 /// Creation code: a part that runs once, then a part that repeats.

@@ -3,16 +3,13 @@
 use ethers::types::U256;
 use serde_json::{Value, json};
 
-use super::admission::TRANSACTION_GAS;
-use super::block::Header;
-use super::json::{self, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
-use super::logs;
+use super::block::{self, Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
 use super::machine::{Answer, Message};
 use super::node::Node;
+use super::pool::TRANSACTION_GAS;
 use super::sealing::Sealing;
-use super::state_file::KEPT;
-use super::world::Tries;
-use crate::chain::ChainError;
+use super::world::{KEPT, Tries};
+use crate::ChainError;
 use crate::model::{Address, Hash};
 
 /// A refused request: JSON-RPC code, message, revert data.
@@ -114,7 +111,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         }
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
-        "eth_getLogs" => logs::answer(node, parameters),
+        "eth_getLogs" => logs_answer(node, parameters),
         "clique_getSigners" if matches!(node.sealing, Sealing::Authority(_)) => {
             Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
         }
@@ -165,7 +162,7 @@ fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
     let done = node.done(&header)?;
     let place = usize::try_from(index.min(U256::from(u32::MAX)).as_u64()).unwrap_or(usize::MAX);
     let Some(one) = done.get(place) else { return Ok(Value::Null) };
-    Ok(json::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place))))
+    Ok(block::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place))))
 }
 
 fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {
@@ -261,7 +258,7 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
         return Err(Fault::new(-32000, what));
     }
     let tries = Tries { root: header(node, number)?.state_root, ..node.machine.tries.clone() };
-    Ok(json::proof(account, &tries.proof(account, &slots)?))
+    Ok(block::proof(account, &tries.proof(account, &slots)?))
 }
 
 /// A slot as a quantity or as 32 bytes.
@@ -274,22 +271,121 @@ fn block(node: &Node, number: u64, whole: bool) -> Reply {
     let done = node.done(&header)?;
     let size = done.iter().map(|done| done.transaction.raw.len()).sum::<usize>() + header.encode().len();
     let shown = done.iter().enumerate().map(|(place, one)| {
-        let full = || json::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place)));
+        let full = || block::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place)));
         if whole { full() } else { data(&one.transaction.hash.0) }
     });
-    Ok(json::block(&header, header.hash(), size, node.sealing.total_difficulty(number), shown.collect()))
+    Ok(block::block(&header, header.hash(), size, node.sealing.total_difficulty(number), shown.collect()))
 }
 
 fn transaction(node: &Node, hash: Hash) -> Reply {
     if let Some(waiting) = node.pool.get(hash) {
-        return Ok(json::transaction(waiting, node.chain_id, None));
+        return Ok(block::transaction(waiting, node.chain_id, None));
     }
     let Some((header, done, place)) = node.mined(hash)? else { return Ok(Value::Null) };
-    Ok(json::transaction(&done[place].transaction, node.chain_id, Some(Mining::at(&header, place))))
+    Ok(block::transaction(&done[place].transaction, node.chain_id, Some(Mining::at(&header, place))))
 }
 
 fn receipt(node: &Node, hash: Hash) -> Reply {
     let Some((header, done, place)) = node.mined(hash)? else { return Ok(Value::Null) };
     let first_log = done[..place].iter().map(|before| before.receipt.logs.len()).sum();
-    Ok(json::receipt(&done[place].transaction, &done[place].receipt, Mining::at(&header, place), first_log))
+    Ok(block::receipt(&done[place].transaction, &done[place].receipt, Mining::at(&header, place), first_log))
+}
+
+// `eth_getLogs`: bounded in blocks, in bytes searched and in bytes returned, before any of it is built.
+
+/// The most blocks of one request.
+pub const MOST_BLOCKS: u64 = 10_000;
+/// The most bytes of transactions and receipts searched for one request.
+const MOST_READ: usize = 32 * 1024 * 1024;
+/// The most bytes in the answer, counted roughly as JSON.
+const MOST_GIVEN: usize = 8 * 1024 * 1024;
+/// The JSON size of a log without its data and topics, bytes.
+const FRAME: usize = 500;
+
+/// The parameters of eth_getLogs.
+struct Filter {
+    from: u64,
+    to: u64,
+    addresses: Vec<Address>,
+    topics: Vec<Vec<Hash>>,
+}
+
+fn read_filter(node: &Node, value: &Value) -> Option<Filter> {
+    let alternatives = |value: &Value| -> Vec<Value> {
+        match value {
+            Value::Null => Vec::new(),
+            Value::Array(all) => all.clone(),
+            one => vec![one.clone()],
+        }
+    };
+    let bound = |name: &str| value.get(name).map_or(Some(node.head.number), |tag| block_number(node, tag));
+    let topics = value.get("topics").map(alternatives).unwrap_or_default();
+    let addresses = value.get("address").map(alternatives).unwrap_or_default();
+    let hashes = |position: &Value| alternatives(position).iter().map(read_hash).collect::<Option<Vec<_>>>();
+    let mut filter = Filter {
+        from: bound("fromBlock")?,
+        to: bound("toBlock")?,
+        addresses: addresses.iter().map(read_address).collect::<Option<_>>()?,
+        topics: topics.iter().map(hashes).collect::<Option<_>>()?,
+    };
+    if let Some(hash) = value.get("blockHash").and_then(read_hash) {
+        filter.from = node.file.number_of(hash).ok().flatten()?;
+        filter.to = filter.from;
+    }
+    Some(filter)
+}
+
+impl Filter {
+    fn matches(&self, log: &super::block::Log) -> bool {
+        let place = self.addresses.is_empty() || self.addresses.contains(&log.address);
+        let wanted = |(index, any): (usize, &Vec<Hash>)| {
+            any.is_empty() || log.topics.get(index).is_some_and(|topic| any.contains(topic))
+        };
+        place && self.topics.len() <= log.topics.len() && self.topics.iter().enumerate().all(wanted)
+    }
+}
+
+fn too_many(what: &str) -> Fault {
+    Fault::new(-32005, format!("{what}; ask for fewer blocks at once"))
+}
+
+/// The logs that match a filter.
+///
+/// # Errors
+/// [`Fault`] -32005 if that is more than one answer holds, or for a malformed filter.
+pub fn logs_answer(node: &Node, parameters: &Parameters) -> Reply {
+    let named = parameters.at(0, |filter| Some(filter.get("blockHash").and_then(read_hash)))?;
+    if let Some(hash) = named
+        && node.file.number_of(hash)?.is_none()
+    {
+        return Err(Fault::new(-32000, "unknown block"));
+    }
+    let filter = parameters.at(0, |value| read_filter(node, value))?;
+    let to = filter.to.min(node.head.number);
+    if (to + 1).saturating_sub(filter.from) > MOST_BLOCKS {
+        return Err(too_many(&format!("logs of more than {MOST_BLOCKS} blocks")));
+    }
+    let (mut found, mut read, mut given) = (Vec::new(), 0, 0);
+    for number in node.file.with_logs(filter.from, to)? {
+        let Some(header) = node.header(number)? else { break };
+        let mut index = 0;
+        for (place, done) in node.done(&header)?.iter().enumerate() {
+            read +=
+                FRAME + done.transaction.raw.len() + done.receipt.logs.iter().map(|log| log.data.len()).sum::<usize>();
+            if read > MOST_READ {
+                return Err(too_many("there is too much to search"));
+            }
+            for log in &done.receipt.logs {
+                if filter.matches(log) {
+                    given += FRAME + 2 * log.data.len() + 70 * log.topics.len();
+                    if given > MOST_GIVEN {
+                        return Err(too_many("there are too many logs"));
+                    }
+                    found.push(block::log(log, done.transaction.hash, Mining::at(&header, place), index));
+                }
+                index += 1;
+            }
+        }
+    }
+    Ok(Value::Array(found))
 }

@@ -5,19 +5,19 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use ethers::types::{H160, TransactionRequest, transaction::eip2718::TypedTransaction};
+use ethers::types::transaction::eip2718::TypedTransaction;
+use ethers::types::{H160, TransactionRequest};
 use ethers_signers::{LocalWallet, Signer};
 use k256::ecdsa::SigningKey;
 use serde_json::{Value, json};
 
-use super::Embedded;
 use super::block::Header;
 use super::node::Node;
-use super::proof;
 use super::rpc::answer;
 use super::sealing::Sealing;
-use crate::chain::{ChainError, Consensus};
+use super::{Embedded, proof};
 use crate::model::{Address, ErrorKind};
+use crate::{ChainError, Consensus};
 
 const BOUND: Duration = Duration::from_secs(60);
 
@@ -122,7 +122,7 @@ fn keys(directory: &Path) -> Vec<SigningKey> {
     let file = rusqlite::Connection::open(directory.join("chain.db")).expect("opens");
     let keys: Vec<u8> = file.query_row("SELECT signer FROM chain", [], |row| row.get(0)).expect("keys");
     let mut keys: Vec<SigningKey> = keys.chunks(32).map(|key| SigningKey::from_slice(key).expect("key")).collect();
-    keys.sort_by_key(super::authority::address_of);
+    keys.sort_by_key(super::sealing::address_of);
     keys
 }
 

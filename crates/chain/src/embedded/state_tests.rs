@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use ethers::types::{H160, TransactionRequest, U256, transaction::eip2718::TypedTransaction};
+use ethers::types::transaction::eip2718::TypedTransaction;
+use ethers::types::{H160, TransactionRequest, U256};
 use ethers::utils::keccak256;
 use ethers_signers::{LocalWallet, Signer};
 use rusqlite::{Connection, params};
@@ -13,9 +14,9 @@ use tokio::sync::oneshot;
 use super::block::created_address;
 use super::node::Node;
 use super::rpc::answer;
-use super::state_file::KEPT;
 use super::trie::EMPTY_ROOT;
-use crate::chain::ChainError;
+use super::world::KEPT;
+use crate::ChainError;
 use crate::model::{Address, ErrorKind, Hash};
 
 /// SSTORE(calldata\[0\], calldata\[32\]) and LOG0; any call with a third word destroys the contract.

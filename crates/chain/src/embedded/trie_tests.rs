@@ -7,9 +7,8 @@ use std::sync::Arc;
 use ethers::utils::keccak256;
 
 use super::block::Receipt;
-use super::roots::{receipts_root, transactions_root};
-use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below, prove};
-use crate::chain::ChainError;
+use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below, prove, receipts_root, transactions_root};
+use crate::ChainError;
 use crate::model::Hash;
 
 /// Nodes in memory, with their number of places.

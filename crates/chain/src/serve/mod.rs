@@ -3,8 +3,6 @@
 //! They may read, and send signed transactions. Anyone who may open a connection on this machine can do as much, so it
 //! listens only on loopback, and only while it is explicitly run. There is no ws; news comes through filters.
 
-mod filters;
-mod heavy;
 mod http;
 mod rpc;
 #[cfg(test)]
@@ -22,7 +20,7 @@ use tokio::time::timeout;
 
 use self::http::{Broken, Refusal};
 use self::rpc::Service;
-use super::{Chain, ChainError};
+use crate::{Chain, ChainError};
 
 /// The limits of a caller.
 #[derive(Debug, Clone, Copy)]

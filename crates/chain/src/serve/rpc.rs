@@ -1,12 +1,14 @@
 //! JSON-RPC 2.0 over the embedded chain: single requests and bounded batches, reads and raw transactions.
 
-use std::time::Instant;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use serde_json::{Value, json};
+use ethers::utils::rlp::Rlp;
+use serde_json::{Map, Value, json};
 
-use super::filters::Filters;
-use super::heavy::Heavy;
-use crate::chain::embedded::{Embedded, Fault};
+use crate::embedded::{Embedded, Fault};
+use crate::model::bytes::unhex;
 use crate::model::clean;
 
 /// The most requests in a batch.
@@ -201,6 +203,191 @@ fn written(answer: &Value, id: &Value) -> Vec<u8> {
     serde_json::to_vec(&failure(answer.get("id").unwrap_or(id), &too_long())).unwrap_or_default()
 }
 
+// Filters: what is new since a caller last asked. There are only a few, and they expire when unused.
+
+/// The most filters at a time.
+const MOST: usize = 64;
+/// How long an unused filter lives.
+const LIFE: Duration = Duration::from_secs(300);
+/// The most block hashes returned at once; the rest follows with the next request.
+const MOST_HASHES: u64 = 1000;
+
+#[derive(Clone)]
+enum Kind {
+    Blocks,
+    Logs(Map<String, Value>),
+}
+
+struct Filter {
+    kind: Kind,
+    next: u64,
+    asked: Instant,
+}
+
+/// The filters of all connections.
+#[derive(Default)]
+pub struct Filters {
+    open: tokio::sync::Mutex<(u64, HashMap<u64, Filter>)>,
+}
+
+fn number(value: u64) -> Value {
+    Value::String(format!("{value:#x}"))
+}
+
+fn id(parameters: &[Value]) -> Option<u64> {
+    u64::from_str_radix(parameters.first()?.as_str()?.strip_prefix("0x")?, 16).ok()
+}
+
+fn unknown() -> Fault {
+    fault(-32000, "filter not found")
+}
+
+impl Filters {
+    /// Creates a filter for what comes from now on; returns its id.
+    ///
+    /// # Errors
+    /// For a malformed filter, or if there are too many.
+    pub async fn install(&self, chain: &Embedded, method: &str, parameters: Vec<Value>) -> Result<Value, Fault> {
+        let next = chain.head().borrow().number + 1;
+        let kind = if method == "eth_newFilter" {
+            let Some(Value::Object(filter)) = parameters.into_iter().next() else {
+                return Err(fault(-32602, "missing or invalid value for argument 0"));
+            };
+            // The chain reports what is wrong with it, if anything.
+            logs(chain, vec![within(&filter, next, next)]).await?;
+            Kind::Logs(filter)
+        } else {
+            Kind::Blocks
+        };
+        let mut open = self.open.lock().await;
+        let now = Instant::now();
+        open.1.retain(|_, filter| now.duration_since(filter.asked) < LIFE);
+        if open.1.len() >= MOST {
+            return Err(fault(-32005, format!("there are {MOST} filters already; uninstall some")));
+        }
+        open.0 += 1;
+        let id = open.0;
+        open.1.insert(id, Filter { kind, next, asked: now });
+        Ok(number(id))
+    }
+
+    /// What is new since the last time.
+    ///
+    /// # Errors
+    /// For an unknown filter.
+    pub async fn changes(&self, chain: &Embedded, parameters: &[Value]) -> Result<Value, Fault> {
+        let mut open = self.open.lock().await;
+        let filter = id(parameters).and_then(|id| open.1.get_mut(&id)).ok_or_else(unknown)?;
+        filter.asked = Instant::now();
+        let head = chain.head().borrow().number;
+        if filter.next > head {
+            return Ok(json!([]));
+        }
+        let most = if matches!(filter.kind, Kind::Blocks) { MOST_HASHES } else { MOST_BLOCKS };
+        let last = head.min(filter.next + most - 1);
+        let news = match &filter.kind {
+            Kind::Logs(wanted) => logs(chain, vec![within(wanted, filter.next, last)]).await?,
+            Kind::Blocks => hashes(chain, filter.next, last).await?,
+        };
+        filter.next = last + 1;
+        Ok(news)
+    }
+
+    /// All logs that match a filter, including old ones.
+    ///
+    /// # Errors
+    /// For an unknown filter, or one of blocks.
+    pub async fn logs(&self, chain: &Embedded, parameters: &[Value]) -> Result<Value, Fault> {
+        let wanted = {
+            let open = self.open.lock().await;
+            id(parameters).and_then(|id| open.1.get(&id)).map(|filter| filter.kind.clone())
+        };
+        match wanted {
+            Some(Kind::Logs(filter)) => logs(chain, vec![Value::Object(filter)]).await,
+            _ => Err(unknown()),
+        }
+    }
+
+    /// Removes a filter; returns whether there was one.
+    ///
+    /// # Errors
+    /// Never; the signature matches the other methods.
+    pub async fn uninstall(&self, parameters: &[Value]) -> Result<Value, Fault> {
+        let found = match id(parameters) {
+            Some(id) => self.open.lock().await.1.remove(&id).is_some(),
+            None => false,
+        };
+        Ok(Value::Bool(found))
+    }
+}
+
+/// A filter with other bounds.
+fn within(filter: &Map<String, Value>, first: u64, last: u64) -> Value {
+    let mut filter = filter.clone();
+    filter.remove("blockHash");
+    filter.insert("fromBlock".into(), number(first));
+    filter.insert("toBlock".into(), number(last));
+    Value::Object(filter)
+}
+
+async fn hashes(chain: &Embedded, first: u64, last: u64) -> Result<Value, Fault> {
+    let mut all = Vec::new();
+    for block in first..=last {
+        let block = chain.request("eth_getBlockByNumber", json!([number(block), false])).await?;
+        all.push(block.get("hash").cloned().unwrap_or_default());
+    }
+    Ok(Value::Array(all))
+}
+
+// Transactions that take much of a block. Gas costs nothing on this chain, and every user of the machine may send some: a
+// number of them at once, then one now and then. The contract's usual calls are not among them.
+
+/// A transaction that may use more gas is heavy: several times what an anchor, a registration or a grant uses.
+const HEAVY: u64 = 1_000_000;
+/// How many are taken at once, from all callers together.
+const AT_ONCE: u32 = 40;
+/// Time until one more is taken.
+const PAUSE: Duration = Duration::from_secs(10);
+
+/// How many heavy transactions are still taken.
+#[derive(Debug)]
+pub struct Heavy {
+    /// How many, and as of when.
+    left: Mutex<(u32, Instant)>,
+}
+
+impl Heavy {
+    /// All of them.
+    pub fn new(now: Instant) -> Self {
+        Self { left: Mutex::new((AT_ONCE, now)) }
+    }
+
+    /// Counts a transaction, signed and in hex, if it is heavy.
+    ///
+    /// # Errors
+    /// How long to wait for the next one, if no more are taken now.
+    pub fn count(&self, raw: Option<&Value>, now: Instant) -> Result<(), Duration> {
+        let raw = raw.and_then(Value::as_str).and_then(unhex).unwrap_or_default();
+        // What is no transaction is refused by the chain.
+        let gas = Rlp::new(&raw).val_at::<u64>(2).unwrap_or(0);
+        if gas <= HEAVY { Ok(()) } else { self.take(now) }
+    }
+
+    fn take(&self, now: Instant) -> Result<(), Duration> {
+        let mut left = self.left.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut number, mut since) = *left;
+        while number < AT_ONCE && now.saturating_duration_since(since) >= PAUSE {
+            (number, since) = (number + 1, since + PAUSE);
+        }
+        if number == AT_ONCE {
+            since = now;
+        }
+        let taken = number.checked_sub(1);
+        *left = (taken.unwrap_or(0), since);
+        taken.map(drop).ok_or_else(|| PAUSE.saturating_sub(now.saturating_duration_since(since)))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -227,5 +414,39 @@ mod tests {
         ] {
             assert_eq!(span(&filter, 20_000), blocks, "{filter}");
         }
+    }
+}
+
+#[cfg(test)]
+mod heavy_tests {
+    use super::*;
+    use crate::model::bytes::hex;
+
+    /// A transaction that may use this much gas; nobody signed it.
+    fn raw(gas: u64) -> Value {
+        let mut list = ethers::utils::rlp::RlpStream::new_list(9);
+        list.append(&1u64).append(&0u64).append(&gas);
+        (0..6).for_each(|_| {
+            list.append_empty_data();
+        });
+        Value::String(format!("0x{}", hex(&list.out())))
+    }
+
+    #[test]
+    fn heavy_ones_are_few_and_the_usual_ones_are_not_counted() {
+        let begun = Instant::now();
+        let heavy = Heavy::new(begun);
+        let count = |gas: u64, after: Duration| heavy.count(Some(&raw(gas)), begun + after);
+        for _ in 0..AT_ONCE {
+            assert_eq!(count(HEAVY + 1, Duration::ZERO), Ok(()));
+        }
+        assert_eq!(count(10_000_000, Duration::from_secs(3)), Err(Duration::from_secs(7)));
+        assert_eq!(count(HEAVY, Duration::ZERO), Ok(()), "a usual one");
+        assert_eq!(heavy.count(Some(&Value::Null), begun), Ok(()), "the chain refuses it");
+        assert_eq!(heavy.count(None, begun), Ok(()));
+        assert_eq!(count(HEAVY + 1, PAUSE), Ok(()));
+        assert!(count(HEAVY + 1, PAUSE).is_err(), "one in ten seconds");
+        let later = PAUSE * (2 * AT_ONCE);
+        assert_eq!((0..2 * AT_ONCE).filter(|_| count(HEAVY + 1, later).is_ok()).count(), 40);
     }
 }

@@ -8,9 +8,9 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::*;
-use crate::chain::{ChainOptions, Consensus, Endpoint};
 use crate::crypto::EoaSecret;
 use crate::model::ErrorKind;
+use crate::{ChainOptions, Consensus, Endpoint};
 
 const BOUND: Duration = Duration::from_secs(60);
 

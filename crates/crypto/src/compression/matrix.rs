@@ -3,9 +3,8 @@
 
 use fdeflate::{Compressor, Decompressor};
 
+use super::{Filter, Restorer};
 use crate::model::wire::{Reader, WireError};
-
-use super::filter::{Filter, Restorer};
 
 /// The most numbers in one pixel or point.
 pub const MOST_CHANNELS: usize = 64;

@@ -1,15 +1,15 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::crypto::{CryptoError, EpochKey, Passphrase};
 use crate::model::ErrorKind;
+use crate::{CryptoError, EpochKey, Passphrase};
 
 fn issue(epoch: u64, key: SealingKey) -> EpochIssue {
     EpochIssue { epoch, token: Token([7; 32]), ends: (epoch == 3).then_some(Timestamp(9)), key }
 }
 
 fn sample(topics: usize) -> Enrolment {
-    let filters = crate::crypto::FilterKey::new([12; 32]);
+    let filters = crate::FilterKey::new([12; 32]);
     let issued = IssuedTopic { id: TopicId([11; 16]), filters, key: TopicKey::new([9; 32]) };
     let keys = (0..topics).map(|number| (format!("/robot{number}/odom"), issued.clone())).collect();
     let key = if topics == 0 { SealingKey::Epoch(EpochKey::new([8; 32])) } else { SealingKey::Topics(keys) };
@@ -98,13 +98,13 @@ fn a_file_opens_with_its_passphrase_alone() {
     for at in [0, 8, 20, 60, 80, 108, 111, whole.len() - 1] {
         let mut altered = whole.clone();
         altered[at] ^= 1;
-        crate::crypto::private_file::write_private(&path, &altered).expect("writes");
+        crate::private_file::write_private(&path, &altered).expect("writes");
         assert!(SealedEnrolment::open(&path, &passphrase("correct horse")).is_err(), "byte {at}");
     }
     for version in [0, 2, 255] {
         let mut other = whole.clone();
         other[8] = version;
-        crate::crypto::private_file::write_private(&path, &other).expect("writes");
+        crate::private_file::write_private(&path, &other).expect("writes");
         let error = SealedEnrolment::open(&path, &passphrase("correct horse")).map(drop).expect_err("another version");
         assert!(matches!(error, CryptoError::Version { found, .. } if found == version), "{error}");
         assert!(error.kind() == ErrorKind::Input && error.to_string().contains("reads only version 1"), "{error}");

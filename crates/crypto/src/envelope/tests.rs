@@ -3,8 +3,8 @@ use std::sync::LazyLock;
 use proptest::prelude::*;
 
 use super::*;
-use crate::crypto::{ProviderName, provider};
 use crate::model::{Address, Timestamp};
+use crate::{ProviderName, provider};
 
 static PAIRS: LazyLock<[SmKeyPair; 2]> = LazyLock::new(|| {
     let provider = provider(ProviderName::RustCrypto);
@@ -204,13 +204,13 @@ proptest! {
     #[test]
     fn noise_and_altered_bodies_never_panic(noise in proptest::collection::vec(any::<u8>(), 0..400),
                                             at in any::<prop::sample::Index>(), bit in 0u8..8) {
-        prop_assert!(body::parse(&noise).is_err());
+        prop_assert!(parse(&noise).is_err());
         prop_assert!(unwrap_with(ProviderName::RustCrypto, &noise, &all().terms).is_err());
-        let mut plain = body::encode(&DOMAIN, &scoped(3, 2));
+        let mut plain = encode(&DOMAIN, &scoped(3, 2));
         let at = at.index(plain.len());
         plain[at] ^= 1 << bit;
-        if let Ok((domain, wrapped)) = body::parse(&plain) {
-            prop_assert_eq!(&*body::encode(&domain, &wrapped), &*plain);
+        if let Ok((domain, wrapped)) = parse(&plain) {
+            prop_assert_eq!(&*encode(&domain, &wrapped), &*plain);
         }
     }
 }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use proptest::prelude::*;
 
 use super::*;
-use crate::crypto::private_file::write_private;
 use crate::model::ErrorKind;
+use crate::private_file::write_private;
 
 struct Directory(tempfile::TempDir);
 
@@ -91,8 +91,8 @@ fn sm2_keys_as_pem_and_hex() {
 fn sm2_keys_beside_what_else_openssl_and_editors_write() {
     let directory = Directory::new();
     let secret = SmSecret::generate().expect("random");
-    let provider = crate::crypto::provider(crate::crypto::ProviderName::RustCrypto);
-    let public = crate::crypto::Provider::public_key(provider, &secret).expect("point");
+    let provider = crate::provider(crate::ProviderName::RustCrypto);
+    let public = crate::Provider::public_key(provider, &secret).expect("point");
     let (pem, public) = (sm2_pem(&secret).expect("encodes"), sm2_public_pem(&public).expect("encodes"));
     let key = sm2::SecretKey::from_slice(secret.expose()).expect("a key");
     let sec1 = |label: &'static str, der: &[u8]| {
@@ -162,8 +162,8 @@ fn sm2_keys_beside_what_else_openssl_and_editors_write() {
 #[test]
 fn public_keys_as_pem() {
     let secret = SmSecret::generate().expect("random");
-    let provider = crate::crypto::provider(crate::crypto::ProviderName::RustCrypto);
-    let public = crate::crypto::Provider::public_key(provider, &secret).expect("point");
+    let provider = crate::provider(crate::ProviderName::RustCrypto);
+    let public = crate::Provider::public_key(provider, &secret).expect("point");
     let pem = sm2_public_pem(&public).expect("encodes");
     assert_eq!(sm2_public_from_pem(&pem).expect("parses"), public);
     assert!(sm2_public_pem(&PublicKey([1; 64])).is_err());

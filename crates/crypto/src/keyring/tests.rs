@@ -1,5 +1,5 @@
 use super::*;
-use crate::crypto::{ProviderName, provider};
+use crate::{ProviderName, provider};
 
 const HOME: Domain = Domain([1; 32]);
 

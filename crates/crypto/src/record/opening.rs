@@ -1,15 +1,17 @@
 //! Checking and opening of a stored record.
 
 use subtle::ConstantTimeEq as _;
-use zeroize::Zeroizing;
+use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
-use crate::crypto::compression::unpack;
-use crate::crypto::{CryptoError, Provider, TopicKey, fault, signer_id};
+use super::{Names, RecordKeys, is_length, record_info, signed_bytes};
+use crate::compression::unpack;
+use crate::kdf::{expanded, hmac_sm3};
+use crate::kernel::LONG;
 use crate::model::head::Compression;
 use crate::model::wire::WireError;
 use crate::model::{Address, Digest, Domain, Head, Header, PublicKey, RecorderId, Signature, TopicId, Verdict};
-
-use super::{Names, RecordKeys, Step, is_length, signed_bytes};
+use crate::pool::{each, helpers_for};
+use crate::{CryptoError, Provider, TopicKey, fault, signer_id};
 
 /// What was requested; a record that differs is not shown.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -286,4 +288,212 @@ fn compare(expected: &Expected, header: &Header) -> Result<(), CryptoError> {
         ("topic id", expected.topic_id.is_some_and(|wanted| wanted != header.topic_id)),
     ];
     fields.into_iter().find(|(_, differs)| *differs).map_or(Ok(()), |(name, _)| Err(CryptoError::NotAsked(name)))
+}
+
+// Checks several records at once: the digests of short ones side by side in the lanes of SM3, the signatures on
+// several cores. The results are those of [`check`](super::check) for each record.
+
+/// One record to check.
+#[derive(Debug, Clone, Copy)]
+pub struct Unchecked<'a> {
+    /// Its stored bytes.
+    pub blob: &'a [u8],
+    /// Its signature.
+    pub signature: &'a Signature,
+    /// Who should have signed it.
+    pub signer: &'a PublicKey,
+    /// What the chain says about it.
+    pub anchor: Anchor,
+}
+
+/// The result of checking a record.
+pub type Checked = Result<(Header, Digest, Verdict), CryptoError>;
+
+/// Checks each record like [`check`](super::check), in order, on as many cores as is worthwhile.
+pub fn check_many(provider: &dyn Provider, records: &[Unchecked<'_>]) -> Vec<Checked> {
+    let bytes = records.iter().map(|record| record.blob.len()).sum();
+    check_by(provider, records, helpers_for(records.len(), bytes))
+}
+
+/// Like [`check_many`], on the caller's core alone: for callers that already have a thread for each core.
+pub fn check_alone(provider: &dyn Provider, records: &[Unchecked<'_>]) -> Vec<Checked> {
+    check_by(provider, records, 0)
+}
+
+fn check_by(provider: &dyn Provider, records: &[Unchecked<'_>], helpers: usize) -> Vec<Checked> {
+    let short: Vec<&[u8]> = records.iter().map(|record| record.blob).filter(|blob| blob.len() < LONG).collect();
+    let mut digests = provider.sm3_many(&short).into_iter().map(Digest);
+    let hashed: Vec<_> =
+        records.iter().map(|record| (record, if record.blob.len() < LONG { digests.next() } else { None })).collect();
+    each(&hashed, helpers, |(record, digest)| {
+        let digest_of = |blob: &[u8]| digest.unwrap_or_else(|| Digest(provider.sm3(&[blob])));
+        let Unchecked { blob, signature, signer, anchor } = **record;
+        let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, &mut |_| ())?;
+        Ok((parts.header, digest, verdict))
+    })
+}
+
+// Disclosure of one record: the 32 bytes from which its keys, and no others, are derived.
+//
+// They are HKDF's extract of topic key and salt, so nothing leads from them to the topic key or to another record. The
+// record's commitment is expanded from the same bytes, so neither a wrong secret nor another message can be passed
+// off.
+
+/// The secret from which the keys of one record are derived.
+#[derive(Clone, Zeroize, ZeroizeOnDrop)]
+pub struct RecordSecret([u8; 32]);
+
+impl std::fmt::Debug for RecordSecret {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("RecordSecret(secret)")
+    }
+}
+
+impl RecordSecret {
+    /// For the record with this header, sealed under this topic key.
+    pub fn of(key: &TopicKey, header: &Header) -> Self {
+        Self(hmac_sm3(&header.salt.0, &[key.expose()]))
+    }
+
+    /// From exactly 32 bytes: with other lengths, HMAC would take different texts for the same key.
+    pub fn from_slice(bytes: &[u8]) -> Option<Self> {
+        bytes.try_into().ok().map(Self)
+    }
+
+    /// The bytes. Anyone who has them can read this record, forever, and no other.
+    pub fn expose(&self) -> &[u8; 32] {
+        &self.0
+    }
+
+    fn keys(&self, header: &Header) -> RecordKeys {
+        RecordKeys::of(&Zeroizing::new(expanded(&self.0, &record_info(header))))
+    }
+}
+
+/// A record that its owner disclosed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Revealed {
+    /// The public header.
+    pub header: Header,
+    /// What was sealed along with the message.
+    pub head: Head,
+    /// The message.
+    pub body: Vec<u8>,
+}
+
+/// Opens a stored record with its own secret. Digest, signature and anchor are checked elsewhere.
+///
+/// # Errors
+/// [`CryptoError::WrongKey`] if the record does not commit to this secret, otherwise as for opening.
+pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret) -> Result<Revealed, CryptoError> {
+    let mut budget = u64::MAX;
+    open_revealed_within(provider, blob, secret, &mut budget)?.ok_or(CryptoError::Tampered("plain length"))
+}
+
+/// Like [`open_revealed`], for many untrusted records: the length of each message is subtracted from `budget`, in
+/// bytes, before the message is allocated; `None` if the budget is too small.
+///
+/// # Errors
+/// See [`open_revealed`].
+pub fn open_revealed_within(
+    provider: &dyn Provider,
+    blob: &[u8],
+    secret: &RecordSecret,
+    budget: &mut u64,
+) -> Result<Option<Revealed>, CryptoError> {
+    let opened = open_by_keys(provider, blob, |header| secret.keys(header), budget)?;
+    Ok(opened.map(|(header, head, body)| Revealed { header, head, body }))
+}
+
+/// The bytes an owner signs to disclose a record: label, domain, digest, secret.
+pub fn reveal_bytes(domain: &Domain, digest: &Digest, secret: &RecordSecret) -> Zeroizing<Vec<u8>> {
+    Zeroizing::new([&b"AuthROS/reveal/1"[..], &domain.0, &digest.0, secret.expose()].concat())
+}
+
+// The steps of sealing and opening a record, for measuring them.
+
+/// The step just done. A step may be reported more than once for a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// Head and header to bytes, or back, with all checks of their fields.
+    Fields,
+    /// The record's keys derived from the topic key, and a fresh salt drawn.
+    Keys,
+    /// SM4-GCM of head and body.
+    Cipher,
+    /// SM3 of the stored bytes.
+    Digest,
+    /// SM2: signing or verifying.
+    Signature,
+    /// The message decompressed.
+    Restore,
+}
+
+impl Step {
+    /// All steps.
+    pub const ALL: [Self; 6] = [Self::Fields, Self::Keys, Self::Cipher, Self::Digest, Self::Signature, Self::Restore];
+
+    /// Its name where figures are shown.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Fields => "fields",
+            Self::Keys => "keys",
+            Self::Cipher => "SM4-GCM",
+            Self::Digest => "SM3",
+            Self::Signature => "SM2",
+            Self::Restore => "restore",
+        }
+    }
+}
+
+#[cfg(test)]
+mod many_tests {
+    use super::*;
+    use crate::record::tests::Sample;
+    use crate::record::{SealedRecord, check};
+    use crate::{ProviderName, SmKeyPair, provider};
+
+    /// Records of many lengths, with each kind of damage among them.
+    fn records(name: ProviderName) -> Vec<SealedRecord> {
+        let lengths = [0, 1, 100, 700, 1024, 3000, 9000, LONG - 1, LONG, 40_000, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
+        let mut records: Vec<_> = lengths.iter().map(|length| Sample::new(name, &vec![7; *length]).seal()).collect();
+        records[2].blob[0] ^= 1;
+        records[4].blob.truncate(50);
+        records[6].signature.0[10] ^= 1;
+        records[9].blob[30_000] ^= 1;
+        let last = records[12].blob.len() - 1;
+        records[12].blob[last] ^= 1;
+        records[14].digest.0[0] ^= 1;
+        records
+    }
+
+    #[test]
+    fn many_are_checked_as_each_by_itself() {
+        for name in ProviderName::ALL {
+            let (provider, records) = (provider(name), records(name));
+            let own = Sample::new(name, b"").request().signer.public;
+            let other = SmKeyPair::generate(provider).expect("pair").public;
+            let anchor =
+                |at: usize, digest| if at.is_multiple_of(5) { Anchor::Unanchored } else { Anchor::Chain(digest) };
+            let all: Vec<_> = records
+                .iter()
+                .enumerate()
+                .map(|(at, SealedRecord { blob, digest, signature, .. })| {
+                    let signer = if at == 16 { &other } else { &own };
+                    Unchecked { blob, signature, signer, anchor: anchor(at, *digest) }
+                })
+                .collect();
+            let by_itself = |one: &Unchecked<'_>| check(provider, one.blob, one.signature, one.signer, one.anchor);
+            let told = |checked: Vec<Checked>| checked.iter().map(|one| format!("{one:?}")).collect::<Vec<_>>();
+            let expected = told(all.iter().map(by_itself).collect());
+            assert_eq!(expected.iter().filter(|one| one.starts_with("Err")).count(), 7, "{expected:#?}");
+            for helpers in [0, 1, 3] {
+                assert_eq!(told(check_by(provider, &all, helpers)), expected, "{helpers} helpers");
+            }
+            assert_eq!(
+                (told(check_many(provider, &all[..1])), check_many(provider, &[]).len()),
+                (vec![expected[0].clone()], 0)
+            );
+        }
+    }
 }

@@ -3,8 +3,8 @@ use std::collections::BTreeMap;
 use proptest::prelude::*;
 
 use super::*;
-use crate::crypto::{ProviderName, SmSecret, provider};
 use crate::model::{ErrorKind, Verdict};
+use crate::{ProviderName, SmSecret, provider};
 
 /// Everything needed to seal and open one record.
 pub(crate) struct Sample {
@@ -80,7 +80,7 @@ fn sealed_by_one_provider_opened_by_the_other() {
     let [one, second, third] = ProviderName::ALL;
     for [sealer, opener] in [[one, second], [second, one], [one, third], [third, one]] {
         let record = Sample::new(sealer, b"the message").seal();
-        assert_eq!(record.digest, Digest(crate::crypto::sm3::sm3(&[&record.blob])));
+        assert_eq!(record.digest, Digest(crate::sm3::sm3(&[&record.blob])));
         let opener = Sample::new(opener, b"the message");
         let opened = opener.open(&record.blob, &record.signature, Anchor::Chain(record.digest)).expect("opens");
         assert_eq!(
@@ -234,7 +234,7 @@ fn one_record_opens_by_its_own_secret_and_no_other_does() {
     let secret = RecordSecret::of(&sample.key, &record.header);
     // RFC 5869: extract is HMAC under the salt; expanded with the header's names it gives the same keys as the whole
     // derivation.
-    assert_eq!(*secret.expose(), crate::crypto::hmac_sm3(&record.header.salt.0, &[sample.key.expose()]));
+    assert_eq!(*secret.expose(), crate::hmac_sm3(&record.header.salt.0, &[sample.key.expose()]));
     let revealed = open_revealed(sample.provider, &record.blob, &secret).expect("opens");
     assert_eq!((revealed.body.as_slice(), revealed.head), (&b"the message"[..], sample.head.clone()));
     let mut budget = 20;

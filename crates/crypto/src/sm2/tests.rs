@@ -1,21 +1,19 @@
 //! Signatures and encryption compared with the standard's examples, the crate and libsm, and the tables kept for
 //! signers.
 
+mod signers;
+mod timing;
+
 use sm2::dsa::signature::hazmat::RandomizedPrehashSigner as _;
 use sm2::dsa::signature::rand_core::{TryCryptoRng, TryRng};
 
-use super::encryption::encrypt_with;
-use super::signing::{hash, za};
-use super::*;
-use crate::crypto::der::CipherParts;
-use crate::crypto::kernel::sm2::{Scalar, multiply_generator};
-use crate::crypto::kernel::tests::Noise;
-use crate::crypto::{Provider, ProviderName, SmSecret, provider, rustcrypto};
+use super::{encrypt_with, hash, za, *};
+use crate::der::CipherParts;
+use crate::kernel::sm2::{Scalar, multiply_generator};
+use crate::kernel::tests::Noise;
 use crate::model::Signature;
 use crate::model::bytes::unhex;
-
-mod signers;
-mod timing;
+use crate::{Provider, ProviderName, SmSecret, provider};
 
 const D: &str = "3945208f7b2144b13f36e38ac6d39f95889393692860b51a42fb81ef4df7c5b8";
 const K: &str = "59276e27d506861a16680f3ad9c02dccef3cc1fa3cdbe4ce6d54b80deac1bc21";
@@ -100,8 +98,8 @@ fn nonces_are_those_of_the_crate() {
         let random = noise.array();
         let length = noise.below(200);
         let message = noise.bytes(length);
-        let theirs = rustcrypto::signing_key(&secret).expect("in range");
-        let prehash = crate::crypto::sm3::sm3(&[&za(key.public()), &message]);
+        let theirs = provider::signing_key(&secret).expect("in range");
+        let prehash = crate::sm3::sm3(&[&za(key.public()), &message]);
         let expected = theirs.sign_prehash_with_rng(&mut Fixed(random), &prehash).expect("signs");
         assert_eq!(key.sign(&message, &random).0, <[u8; 64]>::from(expected.to_bytes()), "case {case}");
     }
@@ -251,7 +249,7 @@ fn what_two_agree_upon_is_what_the_crate_makes_of_it() {
         let shared = shared_x(&one, second.public()).expect("agrees");
         assert_eq!(shared, shared_x(&other, first.public()).expect("agrees"));
         let number = sm2::NonZeroScalar::try_from(&one[..]).expect("in range");
-        let theirs = rustcrypto::point(second.public()).expect("a point").to_projective() * *number;
+        let theirs = provider::point(second.public()).expect("a point").to_projective() * *number;
         assert_eq!(shared[..], theirs.to_affine().x()[..]);
     }
     let off = PublicKey(multiply_generator(&Scalar::ONE).to_bytes().map(|byte| byte ^ 1));

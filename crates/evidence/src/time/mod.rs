@@ -22,23 +22,14 @@ use authros_model::{Timestamp, clean};
 
 /// Why a stamp is not accepted.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum TimeError {
     /// It is malformed.
     #[error("the {part} is malformed: {why}")]
-    Form {
-        /// Which part.
-        part: &'static str,
-        /// What is wrong with it.
-        why: &'static str,
-    },
-    /// The authority gave none.
+    Form { part: &'static str, why: &'static str },
+    /// The authority gave none: PKIStatus of RFC 3161, and its text, cleaned.
     #[error("the authority gave no stamp: status {status}{}", .text.as_ref().map_or(String::new(), |text| format!(", {text}")))]
-    NotGranted {
-        /// PKIStatus of RFC 3161.
-        status: u64,
-        /// Its text, cleaned.
-        text: Option<String>,
-    },
+    NotGranted { status: u64, text: Option<String> },
     /// It covers something else.
     #[error("it stamps something else: its message imprint differs")]
     OtherImprint,
@@ -68,16 +59,7 @@ pub enum TimeError {
     NotForStamps,
     /// A certificate was not valid then.
     #[error("the certificate of {name} was not valid at {at}; it is valid from {from} to {until}")]
-    NotValid {
-        /// Whose.
-        name: String,
-        /// When it was used.
-        at: Timestamp,
-        /// When it begins.
-        from: Timestamp,
-        /// When it ends.
-        until: Timestamp,
-    },
+    NotValid { name: String, at: Timestamp, from: Timestamp, until: Timestamp },
     /// There is no path from the certificate to the pinned one.
     #[error("no certificate in it links {0} to a pinned one")]
     NotPinned(String),

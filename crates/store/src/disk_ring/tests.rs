@@ -114,11 +114,8 @@ fn what_is_older_or_does_not_fit_falls_out_and_is_counted() {
     let begun = now();
     for number in 0..200 {
         add(&mut by_size, LASER, begun + number, 20_000);
-        let on_disk: u64 = segment::list(folder.path())
-            .expect("files")
-            .iter()
-            .map(|(_, path)| fs::metadata(path).expect("a file").len())
-            .sum();
+        let on_disk: u64 =
+            list(folder.path()).expect("files").iter().map(|(_, path)| fs::metadata(path).expect("a file").len()).sum();
         assert!(on_disk <= 1 << 20 && by_size.figures().bytes == on_disk, "{on_disk}");
     }
     let figures = by_size.figures();
@@ -196,7 +193,7 @@ fn every_file_stands_alone_and_a_torn_or_foreign_one_hides_nothing() {
         assert!(records[0].is_definition && !records[1].is_definition, "each file has its definitions");
     }
     drop(begun);
-    let files = segment::list(folder.path()).expect("files");
+    let files = list(folder.path()).expect("files");
     let last = &files.last().expect("one").1;
     let whole = fs::metadata(last).expect("a file").len();
     // Half a record, as a machine without power leaves it; and a file that is none.
@@ -226,9 +223,9 @@ fn what_falls_out_is_gone_although_its_count_cannot_be_written() {
     for number in 0..20 {
         add(&mut full, CAMERA, start + number, 10_000);
     }
-    assert!(segment::list(folder.path()).expect("files").len() > 2);
+    assert!(list(folder.path()).expect("files").len() > 2);
     while full.shrink().expect("a file goes") {}
-    assert!(segment::list(folder.path()).expect("files").is_empty());
+    assert!(list(folder.path()).expect("files").is_empty());
     let figures = full.figures();
     assert_eq!((figures.messages, figures.bytes, figures.fallen), (0, 0, 20));
     fs::remove_dir(folder.path().join(FALLEN)).expect("out of its way");

@@ -3,14 +3,14 @@
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, params};
 
-use super::edges::{By, may};
+use super::rows::{By, may};
 use super::{Foreign, Ledger, NewRecord, Session, own_prefix};
+use crate::StoreError;
+use crate::database::{Statements as _, whole};
 use crate::model::header::LARGEST_SEQ;
 use crate::model::{Address, Digest, FilterId, RecordState, SignerId, Timestamp, TopicId};
-use crate::store::StoreError;
-use crate::store::database::whole;
 
 type StreamKey = (i64, u8, String);
 type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
@@ -41,13 +41,11 @@ impl Ledger {
     pub fn next_seq(&self, owner: Address, signer: SignerId, topic: TopicId) -> Result<u64, StoreError> {
         let recorder = self.recorder().of_signer(&signer);
         self.read(|connection| {
-            let highest: Option<i64> = connection
-                .prepare_cached(
-                    "SELECT max(seq) FROM records WHERE topic =
+            let sql = "SELECT max(seq) FROM records WHERE topic =
                      (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
-                      AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))",
-                )?
-                .query_row(params![owner.0, topic.0, recorder.0, signer.0], |row| row.get(0))?;
+                      AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
+            let highest: Option<i64> =
+                connection.one(sql, params![owner.0, topic.0, recorder.0, signer.0], |row| row.get(0))?;
             Ok(highest.map_or(1, |seq| seq.cast_unsigned() + 1))
         })
     }
@@ -131,11 +129,8 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn local_copy(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         self.read(|connection| {
-            let copy = connection
-                .prepare_cached("SELECT blob FROM copies JOIN records ON n = record WHERE digest = ?1")?
-                .query_row(params![digest.0], |row| row.get(0))
-                .optional()?;
-            Ok(copy)
+            let sql = "SELECT blob FROM copies JOIN records ON n = record WHERE digest = ?1";
+            Ok(connection.find(sql, params![digest.0], |row| row.get(0))?)
         })
     }
 
@@ -198,7 +193,7 @@ fn check_number(connection: &Connection, record: &NewRecord) -> Result<bool, Sto
     if !own_prefix(connection)?.has(&foreign.recorder) {
         return Ok(true);
     }
-    if connection.prepare_cached("SELECT 1 FROM records WHERE digest = ?1")?.exists([record.digest.0])? {
+    if connection.has("SELECT 1 FROM records WHERE digest = ?1", [record.digest.0])? {
         return Ok(false);
     }
     refused("it came from elsewhere and carries a recorder id of this ledger".to_owned())
@@ -218,13 +213,10 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
         return Ok(());
     }
     let stream = stream_key(session, record, topic)?;
-    session
-        .connection
-        .prepare_cached(
-            "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
+    session.connection.run(
+        "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
              acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
-        )?
-        .execute(params![
+        params![
             record.digest.0,
             topic,
             stream,
@@ -236,7 +228,8 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
             now,
             record.simulated,
             record.state.code(),
-        ])?;
+        ],
+    )?;
     let row = session.connection.last_insert_rowid();
     keep_filters(session, record, row, stream)?;
     keep_copy(session.connection, record, row)
@@ -249,8 +242,7 @@ fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream:
         if session.names.filters.insert((*filter, stream)) {
             session
                 .connection
-                .prepare_cached("INSERT INTO filter_streams VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
-                .execute(params![filter.0, stream])?;
+                .run("INSERT INTO filter_streams VALUES (?1, ?2) ON CONFLICT DO NOTHING", params![filter.0, stream])?;
         }
     }
     Ok(())
@@ -258,7 +250,7 @@ fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream:
 
 fn keep_copy(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
     if let Some(copy) = &record.local_copy {
-        connection.prepare_cached("INSERT INTO copies VALUES (?1, ?2)")?.execute(params![row, copy.as_slice()])?;
+        connection.run("INSERT INTO copies VALUES (?1, ?2)", params![row, copy.as_slice()])?;
     }
     Ok(())
 }
@@ -308,15 +300,12 @@ fn check_one(connection: &Connection, record: &NewRecord) -> Result<(), StoreErr
         return Ok(());
     }
     let recorder = record.foreign.map(|foreign| foreign.recorder.0);
-    let topic: Option<(i64, String)> = connection
-        .prepare_cached(
-            "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2
-             AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4)",
-        )?
-        .query_row(params![record.owner.0, record.topic_id.0, recorder, record.signer.0], |row| {
+    let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2
+             AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4)";
+    let topic: Option<(i64, String)> =
+        connection.find(sql, params![record.owner.0, record.topic_id.0, recorder, record.signer.0], |row| {
             Ok((row.get(0)?, row.get(1)?))
-        })
-        .optional()?;
+        })?;
     if let Some((_, name)) = topic.as_ref().filter(|(_, name)| !name.is_empty()) {
         check_name(record, name)?;
     }
@@ -328,16 +317,12 @@ fn check_one(connection: &Connection, record: &NewRecord) -> Result<(), StoreErr
 fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, String), StoreError> {
     let recorder = recorder_key(connection, record)?;
     let keeper = record.foreign.map(|foreign| foreign.keeper.0);
-    connection
-        .prepare_cached(
-            "INSERT INTO topics (owner, recorder, topic_id, name, keeper) VALUES (?1, ?2, ?3, ?4, ?5)
-             ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END",
-        )?
-        .execute(params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
-    let found = connection
-        .prepare_cached("SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3")?
-        .query_row(params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))?;
-    Ok(found)
+    let sql = "INSERT INTO topics (owner, recorder, topic_id, name, keeper) VALUES (?1, ?2, ?3, ?4, ?5)
+             ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
+    connection.run(sql, params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
+    let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3";
+    Ok(connection
+        .one(sql, params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))?)
 }
 
 fn recorder_key(connection: &Connection, record: &NewRecord) -> Result<i64, StoreError> {
@@ -346,13 +331,8 @@ fn recorder_key(connection: &Connection, record: &NewRecord) -> Result<i64, Stor
         None => own_prefix(connection)?.of_signer(&record.signer),
     };
     let values = params![recorder.0, record.signer.0];
-    connection
-        .prepare_cached("INSERT INTO recorders (id, signer) VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
-        .execute(values)?;
-    let key = connection
-        .prepare_cached("SELECT key FROM recorders WHERE id = ?1 AND signer = ?2")?
-        .query_row(values, |row| row.get(0))?;
-    Ok(key)
+    connection.run("INSERT INTO recorders (id, signer) VALUES (?1, ?2) ON CONFLICT DO NOTHING", values)?;
+    Ok(connection.one("SELECT key FROM recorders WHERE id = ?1 AND signer = ?2", values, |row| row.get(0))?)
 }
 
 fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Result<i64, StoreError> {
@@ -363,12 +343,9 @@ fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Resu
     let values = params![topic, known.1, known.2];
     session
         .connection
-        .prepare_cached("INSERT INTO streams (topic, kind, type_name) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING")?
-        .execute(values)?;
-    let key = session
-        .connection
-        .prepare_cached("SELECT key FROM streams WHERE topic = ?1 AND kind = ?2 AND type_name = ?3")?
-        .query_row(values, |row| row.get(0))?;
+        .run("INSERT INTO streams (topic, kind, type_name) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", values)?;
+    let sql = "SELECT key FROM streams WHERE topic = ?1 AND kind = ?2 AND type_name = ?3";
+    let key = session.connection.one(sql, values, |row| row.get(0))?;
     session.names.streams.insert(known, key);
     Ok(key)
 }

@@ -1,15 +1,17 @@
 //! Merkle batches: closing them, finding those still to be anchored, their state on the chain, a record's proof.
 
+use std::collections::BTreeMap;
+
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::count;
-use super::edges::{By, may};
-use super::rows::{self, unsigned};
-use super::{Ledger, RecordRow, database::whole, named, rights};
+use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, unsigned};
+use super::{Ledger, RecordRow, directory, sightings};
+use crate::StoreError;
 use crate::chain::merkle::{Inclusion, Leaf};
-use crate::model::{Address, Digest, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId};
-use crate::store::StoreError;
+use crate::database::{Statements as _, whole};
+use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
 /// A batch to be closed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -122,11 +124,9 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce",
-            )?;
-            let rows = statement.query_map([account.0], |row| row.get(0).map(Hash))?;
-            Ok(rows.collect::<Result<_, _>>()?)
+            let sql =
+                "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
+            Ok(connection.list(sql, [account.0], |row| row.get(0).map(Hash))?)
         })
     }
 
@@ -138,20 +138,14 @@ impl Ledger {
     pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
         self.read(|connection| {
             // Usually none waits. Then no stream is looked at: a gateway may have ten thousand, and this is asked at each block.
-            let any = connection
-                .prepare_cached("SELECT 1 FROM records INDEXED BY records_by_state WHERE state = ?1 LIMIT 1")?
-                .exists([RecordState::Stored.code()])?;
+            let any = connection.has("SELECT 1 FROM records INDEXED BY records_by_state WHERE state = ?1 LIMIT 1", [RecordState::Stored.code()])?;
             if !any {
                 return Ok((0, None));
             }
-            let found = connection
-                .prepare_cached(
-                    "SELECT coalesce(sum(coalesce((SELECT records FROM counters WHERE stream = streams.key AND state = ?2), 0)), 0),
+            let found = connection.one("SELECT coalesce(sum(coalesce((SELECT records FROM counters WHERE stream = streams.key AND state = ?2), 0)), 0),
                      min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
                           WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
-                     FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1",
-                )?
-                .query_row(params![keeper.0, RecordState::Stored.code()], |row| {
+                     FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1", params![keeper.0, RecordState::Stored.code()], |row| {
                     Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
                 })?;
             Ok(found)
@@ -231,7 +225,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
         self.read(|connection| {
-            let rows = named::rows_of(connection, digests)?;
+            let rows = rows::rows_of(connection, digests)?;
             let mut find = connection.prepare_cached(
                 "SELECT leaf, count, path, root, closed_at, account, batches.block, batches.block_hash, batches.tx
                  FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1",
@@ -264,15 +258,12 @@ fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
 
 fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
     let key = match key_of(connection, batch.root)? {
-        Some(known) if rights::begin_again(connection, known)? => known,
+        Some(known) if directory::begin_again(connection, known)? => known,
         Some(_) => return Ok(()),
         None => {
             let leaves = i64::try_from(batch.leaves.len()).unwrap_or(i64::MAX);
-            connection
-                .prepare_cached(
-                    "INSERT INTO batches (root, owner, count, closed_at, closed_here) VALUES (?1, ?2, ?3, ?4, 1)",
-                )?
-                .execute(params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
+            let sql = "INSERT INTO batches (root, owner, count, closed_at, closed_here) VALUES (?1, ?2, ?3, ?4, 1)";
+            connection.run(sql, params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
             connection.last_insert_rowid()
         }
     };
@@ -293,33 +284,22 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
 }
 
 fn key_of(connection: &Connection, root: Hash) -> Result<Option<i64>, StoreError> {
-    let key = connection
-        .prepare_cached("SELECT key FROM batches WHERE root = ?1")?
-        .query_row([root.0], |row| row.get(0))
-        .optional()?;
-    Ok(key)
+    Ok(connection.find("SELECT key FROM batches WHERE root = ?1", [root.0], |row| row.get(0))?)
 }
 
 /// A root was found in a block; returns how many records are mined by that.
 pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreError> {
     let (block, leaves) = (whole("block", sighting.block)?, whole("count", sighting.count)?);
-    let found = connection
-        .prepare_cached("SELECT key FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL")?
-        .query_row(params![sighting.root.0, leaves], |row| row.get::<_, i64>(0))
-        .optional()?;
+    let sql = "SELECT key FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL";
+    let found = connection.find(sql, params![sighting.root.0, leaves], |row| row.get::<_, i64>(0))?;
     let Some(key) = found else { return Ok(0) };
-    connection
-        .prepare_cached(
-            "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1",
-        )?
-        .execute(params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
-    let changed = connection
-        .prepare_cached(
-            "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
+    let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
+    connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
+    let changed = connection.run(
+        "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
              state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
              WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
-        )?
-        .execute(params![
+        params![
             key,
             sighting.transaction.0,
             block,
@@ -327,7 +307,8 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
             RecordState::Batched.code(),
             RecordState::Submitted.code(),
             RecordState::Mined.code(),
-        ])?;
+        ],
+    )?;
     Ok(count(changed))
 }
 
@@ -342,12 +323,9 @@ pub(super) fn see_record(
     if seen > 0 {
         return Ok(());
     }
-    connection
-        .prepare_cached(
-            "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block, block_hash FROM batches WHERE key = ?2),
-             state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL",
-        )?
-        .execute(params![record, batch, RecordState::Mined.code()])?;
+    let sql = "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block, block_hash FROM batches WHERE key = ?2),
+             state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
+    connection.run(sql, params![record, batch, RecordState::Mined.code()])?;
     Ok(())
 }
 
@@ -360,49 +338,154 @@ pub(super) fn submit(
 ) -> Result<(), StoreError> {
     let detail = |detail: &str| StoreError::Transaction { hash: transaction.to_hex(), detail: detail.to_owned() };
     let key = key_of(connection, root)?.ok_or_else(|| detail("anchors a batch that is not in the ledger"))?;
-    let taken = connection
-        .prepare_cached("UPDATE batches SET tx = ?2, account = ?3 WHERE key = ?1 AND tx IS NULL")?
-        .execute(params![key, transaction.0, account.0])?;
+    let sql = "UPDATE batches SET tx = ?2, account = ?3 WHERE key = ?1 AND tx IS NULL";
+    let taken = connection.run(sql, params![key, transaction.0, account.0])?;
     if taken == 0 {
         return Err(detail("anchors a batch that another transaction anchors"));
     }
-    connection
-        .prepare_cached(
-            "UPDATE records SET tx = ?2, state = CASE state WHEN ?3 THEN ?4 ELSE state END
-             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
-        )?
-        .execute(params![key, transaction.0, RecordState::Batched.code(), RecordState::Submitted.code()])?;
+    let sql = "UPDATE records SET tx = ?2, state = CASE state WHEN ?3 THEN ?4 ELSE state END
+             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+    connection.run(sql, params![key, transaction.0, RecordState::Batched.code(), RecordState::Submitted.code()])?;
     Ok(())
 }
 
 /// The transaction will never be mined: unless something else anchored the batch, it waits again.
 pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) -> Result<(), StoreError> {
     let Some(key) = key_of(connection, root)? else { return Ok(()) };
-    let freed = connection
-        .prepare_cached("UPDATE batches SET tx = NULL, account = NULL WHERE key = ?1 AND tx = ?2 AND block IS NULL")?
-        .execute(params![key, transaction.0])?;
+    let sql = "UPDATE batches SET tx = NULL, account = NULL WHERE key = ?1 AND tx = ?2 AND block IS NULL";
+    let freed = connection.run(sql, params![key, transaction.0])?;
     if freed == 0 {
         return Ok(());
     }
-    connection
-        .prepare_cached(
-            "UPDATE records SET tx = NULL, state = CASE state WHEN ?3 THEN ?4 ELSE state END
-             WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
-        )?
-        .execute(params![key, transaction.0, RecordState::Submitted.code(), RecordState::Batched.code()])?;
+    let sql = "UPDATE records SET tx = NULL, state = CASE state WHEN ?3 THEN ?4 ELSE state END
+             WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+    connection.run(sql, params![key, transaction.0, RecordState::Submitted.code(), RecordState::Batched.code()])?;
     Ok(())
 }
 
 /// Blocks from this one on are gone, and batches lose their block. Whichever account anchored them, one of our open
 /// transactions that does so continues.
 pub(super) fn take_back(connection: &Connection, block: i64) -> Result<(), StoreError> {
-    connection
-        .prepare_cached(
-            "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
+    let sql = "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
              (SELECT hash, transactions.account FROM transactions
               WHERE transactions.batch = root AND state = 0 ORDER BY nonce, transactions.key LIMIT 1)
-             WHERE block >= ?1",
-        )?
-        .execute([block])?;
+             WHERE block >= ?1";
+    connection.run(sql, [block])?;
     Ok(())
+}
+
+// Anchors made elsewhere: a record that is here gets the one that another ledger made.
+
+impl Ledger {
+    /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
+    /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
+    ///
+    /// # Errors
+    /// [`StoreError::NotReady`] if the record is unknown here, [`StoreError::Replaced`] if the watcher did not read that
+    /// block, [`StoreError::DiskFull`] and the like.
+    pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
+        self.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
+    }
+}
+
+pub(super) fn take_in(
+    connection: &Connection,
+    digest: Digest,
+    inclusion: &Inclusion,
+    anchor: &RootSighting,
+) -> Result<bool, StoreError> {
+    let found = connection.find("SELECT n, state FROM records WHERE digest = ?1", [digest.0], |row| {
+        Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))
+    })?;
+    let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
+    if !may(By::Batch, state, RecordState::Batched) {
+        return Ok(false);
+    }
+    let batch = batch_of(connection, digest, inclusion, anchor)?;
+    connection.run("DELETE FROM left_places WHERE batch = ?1 AND record = ?2", params![batch, record])?;
+    keep_leaf(connection, record, batch, inclusion)?;
+    connection.run("UPDATE records SET state = ?2 WHERE n = ?1", params![record, RecordState::Batched.code()])?;
+    see_record(connection, record, batch, anchor)?;
+    Ok(true)
+}
+
+/// The key of an anchor's batch, which is noted if it is not known yet.
+fn batch_of(
+    connection: &Connection,
+    digest: Digest,
+    inclusion: &Inclusion,
+    anchor: &RootSighting,
+) -> Result<i64, StoreError> {
+    if !is_read(connection, anchor)? {
+        return Err(StoreError::Replaced { digest, block: anchor.block });
+    }
+    connection.run(
+        "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
+             VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING",
+        params![
+            inclusion.root.0,
+            anchor.account.0,
+            whole("count", inclusion.count)?,
+            whole("time", Timestamp::now().0)?,
+            anchor.transaction.0
+        ],
+    )?;
+    Ok(connection.one("SELECT key FROM batches WHERE root = ?1", [inclusion.root.0], |row| row.get(0))?)
+}
+
+fn keep_leaf(connection: &Connection, record: i64, batch: i64, inclusion: &Inclusion) -> Result<(), StoreError> {
+    let path: Vec<u8> = inclusion.path.iter().flat_map(|step: &Hash| step.0).collect();
+    let sql = "INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)";
+    connection.run(sql, params![record, batch, whole("index", inclusion.index)?, path])?;
+    Ok(())
+}
+
+/// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.
+fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
+    let sql = "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
+                 OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
+    Ok(connection.one(
+        sql,
+        params![whole("block", anchor.block)?, anchor.block_hash.0, whole("block", sightings::DENSE)?],
+        |row| row.get(0),
+    )?)
+}
+
+// What each signer of an owner has recorded, by topic: from the counters, whatever the number of records.
+
+/// The messages of one topic that one key signed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SignerTopic {
+    /// The key.
+    pub signer: SignerId,
+    /// The topic's name, as far as it is known here.
+    pub topic: String,
+    /// Records by state.
+    pub records: BTreeMap<RecordState, u64>,
+}
+
+impl Ledger {
+    /// What keys other than `own` recorded for an owner.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(&format!(
+                "SELECT r.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
+                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                     JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                     WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
+                     GROUP BY r.signer, {TOPIC_NAME}, c.state"
+            ))?;
+            let mut found: BTreeMap<(SignerId, String), BTreeMap<RecordState, u64>> = BTreeMap::new();
+            let mut rows = statement.query(params![owner.0, RecordKind::Data.code(), own.0])?;
+            while let Some(row) = rows.next()? {
+                let place = (SignerId(row.get(0)?), row.get(1)?);
+                found.entry(place).or_default().insert(rows::state(row, 2)?, unsigned(row, 3)?);
+            }
+            let topics = found.into_iter().map(|((signer, topic), records)| SignerTopic { signer, topic, records });
+            Ok(topics.collect())
+        })
+    }
 }

@@ -2,10 +2,12 @@
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
+use super::Ledger;
+use super::database::whole;
 use super::rows::unsigned;
-use super::{Ledger, database::whole};
-use crate::model::{Address, Hash, SignerId};
-use crate::store::StoreError;
+use crate::StoreError;
+use crate::database::Statements as _;
+use crate::model::{Address, Hash, SignerId, Timestamp};
 
 /// The values of `batches.proof`.
 const KEPT: i64 = 1;
@@ -57,17 +59,17 @@ impl Ledger {
     pub fn unproven_batches(&self, up_to_block: u64, limit: usize) -> Result<Vec<UnprovenBatch>, StoreError> {
         let (up_to, limit) = (whole("block", up_to_block)?, i64::try_from(limit).unwrap_or(i64::MAX));
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(
+            let mut batches: Vec<UnprovenBatch> = connection.list(
                 "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
                  WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
                  AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2",
+                params![up_to, limit],
+                |row| {
+                    let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
+                    let (key, block) = (unsigned(row, 0)?, unsigned(row, 3)?);
+                    Ok(UnprovenBatch { key, account, root, block, block_hash, signers: Vec::new() })
+                },
             )?;
-            let rows = statement.query_map(params![up_to, limit], |row| {
-                let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
-                let (key, block) = (unsigned(row, 0)?, unsigned(row, 3)?);
-                Ok(UnprovenBatch { key, account, root, block, block_hash, signers: Vec::new() })
-            })?;
-            let mut batches = rows.collect::<Result<Vec<_>, _>>()?;
             for batch in &mut batches {
                 batch.signers = signers(connection, whole("batch", batch.key)?)?;
             }
@@ -90,10 +92,8 @@ impl Ledger {
         let block = whole("block", block)?;
         self.write(move |session| {
             let connection = session.connection;
-            let before: Option<Vec<u8>> = connection
-                .prepare_cached("SELECT nodes FROM chain_proofs WHERE block = ?1 AND hash = ?2")?
-                .query_row(params![block, hash.0], |row| row.get(0))
-                .optional()?;
+            let sql = "SELECT nodes FROM chain_proofs WHERE block = ?1 AND hash = ?2";
+            let before: Option<Vec<u8>> = connection.find(sql, params![block, hash.0], |row| row.get(0))?;
             let mut keys = before.unwrap_or_default();
             for (name, node) in &nodes {
                 let key = node_key(connection, *name, node)?.to_be_bytes();
@@ -101,9 +101,8 @@ impl Ledger {
                     keys.extend(key);
                 }
             }
-            connection
-                .prepare_cached("REPLACE INTO chain_proofs (block, hash, nodes) VALUES (?1, ?2, ?3)")?
-                .execute(params![block, hash.0, keys])?;
+            let sql = "REPLACE INTO chain_proofs (block, hash, nodes) VALUES (?1, ?2, ?3)";
+            connection.run(sql, params![block, hash.0, keys])?;
             keep_header(connection, block, &header)?;
             let mut mark = connection
                 .prepare_cached("UPDATE batches SET proof = ?2 WHERE key = ?1 AND block = ?3 AND block_hash = ?4")?;
@@ -130,8 +129,7 @@ impl Ledger {
     pub fn chain_header(&self, block: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let block = whole("block", block)?;
         self.read(|connection| {
-            let mut statement = connection.prepare_cached("SELECT header FROM chain_headers WHERE block = ?1")?;
-            Ok(statement.query_row([block], |row| row.get(0)).optional()?)
+            Ok(connection.find("SELECT header FROM chain_headers WHERE block = ?1", [block], |row| row.get(0))?)
         })
     }
 
@@ -158,10 +156,10 @@ impl Ledger {
     pub fn chain_proof(&self, block: u64) -> Result<Option<KeptProof>, StoreError> {
         let block = whole("block", block)?;
         self.read(|connection| {
-            let found: Option<([u8; 32], Vec<u8>)> = connection
-                .prepare_cached("SELECT hash, nodes FROM chain_proofs WHERE block = ?1")?
-                .query_row([block], |row| Ok((row.get(0)?, row.get(1)?)))
-                .optional()?;
+            let found: Option<([u8; 32], Vec<u8>)> =
+                connection.find("SELECT hash, nodes FROM chain_proofs WHERE block = ?1", [block], |row| {
+                    Ok((row.get(0)?, row.get(1)?))
+                })?;
             let Some((hash, keys)) = found else { return Ok(None) };
             let mut find = connection.prepare_cached("SELECT node FROM chain_nodes WHERE key = ?1")?;
             let keys = keys.chunks_exact(8).filter_map(|key| key.try_into().ok().map(i64::from_be_bytes));
@@ -176,46 +174,179 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(
+            Ok(connection.one(
                 "SELECT (SELECT max(block) FROM chain_proofs),
                  (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)",
-            )?;
-            Ok(statement.query_row([], |row| {
-                let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
-                Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
-            })?)
+                [],
+                |row| {
+                    let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
+                    Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
+                },
+            )?)
         })
     }
 }
 
 fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId)>, StoreError> {
-    let mut statement = connection.prepare_cached(
-        "SELECT DISTINCT topics.owner, recorders.signer FROM leaves JOIN records ON records.n = leaves.record
+    let sql = "SELECT DISTINCT topics.owner, recorders.signer FROM leaves JOIN records ON records.n = leaves.record
          JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic
-         JOIN recorders ON recorders.key = topics.recorder WHERE leaves.batch = ?1",
-    )?;
-    let rows = statement.query_map([batch], |row| Ok((Address(row.get(0)?), SignerId(row.get(1)?))))?;
-    Ok(rows.collect::<Result<_, _>>()?)
+         JOIN recorders ON recorders.key = topics.recorder WHERE leaves.batch = ?1";
+    Ok(connection.list(sql, [batch], |row| Ok((Address(row.get(0)?), SignerId(row.get(1)?))))?)
 }
 
 fn keep_header(connection: &Connection, block: i64, header: &[u8]) -> Result<(), StoreError> {
     let sql = "REPLACE INTO chain_headers (block, header) VALUES (?1, ?2)";
-    connection.prepare_cached(sql)?.execute(params![block, header])?;
+    connection.run(sql, params![block, header])?;
     Ok(())
 }
 
 fn node_key(connection: &Connection, hash: Hash, node: &[u8]) -> Result<i64, StoreError> {
-    let known = connection
-        .prepare_cached("SELECT key FROM chain_nodes WHERE hash = ?1")?
-        .query_row([hash.0], |row| row.get(0))
-        .optional()?;
+    let known = connection.find("SELECT key FROM chain_nodes WHERE hash = ?1", [hash.0], |row| row.get(0))?;
     if let Some(key) = known {
         return Ok(key);
     }
-    connection
-        .prepare_cached("INSERT INTO chain_nodes (hash, node) VALUES (?1, ?2)")?
-        .execute(params![hash.0, node])?;
+    connection.run("INSERT INTO chain_nodes (hash, node) VALUES (?1, ?2)", params![hash.0, node])?;
     Ok(connection.last_insert_rowid())
+}
+
+// Stamps of time stamp authorities over roots of batches: what is to be stamped, what waits, what there is.
+
+/// Stamps for which an authority added later is still asked.
+const NEWEST: i64 = 48;
+
+/// Roots under one stamp.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptStamp {
+    /// Its number in this ledger.
+    pub key: u64,
+    /// The roots in their order.
+    pub roots: Vec<Hash>,
+    /// Tokens over them, DER, by their authorities' certificates.
+    pub tokens: Vec<Vec<u8>>,
+}
+
+/// The state of a ledger's stamps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct StampCounts {
+    /// Stamps that at least one authority gave a token for.
+    pub stamped: u64,
+    /// Stamps without any.
+    pub waiting: u64,
+    /// When the newest was begun.
+    pub newest: Option<Timestamp>,
+    /// The end of the newest time in a token.
+    pub before: Option<Timestamp>,
+}
+
+impl Ledger {
+    /// Puts the batches closed since the last time under a new stamp made `at`, the oldest `most` of them; returns how
+    /// many.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then nothing is begun.
+    pub fn begin_stamp(&self, most: usize, at: Timestamp) -> Result<u64, StoreError> {
+        let (most, at) = (i64::try_from(most).unwrap_or(i64::MAX), whole("time", at.0)?);
+        self.write(move |session| {
+            let connection = session.connection;
+            let sql = "SELECT key, root FROM batches WHERE key > coalesce((SELECT max(upto) FROM stamps), 0)
+                       ORDER BY key LIMIT ?1";
+            let found: Vec<(i64, [u8; 32])> = connection
+                .prepare_cached(sql)?
+                .query_map([most], |row| Ok((row.get(0)?, row.get(1)?)))?
+                .collect::<Result<_, _>>()?;
+            let Some((upto, _)) = found.last() else { return Ok(0) };
+            let roots: Vec<u8> = found.iter().flat_map(|(_, root)| *root).collect();
+            connection
+                .run("INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)", params![at, upto, roots])?;
+            let key = connection.last_insert_rowid();
+            let mut add = connection.prepare_cached("INSERT OR IGNORE INTO stamped_roots VALUES (?1, ?2)")?;
+            for (_, root) in &found {
+                add.execute(params![root, key])?;
+            }
+            Ok(u64::try_from(found.len()).unwrap_or(u64::MAX))
+        })
+    }
+
+    /// The oldest stamps to request from this authority: those that nobody stamped, and of the newest ones those that
+    /// others did.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn waiting_stamps(&self, authority: Hash, limit: usize) -> Result<Vec<KeptStamp>, StoreError> {
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let sql = "SELECT key, roots FROM stamps
+                       WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
+                       AND (key > (SELECT max(key) FROM stamps) - ?2
+                            OR NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key))
+                       ORDER BY key LIMIT ?3";
+            Ok(connection.list(sql, params![authority.0, NEWEST, limit], |row| {
+                Ok(KeptStamp { key: unsigned(row, 0)?, roots: hashes(&row.get::<_, Vec<u8>>(1)?), tokens: Vec::new() })
+            })?)
+        })
+    }
+
+    /// Stores an authority's token over a stamp's roots; an existing one stays.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then it is requested again.
+    pub fn keep_token(&self, stamp: u64, authority: Hash, before: Timestamp, token: Vec<u8>) -> Result<(), StoreError> {
+        let (stamp, before) = (whole("stamp", stamp)?, whole("time", before.0)?);
+        self.write(move |session| {
+            let sql = "INSERT OR IGNORE INTO stamp_tokens VALUES (?1, ?2, ?3, ?4)";
+            session.connection.run(sql, params![stamp, authority.0, before, token])?;
+            Ok(())
+        })
+    }
+
+    /// The number of the stamp that a root is under.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn stamp_of(&self, root: Hash) -> Result<Option<u64>, StoreError> {
+        self.read(|connection| {
+            Ok(connection.find("SELECT stamp FROM stamped_roots WHERE root = ?1", [root.0], |row| unsigned(row, 0))?)
+        })
+    }
+
+    /// A stamp with its tokens.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn stamp(&self, key: u64) -> Result<Option<KeptStamp>, StoreError> {
+        let number = whole("stamp", key)?;
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT roots FROM stamps WHERE key = ?1")?;
+            let roots = statement.query_row([number], |row| row.get::<_, Vec<u8>>(0)).optional()?;
+            let Some(roots) = roots else { return Ok(None) };
+            let mut statement =
+                connection.prepare_cached("SELECT token FROM stamp_tokens WHERE stamp = ?1 ORDER BY authority")?;
+            let tokens = statement.query_map([number], |row| row.get(0))?.collect::<Result<_, _>>()?;
+            Ok(Some(KeptStamp { key, roots: hashes(&roots), tokens }))
+        })
+    }
+
+    /// The state of the stamps.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn stamp_counts(&self) -> Result<StampCounts, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
+                       (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
+            Ok(connection.one(sql, [], |row| {
+                let time = |at| {
+                    Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(at)?.map(|at| Timestamp(at.cast_unsigned())))
+                };
+                let (all, stamped) = (unsigned(row, 0)?, unsigned(row, 1)?);
+                Ok(StampCounts { stamped, waiting: all.saturating_sub(stamped), newest: time(2)?, before: time(3)? })
+            })?)
+        })
+    }
+}
+
+fn hashes(bytes: &[u8]) -> Vec<Hash> {
+    bytes.chunks_exact(Hash::LENGTH).filter_map(Hash::from_slice).collect()
 }
 
 #[cfg(test)]
@@ -223,7 +354,7 @@ mod tests {
     use super::super::tests::numbered as record;
     use super::*;
     use crate::model::Digest;
-    use crate::store::{NewBatch, RootSighting};
+    use crate::{NewBatch, RootSighting};
 
     const ACCOUNT: Address = Address([1; 20]);
 
@@ -299,5 +430,51 @@ mod tests {
         // The proof of a block in which it is no longer changes nothing for it.
         ledger.keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
         assert_eq!(blocks(&ledger, 9), [8]);
+    }
+}
+
+#[cfg(test)]
+mod stamps_tests {
+    use super::*;
+    use crate::NewBatch;
+    use crate::ledger::tests::numbered as record;
+    use crate::model::{Address, Digest};
+
+    fn close(ledger: &Ledger, number: u8) {
+        ledger.append(vec![record(number)]).expect("acknowledged");
+        let leaves = vec![(Digest([number; 32]), Vec::new())];
+        ledger.close_batch(NewBatch { owner: Address([1; 20]), root: Hash([number; 32]), leaves }).expect("closed");
+    }
+
+    #[test]
+    fn each_batch_is_put_under_one_stamp_and_waits_there_for_tokens() {
+        let home = tempfile::tempdir().expect("folder");
+        let path = home.path().join("ledger.db");
+        let ledger = Ledger::open(&path).expect("opens");
+        let begin = |most| ledger.begin_stamp(most, Timestamp(40));
+        assert_eq!((begin(9), ledger.stamp_counts()), (Ok(0), Ok(StampCounts::default())));
+        (1..=3).for_each(|number| close(&ledger, number));
+        assert_eq!([begin(2), begin(2), begin(2)], [Ok(2), Ok(1), Ok(0)]);
+        let (one, other) = (Hash([0xa; 32]), Hash([0xb; 32]));
+        let waiting = |authority| -> Vec<Vec<u8>> {
+            let stamps = ledger.waiting_stamps(authority, 9).expect("read");
+            stamps.iter().map(|stamp| stamp.roots.iter().map(|root| root.0[0]).collect()).collect()
+        };
+        assert_eq!(waiting(one), [vec![1, 2], vec![3]]);
+        let key = ledger.stamp_of(Hash([2; 32])).expect("read").expect("stamped");
+        ledger.keep_token(key, one, Timestamp(50), vec![7]).expect("kept");
+        ledger.keep_token(key, one, Timestamp(60), vec![8]).expect("the first stays");
+        assert_eq!((waiting(one), waiting(other)), (vec![vec![3]], vec![vec![1, 2], vec![3]]));
+        let counts = ledger.stamp_counts().expect("read");
+        assert_eq!((counts.stamped, counts.waiting, counts.before), (1, 1, Some(Timestamp(50))));
+        // Another process, later.
+        ledger.close().expect("closed");
+        let ledger = Ledger::open(&path).expect("opens");
+        let stamp = ledger.stamp(key).expect("read").expect("kept");
+        assert_eq!((stamp.roots, stamp.tokens), (vec![Hash([1; 32]), Hash([2; 32])], vec![vec![7]]));
+        assert_eq!((ledger.stamp_of(Hash([9; 32])), ledger.stamp(99)), (Ok(None), Ok(None)));
+        close(&ledger, 4);
+        assert_eq!(ledger.begin_stamp(9, Timestamp(70)), Ok(1));
+        assert_eq!(ledger.stamp_counts().expect("read").newest, Some(Timestamp(70)));
     }
 }

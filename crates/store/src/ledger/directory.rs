@@ -4,11 +4,14 @@
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
+use super::Ledger;
+use super::append::count;
+use super::rows::{self, By, may, unsigned};
 use super::writer::Session;
-use super::{Ledger, rows::unsigned};
-use crate::model::{Address, Domain, Token};
-use crate::store::StoreError;
-use crate::store::database::whole;
+use crate::StoreError;
+use crate::chain::merkle::Leaf;
+use crate::database::{Statements as _, whole};
+use crate::model::{Address, Digest, Domain, RecordState, RecorderId, SignerId, Token, TopicId};
 
 /// The subject of an event, as far as it matters here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -107,9 +110,7 @@ impl Ledger {
     pub fn bind_contract(&self, domain: Domain) -> Result<(), StoreError> {
         self.write(move |session| {
             let connection = session.connection;
-            connection
-                .prepare_cached("INSERT INTO contract VALUES (1, ?1, 0, -1) ON CONFLICT DO NOTHING")?
-                .execute([domain.0])?;
+            connection.run("INSERT INTO contract VALUES (1, ?1, 0, -1) ON CONFLICT DO NOTHING", [domain.0])?;
             let bound = connection.query_row("SELECT domain FROM contract", [], |row| row.get(0).map(Domain))?;
             if bound == domain { Ok(()) } else { Err(StoreError::Bound { bound, domain }) }
         })
@@ -169,9 +170,9 @@ impl Ledger {
                 "UPDATE rights SET replaced = NULL WHERE replaced >= ?1",
                 "UPDATE rights SET revoked = NULL, revoked_at = NULL WHERE revoked_at >= ?1",
             ] {
-                connection.prepare_cached(sql)?.execute([from])?;
+                connection.run(sql, [from])?;
             }
-            connection.prepare_cached(UP_TO)?.execute([from - 1, WHOLE_BLOCK])?;
+            connection.run(UP_TO, [from - 1, WHOLE_BLOCK])?;
             Ok(())
         })
     }
@@ -214,7 +215,7 @@ impl Ledger {
     pub fn forget_rights(&self) -> Result<(), StoreError> {
         self.write_many(super::writer::MANY + 1, move |session| {
             session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
-            session.connection.prepare_cached(UP_TO)?.execute([0, -1])?;
+            session.connection.run(UP_TO, [0, -1])?;
             Ok(())
         })
     }
@@ -265,11 +266,9 @@ impl Ledger {
                  WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
                  ORDER BY r.block, r.place"
             );
-            let mut statement = connection.prepare_cached(&sql)?;
-            let found = statement.query_map(params![owner.0, grantee.0, asked], |row| {
+            Ok(connection.list(&sql, params![owner.0, grantee.0, asked], |row| {
                 Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-            })?;
-            Ok(found.collect::<Result<_, _>>()?)
+            })?)
         })
     }
 
@@ -283,11 +282,9 @@ impl Ledger {
             let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
                        JOIN envelopes e ON e.block = r.block AND e.place = r.place
                        WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
-            let mut statement = connection.prepare_cached(sql)?;
-            let found = statement.query_map(params![owner.0, from, to], |row| {
+            Ok(connection.list(sql, params![owner.0, from, to], |row| {
                 Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-            })?;
-            Ok(found.collect::<Result<_, _>>()?)
+            })?)
         })
     }
 
@@ -299,7 +296,7 @@ impl Ledger {
         let at = (whole("block", block)?, whole("place", place)?);
         self.read(|connection| {
             let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
-            Ok(connection.prepare_cached(sql)?.query_row([at.0, at.1], |row| row.get(0)).optional()?)
+            Ok(connection.find(sql, [at.0, at.1], |row| row.get(0))?)
         })
     }
 
@@ -313,8 +310,7 @@ impl Ledger {
             let sql = "SELECT token FROM rights INDEXED BY rights_tokens
                        WHERE owner = ?1 AND epoch = ?2 AND token IS NOT NULL
                        ORDER BY block, place LIMIT 1";
-            let mut statement = connection.prepare_cached(sql)?;
-            Ok(statement.query_row(params![owner.0, epoch], |row| row.get(0).map(Token)).optional()?)
+            Ok(connection.find(sql, params![owner.0, epoch], |row| row.get(0).map(Token))?)
         })
     }
 
@@ -326,7 +322,7 @@ impl Ledger {
         self.read(|connection| {
             let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens
                        WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
-            Ok(connection.prepare_cached(sql)?.exists(params![owner.0, token.0])?)
+            Ok(connection.has(sql, params![owner.0, token.0])?)
         })
     }
 }
@@ -338,8 +334,7 @@ fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
 
 /// Block and index of the last event stored; (0, -1) before the first.
 fn last_event(connection: &Connection) -> Result<(i64, i64), StoreError> {
-    let mut statement = connection.prepare_cached("SELECT block, place FROM contract")?;
-    let found = statement.query_row([], |row| Ok((row.get(0)?, row.get(1)?)));
+    let found = connection.one("SELECT block, place FROM contract", [], |row| Ok((row.get(0)?, row.get(1)?)));
     Ok(found.optional()?.unwrap_or((0, -1)))
 }
 
@@ -355,7 +350,7 @@ fn keep_all(session: &Session<'_>, events: &[RightEvent]) -> Result<(), StoreErr
         keep_one(connection, event)?;
         (block, place) = at;
     }
-    connection.prepare_cached(UP_TO)?.execute([block, place])?;
+    connection.run(UP_TO, [block, place])?;
     Ok(())
 }
 
@@ -365,13 +360,13 @@ fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreEr
     let [extended, begun, revoked] = ENDING;
     match (event.kind, event.grantee) {
         (RightKind::Extension, Some(grantee)) => {
-            connection.prepare_cached(extended)?.execute(params![owner.0, grantee.0, block])?;
+            connection.run(extended, params![owner.0, grantee.0, block])?;
         }
         (RightKind::Epoch, grantee) => {
-            connection.prepare_cached(begun)?.execute(params![owner.0, block])?;
+            connection.run(begun, params![owner.0, block])?;
             let epoch = whole("epoch", event.epoch.unwrap_or(0))?;
             if let Some(grantee) = grantee {
-                connection.prepare_cached(revoked)?.execute(params![owner.0, grantee.0, block, epoch])?;
+                connection.run(revoked, params![owner.0, grantee.0, block, epoch])?;
             }
         }
         _ => {}
@@ -382,12 +377,10 @@ fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreEr
 fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
     let (block, place) = (whole("block", event.block)?, whole("place", event.place)?);
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
-    connection
-        .prepare_cached(
-            "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
+    connection.run(
+        "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
-        )?
-        .execute(params![
+        params![
             block,
             place,
             event.kind as i64,
@@ -397,11 +390,214 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
             event.token.map(|token| token.0),
             event.event,
             (event.kind == RightKind::Own).then_some(block),
-        ])?;
+        ],
+    )?;
     if let Some(envelope) = &event.envelope {
-        connection
-            .prepare_cached("INSERT INTO envelopes VALUES (?1, ?2, ?3)")?
-            .execute(params![block, place, envelope])?;
+        connection.run("INSERT INTO envelopes VALUES (?1, ?2, ?3)", params![block, place, envelope])?;
     }
     Ok(())
+}
+
+// Records whose signer may not sign for its owner wait here, and anchors that do not count are ignored. The ledger
+// does not know who has which right; its callers do.
+
+/// The most records moved in one commit.
+const MOST: usize = 8192;
+
+/// A signer with records still to be anchored by an account.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WaitingSigner {
+    /// The owner it signed for.
+    pub owner: Address,
+    /// The key's id.
+    pub signer: SignerId,
+    /// Some of them are waiting for the right.
+    pub held: bool,
+    /// Some of them are ready to be anchored.
+    pub ready: bool,
+}
+
+/// The streams of one signer and owner that an account anchors.
+const STREAMS: &str =
+    "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+     WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
+
+impl Ledger {
+    /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
+                 FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                 JOIN counters c ON c.stream = s.key
+                 WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
+                 GROUP BY t.owner, r.signer",
+            )?;
+            let [held, stored, batched] =
+                [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
+            let found = statement.query_map(params![keeper.0, held, stored, batched], |row| {
+                let (owner, signer) = (Address(row.get(0)?), SignerId(row.get(1)?));
+                Ok(WaitingSigner { owner, signer, held: row.get(2)?, ready: row.get(3)? })
+            })?;
+            Ok(found.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// A signer's right has ended: those of its records that no transaction anchors now wait. Unsent batches that
+    /// contain one of them are dissolved, and their other records are stored again. Returns how many records began to
+    /// wait; 0 once all do.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is moved.
+    pub fn hold_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
+        self.write_many(MOST, move |session| {
+            for batch in unsent_batches(session.connection, keeper, owner, signer)? {
+                dissolve(session.connection, batch)?;
+            }
+            shift(session.connection, (keeper, owner, signer), RecordState::Stored, RecordState::RightEnded)
+        })
+    }
+
+    /// A signer's right is back: its records are stored, and anchored like all others. Returns how many; 0 once none
+    /// waits any more.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is moved.
+    pub fn free_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
+        self.write_many(MOST, move |session| {
+            shift(session.connection, (keeper, owner, signer), RecordState::RightEnded, RecordState::Stored)
+        })
+    }
+
+    /// The blocks of these confirmed records do not count, because their signers had no right at that time: they leave
+    /// their batches and are stored, to be anchored again. Returns how many were confirmed.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is moved.
+    pub fn pass_over(&self, digests: &[Digest]) -> Result<u64, StoreError> {
+        let digests = digests.to_vec();
+        self.write_many(digests.len(), move |session| {
+            digests.iter().try_fold(0, |moved, digest| Ok(moved + pass_over_one(session.connection, *digest)?))
+        })
+    }
+
+    /// Whether the chain has this record in a block that does not count; it is not uploaded individually again, because
+    /// the contract accepts that only once.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn was_passed_over(&self, digest: Digest) -> Result<bool, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT 1 FROM passed_over JOIN records ON n = record WHERE digest = ?1";
+            Ok(connection.has(sql, [digest.0])?)
+        })
+    }
+
+    /// Stored records that an account anchors and whose blocks were ignored, as leaves.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
+                 JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
+                 JOIN recorders ON recorders.key = topics.recorder
+                 WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3",
+            )?;
+            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+            let found = statement.query_map(params![keeper.0, RecordState::Stored.code(), limit], |row| {
+                let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
+                let (seq, digest, owner) = (rows::unsigned(row, 2)?, Digest(row.get(3)?), Address(row.get(4)?));
+                let signer = SignerId(row.get(5)?);
+                Ok(Leaf { owner, signer, recorder, topic_id, seq, digest })
+            })?;
+            Ok(found.collect::<Result<_, _>>()?)
+        })
+    }
+}
+
+/// Moves up to [`MOST`] records of a signer.
+fn shift(
+    connection: &Connection,
+    (keeper, owner, signer): (Address, Address, SignerId),
+    from: RecordState,
+    to: RecordState,
+) -> Result<u64, StoreError> {
+    if !may(By::Right, from, to) {
+        return Err(StoreError::IllegalEdge { from, to });
+    }
+    let sql = format!(
+        "UPDATE records SET state = ?5 WHERE n IN (SELECT n FROM records INDEXED BY records_by_state
+         WHERE state = ?4 AND stream IN ({STREAMS}) LIMIT {MOST})"
+    );
+    let values = params![keeper.0, owner.0, signer.0, from.code(), to.code()];
+    Ok(count(connection.run(&sql, values)?))
+}
+
+/// Closed, unsent batches that contain records of a signer.
+fn unsent_batches(
+    connection: &Connection,
+    keeper: Address,
+    owner: Address,
+    signer: SignerId,
+) -> Result<Vec<i64>, StoreError> {
+    let sql = format!(
+        "SELECT DISTINCT batch FROM records INDEXED BY records_by_state JOIN leaves ON record = n
+         JOIN batches ON key = batch WHERE state = ?4 AND stream IN ({STREAMS})
+         AND batches.tx IS NULL AND batches.block IS NULL"
+    );
+    let mut statement = connection.prepare_cached(&sql)?;
+    let values = params![keeper.0, owner.0, signer.0, RecordState::Batched.code()];
+    let found = statement.query_map(values, |row| row.get(0))?;
+    Ok(found.collect::<Result<_, _>>()?)
+}
+
+/// An unsent batch is dissolved; its root stays known as this ledger's.
+fn dissolve(connection: &Connection, batch: i64) -> Result<(), StoreError> {
+    let [batched, stored] = [RecordState::Batched, RecordState::Stored];
+    if !may(By::Right, batched, stored) {
+        return Err(StoreError::IllegalEdge { from: batched, to: stored });
+    }
+    let sql = "UPDATE records SET state = ?3 WHERE state = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+    connection.run(sql, params![batch, batched.code(), stored.code()])?;
+    connection.run("REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE batch = ?1", [batch])?;
+    connection.run("DELETE FROM leaves WHERE batch = ?1", [batch])?;
+    Ok(())
+}
+
+fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreError> {
+    let [confirmed, stored] = [RecordState::Confirmed, RecordState::Stored];
+    if !may(By::Right, confirmed, stored) {
+        return Err(StoreError::IllegalEdge { from: confirmed, to: stored });
+    }
+    let sql = "SELECT n FROM records WHERE digest = ?1 AND state = ?2 AND block IS NOT NULL";
+    let found: Option<i64> = connection.find(sql, params![digest.0, confirmed.code()], |row| row.get(0))?;
+    let Some(record) = found else { return Ok(0) };
+    for step in [
+        "REPLACE INTO passed_over SELECT n, tx, block FROM records WHERE n = ?1",
+        "REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE record = ?1",
+        "DELETE FROM leaves WHERE record = ?1",
+    ] {
+        connection.run(step, [record])?;
+    }
+    let sql = "UPDATE records SET state = ?2, tx = NULL, block = NULL, block_hash = NULL WHERE n = ?1";
+    connection.run(sql, params![record, stored.code()])?;
+    Ok(1)
+}
+
+/// A batch that all its records left is closed over the same ones again: it waits, as if it had never been sent.
+pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, StoreError> {
+    let in_use = connection.has("SELECT 1 FROM leaves WHERE batch = ?1", [batch])?;
+    if in_use {
+        return Ok(false);
+    }
+    connection.run("DELETE FROM left_places WHERE batch = ?1", [batch])?;
+    let sql = "UPDATE batches SET tx = NULL, account = NULL, block = NULL, block_hash = NULL, closed_here = 1
+             WHERE key = ?1";
+    connection.run(sql, [batch])?;
+    Ok(true)
 }

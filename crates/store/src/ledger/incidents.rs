@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::count;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use super::{Ledger, database::whole};
+use crate::StoreError;
+use crate::database::Statements as _;
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
-use crate::store::StoreError;
 
 /// The scope of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -123,9 +124,8 @@ impl Ledger {
         self.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
                        ORDER BY since, key";
-            let mut statement = connection.prepare_cached(sql)?;
-            let rows = statement.query_map([owner.0], |row| Ok((row.get(0)?, incident(row)?)))?;
-            let rows: Vec<(i64, IncidentRow)> = rows.collect::<Result<_, _>>()?;
+            let rows: Vec<(i64, IncidentRow)> =
+                connection.list(sql, [owner.0], |row| Ok((row.get(0)?, incident(row)?)))?;
             rows.into_iter().map(|(key, row)| whole_of(connection, key, row)).collect()
         })
     }
@@ -138,10 +138,8 @@ impl Ledger {
         self.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
                        WHERE owner = ?1 AND name = ?2";
-            let found = connection
-                .prepare_cached(sql)?
-                .query_row(params![owner.0, name.as_str()], |row| Ok((row.get(0)?, incident(row)?)))
-                .optional()?;
+            let found =
+                connection.find(sql, params![owner.0, name.as_str()], |row| Ok((row.get(0)?, incident(row)?)))?;
             found.map(|(key, row)| whole_of(connection, key, row)).transpose()
         })
     }
@@ -229,7 +227,7 @@ impl Ledger {
                        AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
             let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
             let values = params![topic, kind, dropped, bound(since), bound(until)];
-            Ok(connection.prepare_cached(sql)?.query_row(values, |row| unsigned(row, 0))?)
+            Ok(connection.one(sql, values, |row| unsigned(row, 0))?)
         })
     }
 }
@@ -274,8 +272,7 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
          AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
     );
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
-    let mut statement = connection.prepare_cached(&sql)?;
-    let rows = statement.query_map(params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {
+    Ok(connection.list(&sql, params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {
         let (topic, records) = (row.get(0)?, unsigned(row, 2)?);
         if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {
             return Ok(SpanCoverage { topic, quarantined: records, ..SpanCoverage::default() });
@@ -289,18 +286,15 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
             deleted: unsigned(row, 6)?,
             ..SpanCoverage::default()
         })
-    })?;
-    Ok(rows.collect::<Result<_, _>>()?)
+    })?)
 }
 
 /// Messages of each topic that were lost in stretches of time that overlap the span.
 fn losses(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = "SELECT topic, sum(count) FROM gaps WHERE owner = ?1 AND last_at >= ?2 AND first_at < ?3 GROUP BY topic";
-    let mut statement = connection.prepare_cached(sql)?;
-    let rows = statement.query_map(params![owner.0, bound(span.since), end(span)], |row| {
+    Ok(connection.list(sql, params![owner.0, bound(span.since), end(span)], |row| {
         Ok(SpanCoverage { topic: row.get(0)?, lost: unsigned(row, 1)?, ..SpanCoverage::default() })
-    })?;
-    Ok(rows.collect::<Result<_, _>>()?)
+    })?)
 }
 
 fn bound(at: Timestamp) -> i64 {

@@ -5,11 +5,13 @@ use std::collections::HashMap;
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
+use super::Ledger;
+use super::database::whole;
 use super::rows::{self, RecordRow, Stream, unsigned};
-use super::{Ledger, database::whole};
+use crate::StoreError;
 use crate::chain::merkle::Inclusion;
-use crate::model::{Address, Digest, FilterId, Hash, RecorderId, SignerId, Timestamp, TopicId, clean};
-use crate::store::StoreError;
+use crate::database::Statements as _;
+use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
 /// The setting that records the state of a restored ledger's backup.
 pub(super) const COPIED_AT: &str = "copied-at";
@@ -179,9 +181,7 @@ impl Ledger {
                 "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
                        + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
                        account, tx, block, block_hash, closed_here FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
-            let mut statement = connection.prepare_cached(sql)?;
-            let rows = statement.query_map(params![after, limit], batch)?;
-            Ok(rows.collect::<Result<_, _>>()?)
+            Ok(connection.list(sql, params![after, limit], batch)?)
         })
     }
 
@@ -231,7 +231,7 @@ impl Ledger {
     pub fn size(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
             let sql = "SELECT coalesce(sum(records), 0) FROM counters";
-            Ok(connection.prepare_cached(sql)?.query_row([], |row| unsigned(row, 0))?)
+            Ok(connection.one(sql, [], |row| unsigned(row, 0))?)
         })
     }
 
@@ -241,9 +241,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached("SELECT DISTINCT account FROM transactions")?;
-            let rows = statement.query_map([], |row| row.get(0).map(Address))?;
-            Ok(rows.collect::<Result<_, _>>()?)
+            Ok(connection.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))?)
         })
     }
 
@@ -254,7 +252,7 @@ impl Ledger {
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
         self.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
-            Ok(connection.prepare_cached(sql)?.query_row([account.0], |row| row.get(0))?)
+            Ok(connection.one(sql, [account.0], |row| row.get(0))?)
         })
     }
 
@@ -269,9 +267,7 @@ impl Ledger {
                         (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
                          FROM records) WHERE captured_at + 5000000000 < before GROUP BY topic)
                        JOIN topics ON topics.key = topic ORDER BY topics.key";
-            let mut statement = connection.prepare_cached(sql)?;
-            let rows = statement.query_map([], |row| Ok((row.get(0)?, unsigned(row, 1)?)))?;
-            Ok(rows.collect::<Result<_, _>>()?)
+            Ok(connection.list(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))?)
         })
     }
 
@@ -292,8 +288,7 @@ impl Ledger {
                        JOIN recorders ON recorders.key = topics.recorder
                        WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
                        AND recorders.signer = ?5";
-            let mut statement = connection.prepare_cached(sql)?;
-            let digest = statement.query_row(params![owner.0, recorder.0, topic.0, number, signer.0], |row| row.get(0));
+            let digest = connection.one(sql, params![owner.0, recorder.0, topic.0, number, signer.0], |row| row.get(0));
             Ok(digest.optional()?.map(Digest))
         })
     }
@@ -308,8 +303,7 @@ impl Ledger {
                        FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
                        JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
                        ORDER BY topics.key";
-            let mut statement = connection.prepare_cached(sql)?;
-            let rows = statement.query_map([], |row| {
+            Ok(connection.list(sql, [], |row| {
                 Ok(Sequence {
                     key: row.get(0)?,
                     owner: Address(row.get(1)?),
@@ -321,8 +315,7 @@ impl Ledger {
                     recorder: RecorderId(row.get(7)?),
                     signer: SignerId(row.get(8)?),
                 })
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
+            })?)
         })
     }
 
@@ -414,4 +407,126 @@ fn absent(
 
 fn hashes(found: Vec<[u8; 32]>) -> Vec<Hash> {
     found.into_iter().map(Hash).collect()
+}
+
+// Whether the ledger's tables agree with each other: checked after an unclean shutdown, and when a home is examined.
+
+/// A query that must find nothing, and the meaning if it does.
+const RULES: [(&str, &str); 5] = [
+    (
+        "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
+         LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
+         WHERE coalesce(c.records, 0) <> found.rows",
+        "counts per state do not match the records",
+    ),
+    (
+        "SELECT count(*) FROM (SELECT stream, sum(records) AS rows FROM counters GROUP BY stream) held
+         JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
+        "streams have fewer or more records than were stored",
+    ),
+    (
+        "SELECT count(*) FROM records WHERE stream NOT IN (SELECT key FROM streams)
+         OR topic NOT IN (SELECT key FROM topics)",
+        "records without a topic",
+    ),
+    (
+        "SELECT count(*) FROM leaves WHERE batch NOT IN (SELECT key FROM batches)
+         OR record NOT IN (SELECT n FROM records)",
+        "batch positions without a batch or record",
+    ),
+    (
+        "SELECT count(*) FROM records WHERE state = 1 AND n NOT IN (SELECT record FROM copies)",
+        "sealed records lack their local copies",
+    ),
+];
+
+impl Ledger {
+    /// Whether the previous process closed it. If not, the file's structure was checked on opening.
+    pub fn ended_cleanly(&self) -> bool {
+        self.shared.clean
+    }
+
+    /// Contradictions in its tables, in words; takes about a second per million records.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
+        self.read(|connection| {
+            let found = RULES.iter().map(|(sql, text)| {
+                let count: i64 = connection.query_row(sql, [], |row| row.get(0))?;
+                Ok((count > 0).then(|| format!("{count} {text}")))
+            });
+            found.filter_map(Result::transpose).collect()
+        })
+    }
+
+    /// The records acknowledged last, at most `limit`, that should be in the vault and were not deleted by retention.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| newest(connection, limit))
+    }
+}
+
+fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
+    let mut statement = connection.prepare_cached(
+        "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
+         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
+    )?;
+    let states = (RecordState::Stored.code(), RecordState::Verified.code());
+    let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+    let values = (states.0, states.1, limit, RecordState::RightEnded.code());
+    let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+#[cfg(test)]
+mod integrity_tests {
+    use super::*;
+
+    #[test]
+    fn who_only_reads_writes_nothing() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("ledger.db");
+        Ledger::open(&path).and_then(Ledger::close).expect("made");
+        let found = || {
+            let about = std::fs::metadata(&path).expect("there");
+            let others = std::fs::read_dir(home.path()).expect("a folder").count();
+            (std::fs::read(&path).expect("read"), about.modified().expect("a time"), others)
+        };
+        let before = found();
+        let ledger = Ledger::open(&path).expect("opens");
+        assert_eq!(ledger.contradictions(), Ok(Vec::new()));
+        assert_eq!(ledger.confirm(9).expect("nothing to confirm"), Vec::new());
+        ledger.close().expect("closed");
+        assert!(before == found(), "neither its bytes nor its time");
+    }
+
+    #[test]
+    fn an_empty_ledger_is_sound_and_an_unclean_end_is_known() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("ledger.db");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert_eq!((ledger.ended_cleanly(), ledger.contradictions()), (true, Ok(Vec::new())));
+        drop(ledger);
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(!ledger.ended_cleanly());
+        ledger.close().expect("closed");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(ledger.ended_cleanly());
+        ledger.put_setting("a", "b").expect("written");
+        drop(ledger);
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(!ledger.ended_cleanly(), "the first change marked it as open");
+        ledger.close().expect("closed");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert!(ledger.ended_cleanly());
+        let lost = "INSERT INTO intake VALUES (7, 3); INSERT INTO counters VALUES (7, 2, 2, 9);
+                    INSERT INTO leaves VALUES (1, 1, 0, x'')";
+        ledger.write(|session| Ok(session.connection.execute_batch(lost)?)).expect("written");
+        let found = ledger.contradictions().expect("read");
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert!(found[0].contains("were stored") && found[1].contains("batch positions"), "{found:?}");
+    }
 }

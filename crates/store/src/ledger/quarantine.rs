@@ -1,14 +1,15 @@
-//! Quarantined records: acknowledged like others, counted in quarantine records, released or discarded.
+//! What was not kept as it came: records held back, publishers that are pinned or raised an alarm, and gaps.
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::{add, count};
-use super::edges::{By, may};
-use super::rows::{self, RecordRow, unsigned};
-use super::{Ledger, NewRecord, database::whole};
-use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
-use crate::store::StoreError;
+use super::database::whole;
+use super::rows::{self, By, RecordRow, may, unsigned};
+use super::{Ledger, NewRecord};
+use crate::StoreError;
+use crate::database::Statements as _;
+use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
 
 /// Nanoseconds in a minute.
 const MINUTE: i64 = 60_000_000_000;
@@ -119,16 +120,12 @@ impl Ledger {
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
         let before = i64::try_from(before).unwrap_or(i64::MAX);
         self.read(|connection| {
-            let first = connection
-                .prepare_cached(
-                    "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
+            let sql = "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
                      CROSS JOIN records ON n = record JOIN topics ON key = topic
-                     WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1",
-                )?
-                .query_row(params![before, owner.0], |row| {
-                    Ok((row.get::<_, i64>(0)?, TopicId(row.get(1)?), row.get::<_, String>(2)?, unsigned(row, 3)?))
-                })
-                .optional()?;
+                     WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1";
+            let first = connection.find(sql, params![before, owner.0], |row| {
+                Ok((row.get::<_, i64>(0)?, TopicId(row.get(1)?), row.get::<_, String>(2)?, unsigned(row, 3)?))
+            })?;
             let Some((key, topic_id, topic, minute)) = first else { return Ok(None) };
             let mut statement = connection.prepare_cached(
                 "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
@@ -196,8 +193,7 @@ impl Ledger {
                 let mut moved = 0;
                 for (to, condition) in &ways {
                     let sql = format!("UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND {condition}");
-                    moved +=
-                        count(connection.prepare_cached(&sql)?.execute(params![digest.0, from.code(), to.code()])?);
+                    moved += count(connection.run(&sql, params![digest.0, from.code(), to.code()])?);
                 }
                 if moved > 0 {
                     note(connection, *digest, decision, now)?;
@@ -210,15 +206,13 @@ impl Ledger {
 }
 
 fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
+    let sql = "INSERT INTO held (record, minute, reason, publisher)
+             SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING";
     let held = connection
-        .prepare_cached(
-            "INSERT INTO held (record, minute, reason, publisher)
-             SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING",
-        )?
-        .execute(params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE])?;
+        .run(sql, params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE])?;
     let known = || {
         let sql = "SELECT 1 FROM held JOIN records ON n = record WHERE digest = ?1";
-        connection.prepare_cached(sql)?.exists([hold.digest.0])
+        connection.has(sql, [hold.digest.0])
     };
     if held == 0 && !known()? {
         return Err(StoreError::NotReady { digest: hold.digest, found: "not quarantined" });
@@ -227,14 +221,11 @@ fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
 }
 
 fn note(connection: &Connection, digest: Digest, decision: &str, now: i64) -> Result<(), StoreError> {
-    connection
-        .prepare_cached(
-            "UPDATE held SET decision = ?2, decided_at = ?3 WHERE record = (SELECT n FROM records WHERE digest = ?1)",
-        )?
-        .execute(params![digest.0, decision, now])?;
+    let sql = "UPDATE held SET decision = ?2, decided_at = ?3 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+    connection.run(sql, params![digest.0, decision, now])?;
     if decision == "discarded" {
         let sql = "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-        connection.prepare_cached(sql)?.execute([digest.0])?;
+        connection.run(sql, [digest.0])?;
     }
     Ok(())
 }
@@ -243,5 +234,408 @@ impl HeldRow {
     /// Whether it is a captured message rather than a definition.
     pub fn is_message(&self) -> bool {
         self.record.kind == RecordKind::Data
+    }
+}
+
+// Pinned publishers of topics, and the alarms raised about others.
+
+/// A pinned publisher.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PinRow {
+    /// The topic.
+    pub topic: String,
+    /// The publisher.
+    pub publisher: Publisher,
+    /// `first` (first seen), or `operator`.
+    pub source: String,
+    /// When it was pinned.
+    pub at: Timestamp,
+}
+
+/// An alarm about a publisher.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlarmRow {
+    /// The topic.
+    pub topic: String,
+    /// Its publisher, written as in pins, or a URI. Untrusted text: clean it.
+    pub publisher: String,
+    /// The name of the doubt.
+    pub reason: String,
+    /// When it was raised.
+    pub at: Timestamp,
+    /// Whether the operator has yet to decide.
+    pub open: bool,
+}
+
+impl Ledger {
+    /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is pinned.
+    pub fn pin(
+        &self,
+        owner: Address,
+        topic: &str,
+        publishers: &[Publisher],
+        source: &'static str,
+    ) -> Result<(), StoreError> {
+        let (topic, publishers) = (topic.to_owned(), publishers.to_vec());
+        self.write(move |session| {
+            let connection = session.connection;
+            connection.execute("INSERT OR IGNORE INTO pinned_topics VALUES (?1, ?2)", params![owner.0, topic])?;
+            let now = whole("time", Timestamp::now().0)?;
+            publishers.iter().try_for_each(|publisher| pin(connection, owner, &topic, publisher, (source, now)))
+        })
+    }
+
+    /// Removes every pin of a caller id on a topic; returns how many there were.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is removed.
+    pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
+        let (topic, caller_id) = (topic.to_owned(), caller_id.to_owned());
+        self.write(move |session| {
+            let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3";
+            Ok(count(session.connection.execute(sql, params![owner.0, topic, caller_id])?))
+        })
+    }
+
+    /// The pins of an owner, of one topic or of all.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn pins(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
+                 WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
+            Ok(connection.list(sql, params![owner.0, topic], pin_row)?)
+        })
+    }
+
+    /// Whether a topic ever had pins.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn was_pinned(&self, owner: Address, topic: &str) -> Result<bool, StoreError> {
+        self.read(|connection| {
+            Ok(connection
+                .has("SELECT 1 FROM pinned_topics WHERE owner = ?1 AND topic = ?2", params![owner.0, topic])?)
+        })
+    }
+
+    /// Raises an alarm; `false` if the same publisher already has an open alarm on this topic.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn raise_alarm(
+        &self,
+        owner: Address,
+        topic: &str,
+        publisher: &str,
+        reason: &'static str,
+    ) -> Result<bool, StoreError> {
+        let (topic, publisher) = (topic.to_owned(), publisher.to_owned());
+        self.write(move |session| {
+            let now = whole("time", Timestamp::now().0)?;
+            let raised = session.connection.execute(
+                "INSERT INTO alarms VALUES (?1, ?2, ?3, ?4, ?5, 1) ON CONFLICT DO UPDATE SET open = 1, at = excluded.at
+                 WHERE open = 0",
+                params![owner.0, topic, publisher, reason, now],
+            )?;
+            Ok(raised > 0)
+        })
+    }
+
+    /// The operator has decided about a topic: its alarms are closed but kept. Returns how many were open.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn close_alarms(&self, owner: Address, topic: &str) -> Result<u64, StoreError> {
+        let topic = topic.to_owned();
+        self.write(move |session| {
+            let sql = "UPDATE alarms SET open = 0 WHERE owner = ?1 AND topic = ?2 AND open = 1";
+            Ok(count(session.connection.execute(sql, params![owner.0, topic])?))
+        })
+    }
+
+    /// The alarms of an owner, including closed ones, of one topic or of all.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
+        self.read(|connection| {
+            Ok(connection.list(
+                "SELECT topic, publisher, reason, at, open FROM alarms
+                 WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at",
+                params![owner.0, topic],
+                |row| {
+                    Ok(AlarmRow {
+                        topic: row.get(0)?,
+                        publisher: row.get(1)?,
+                        reason: row.get(2)?,
+                        at: Timestamp(unsigned(row, 3)?),
+                        open: row.get(4)?,
+                    })
+                },
+            )?)
+        })
+    }
+}
+
+fn pin(
+    connection: &Connection,
+    owner: Address,
+    topic: &str,
+    publisher: &Publisher,
+    (source, now): (&str, i64),
+) -> Result<(), StoreError> {
+    let Publisher { caller_id, host, type_name, md5sum } = publisher;
+    connection.execute(
+        "INSERT OR IGNORE INTO pins VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
+        params![owner.0, topic, caller_id, host, type_name, md5sum, source, now],
+    )?;
+    connection.execute(
+        "DELETE FROM alarms WHERE owner = ?1 AND topic = ?2 AND publisher = ?3",
+        params![owner.0, topic, publisher.to_string()],
+    )?;
+    Ok(())
+}
+
+fn pin_row(row: &Row<'_>) -> rusqlite::Result<PinRow> {
+    Ok(PinRow {
+        topic: row.get(0)?,
+        publisher: Publisher { caller_id: row.get(1)?, host: row.get(2)?, type_name: row.get(3)?, md5sum: row.get(4)? },
+        source: row.get(5)?,
+        at: Timestamp(unsigned(row, 6)?),
+    })
+}
+
+// Messages that did not become records: counted durably per topic and reason, then reported in a signed gap record.
+
+/// Messages of one topic and publisher that were lost for one reason.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Loss {
+    /// The owner.
+    pub owner: Address,
+    /// Topic name.
+    pub topic: String,
+    /// The sending node; untrusted text.
+    pub publisher: String,
+    /// The reason.
+    pub reason: LossReason,
+    /// The number.
+    pub count: u64,
+    /// `header.seq` of the first and the last, if they have one.
+    pub numbers: Option<(u32, u32)>,
+    /// When the first loss was noticed.
+    pub first_at: Timestamp,
+    /// When the last loss was noticed.
+    pub last_at: Timestamp,
+}
+
+/// Losses as stored in the ledger.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GapRow {
+    /// The id of the row.
+    pub key: i64,
+    /// Topic name.
+    pub topic: String,
+    /// The sending node; untrusted text: clean it.
+    pub publisher: String,
+    /// The name of the [`LossReason`].
+    pub reason: String,
+    /// The number.
+    pub count: u64,
+    /// `header.seq` of the first and the last.
+    pub numbers: Option<(u32, u32)>,
+    /// When the first loss was noticed.
+    pub first_at: Timestamp,
+    /// When the last loss was noticed.
+    pub last_at: Timestamp,
+    /// The gap record that reports them; none until it is sealed.
+    pub report: Option<Digest>,
+}
+
+/// The setting with the number of a text of losses.
+const COUNTED: &str = "waiting:counted";
+
+const COLUMNS: &str =
+    "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
+
+impl Ledger {
+    /// Counts losses durably, all or none; they stay open until a gap record reports them.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is counted yet.
+    pub fn count_losses(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
+        self.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
+    }
+
+    /// The same, and notes in the same commit up to which text of [`crate::WaitingFile`] its losses are counted.
+    ///
+    /// # Errors
+    /// See [`Self::count_losses`].
+    pub fn count_losses_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
+        self.write(move |session| {
+            losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
+            let values = [COUNTED.to_owned(), number.to_string()];
+            session.connection.run("REPLACE INTO settings VALUES (?1, ?2)", values)?;
+            Ok(())
+        })
+    }
+
+    /// Up to which text its losses are counted; 0 = none.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn losses_counted(&self) -> Result<u64, StoreError> {
+        Ok(self.setting(COUNTED)?.and_then(|text| text.parse().ok()).unwrap_or(0))
+    }
+
+    /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
+        self.read(|connection| {
+            let sql = format!(
+                "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
+                 ORDER BY key LIMIT ?3"
+            );
+            let (by, limit) = (i64::try_from(by.0).unwrap_or(i64::MAX), i64::try_from(limit).unwrap_or(i64::MAX));
+            Ok(connection.list(&sql, params![owner.0, by, limit], gap_row)?)
+        })
+    }
+
+    /// Acknowledges a gap record and notes the losses it reports, in one commit. Losses since the row was read stay
+    /// open.
+    ///
+    /// # Errors
+    /// See [`Ledger::append`]; [`StoreError::NotReady`] if the row is already reported.
+    pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
+        let gap = gap.clone();
+        self.write(move |session| {
+            let now = whole("time", Timestamp::now().0)?;
+            add(session, &report, now)?;
+            settle(session.connection, &gap, report.digest)
+        })
+    }
+
+    /// The losses of an owner, newest first, at most `limit`.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn gaps(&self, owner: Address, limit: usize) -> Result<Vec<GapRow>, StoreError> {
+        self.read(|connection| {
+            let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");
+            Ok(connection.list(&sql, params![owner.0, i64::try_from(limit).unwrap_or(i64::MAX)], gap_row)?)
+        })
+    }
+}
+
+fn count_one(connection: &Connection, loss: &Loss) -> Result<(), StoreError> {
+    let (count, word) = (whole("count", loss.count)?, loss.reason.word());
+    let sql = "INSERT INTO drops VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO UPDATE SET count = count + excluded.count";
+    connection.run(sql, params![loss.owner.0, loss.topic, word, count])?;
+    connection.run(
+        "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
+             ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
+             count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
+             first_number = coalesce(first_number, excluded.first_number)",
+        params![
+            loss.owner.0,
+            loss.topic,
+            loss.publisher,
+            word,
+            count,
+            loss.numbers.map(|(first, _)| first),
+            loss.numbers.map(|(_, last)| last),
+            whole("time", loss.first_at.0)?,
+            whole("time", loss.last_at.0)?,
+        ],
+    )?;
+    Ok(())
+}
+
+fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), StoreError> {
+    let not_open = || StoreError::NotReady { digest: report, found: "already reported" };
+    let told = whole("count", gap.count)?;
+    let (count, last_number, last_at): (i64, Option<u32>, i64) = connection
+        .find("SELECT count, last_number, last_at FROM gaps WHERE key = ?1 AND report IS NULL", [gap.key], |row| {
+            Ok((row.get(0)?, row.get(1)?, row.get(2)?))
+        })?
+        .filter(|(count, _, _)| *count >= told)
+        .ok_or_else(not_open)?;
+    let sql = "UPDATE gaps SET report = ?2, count = ?3, last_number = ?4, last_at = ?5 WHERE key = ?1";
+    connection
+        .run(sql, params![gap.key, report.0, told, gap.numbers.map(|(_, last)| last), whole("time", gap.last_at.0)?])?;
+    if count > told {
+        let sql =
+            "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
+                 SELECT owner, topic, publisher, reason, ?2, last_number, ?3, last_at, ?4 FROM gaps WHERE key = ?1";
+        connection.run(sql, params![gap.key, count - told, last_number, last_at])?;
+    }
+    Ok(())
+}
+
+fn gap_row(row: &Row<'_>) -> rusqlite::Result<GapRow> {
+    let numbers = row.get::<_, Option<u32>>(5)?.zip(row.get::<_, Option<u32>>(6)?);
+    Ok(GapRow {
+        key: row.get(0)?,
+        topic: row.get(1)?,
+        publisher: row.get(2)?,
+        reason: row.get(3)?,
+        count: unsigned(row, 4)?,
+        numbers,
+        first_at: Timestamp(unsigned(row, 7)?),
+        last_at: Timestamp(unsigned(row, 8)?),
+        report: row.get::<_, Option<_>>(9)?.map(Digest),
+    })
+}
+
+#[cfg(test)]
+mod pins_tests {
+    use super::*;
+
+    const OWNER: Address = Address([1; 20]);
+
+    fn publisher(name: &str) -> Publisher {
+        format!("/{name}@h:a/B:{}", "0".repeat(32)).parse().expect("good")
+    }
+
+    #[test]
+    fn pins_outlive_the_process_and_there_is_one_first_use() {
+        let home = tempfile::tempdir().expect("folder");
+        let path = home.path().join("ledger.db");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert_eq!((ledger.was_pinned(OWNER, "/t"), ledger.pins(OWNER, None)), (Ok(false), Ok(Vec::new())));
+        ledger.pin(OWNER, "/t", &[publisher("a")], "first").expect("pinned");
+        ledger.pin(OWNER, "/t", &[publisher("a"), publisher("b")], "operator").expect("pinned");
+        ledger.close().expect("closed");
+        let ledger = Ledger::open(&path).expect("opens");
+        let pins = ledger.pins(OWNER, Some("/t")).expect("read");
+        let told: Vec<_> = pins.iter().map(|pin| (pin.publisher.caller_id.as_str(), pin.source.as_str())).collect();
+        assert_eq!(told, [("/a", "first"), ("/b", "operator")]);
+        assert_eq!((ledger.unpin(OWNER, "/t", "/a"), ledger.unpin(OWNER, "/t", "/a")), (Ok(1), Ok(0)));
+        assert_eq!(ledger.unpin(OWNER, "/t", "/b"), Ok(1));
+        assert_eq!((ledger.was_pinned(OWNER, "/t"), ledger.was_pinned(OWNER, "/u")), (Ok(true), Ok(false)));
+        assert_eq!(ledger.pins(Address([2; 20]), None), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn an_alarm_is_raised_once_until_it_is_decided() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        let name = publisher("evil").to_string();
+        let raise = || ledger.raise_alarm(OWNER, "/t", &name, "new").expect("written");
+        assert!(raise() && !raise());
+        assert!(ledger.raise_alarm(OWNER, "/u", &name, "new").expect("written"));
+        assert_eq!((ledger.close_alarms(OWNER, "/t"), ledger.close_alarms(OWNER, "/t")), (Ok(1), Ok(0)));
+        let open = |topic| ledger.alarms(OWNER, Some(topic)).expect("read").iter().filter(|alarm| alarm.open).count();
+        assert_eq!((open("/t"), open("/u"), ledger.alarms(OWNER, None).expect("read").len()), (0, 1, 2));
+        assert!(raise());
+        ledger.pin(OWNER, "/t", &[publisher("evil")], "operator").expect("pinned");
+        assert_eq!(ledger.alarms(OWNER, Some("/t")), Ok(Vec::new()));
     }
 }

@@ -5,16 +5,20 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
+use std::path::Path;
+use std::time::Duration;
 
 use rusqlite::types::Value;
-use rusqlite::{CachedStatement, Connection, Row, params};
+use rusqlite::{CachedStatement, Connection, OpenFlags, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::filter_choice::FilterChoice;
+use super::Ledger;
+use super::database::whole;
 use super::rows::{self, RecordRow, Stream, Which};
-use super::{Ledger, database::whole, recent};
-use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, Timestamp, TopicId, clean};
-use crate::store::StoreError;
+use super::settings::FilterChoice;
+use crate::StoreError;
+use crate::database::Statements as _;
+use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
 const LARGEST_PAGE: usize = 10_000;
 
@@ -126,7 +130,7 @@ impl Ledger {
             let topics: HashMap<i64, TopicId> = wanted.iter().map(|stream| (stream.key, stream.topic_id)).collect();
             let wanted: Vec<i64> = wanted.iter().map(|stream| stream.key).collect();
             let plain = query.state.is_none() && query.filters.is_empty();
-            let recent = if plain { recent::keys(connection, &wanted, range, limit + 1)? } else { None };
+            let recent = if plain { keys(connection, &wanted, range, limit + 1)? } else { None };
             let mut keys = match recent {
                 Some(keys) => keys,
                 None => Merge::new(connection, (&wanted, &topics), query, range, limit + 1)?.take(limit + 1)?,
@@ -303,7 +307,7 @@ fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) 
         return Ok(streams.iter().map(|stream| (*stream, state.code())).collect());
     }
     let lane = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
-    if streams.len() >= recent::MANY {
+    if streams.len() >= MANY {
         let wanted: HashSet<i64> = streams.iter().copied().collect();
         let mut statement = connection.prepare_cached("SELECT stream, state FROM counters WHERE records > 0")?;
         let lanes = statement.query_map([], lane)?;
@@ -408,4 +412,262 @@ impl Lane {
 /// Reverses the order; its own inverse.
 fn flip(key: Key) -> Key {
     Key { captured_at: !key.captured_at, n: !key.n }
+}
+
+// How old waiting records are, and when each signer was last heard of: a few look-ups in the index of states for each
+// stream, whatever the number of records.
+
+/// A signer with the time of its last capture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LastSeen {
+    /// The key that signed them.
+    pub signer: SignerId,
+    /// When the newest was captured, by its recorder's clock.
+    pub at: Timestamp,
+}
+
+/// The states of a record that is here but in no block.
+const UNANCHORED: [RecordState; 4] =
+    [RecordState::Sealed, RecordState::Stored, RecordState::Batched, RecordState::Submitted];
+
+/// The newest record of a signer, as far as it is here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NewestRecord {
+    /// The epoch that seals it.
+    pub epoch: u64,
+    /// When it was captured, by its recorder's clock.
+    pub captured_at: Timestamp,
+    /// When it was written to disk here.
+    pub acknowledged_at: Timestamp,
+}
+
+/// Accounts with records here; once each.
+pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM topics LIMIT ?1";
+/// When an owner's oldest record of a kind and state was captured.
+pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM records WHERE state = ?3 AND stream = s.key))
+                      FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2";
+/// Losses without a gap record.
+pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
+
+/// Signers, and when the newest record of each was captured, whatever its state.
+pub(super) fn last_seen() -> String {
+    let newest = RecordState::ALL.iter().map(|state| {
+        format!("coalesce((SELECT max(captured_at) FROM records WHERE state = {} AND stream = s.key), 0)", state.code())
+    });
+    format!(
+        "SELECT r.signer, max(max({})) AS at FROM streams s JOIN topics t ON t.key = s.topic
+         JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2",
+        newest.collect::<Vec<_>>().join(", ")
+    )
+}
+
+impl Ledger {
+    /// The accounts whose records are here, at most `limit`.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| Ok(connection.list(OWNERS, [limit], |row| Ok(Address(row.get(0)?)))?))
+    }
+
+    /// When an owner's oldest data record that is in no block yet was captured.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn oldest_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(OLDEST)?;
+            let mut oldest: Option<i64> = None;
+            for state in UNANCHORED {
+                let values = params![owner.0, RecordKind::Data.code(), i64::from(state.code())];
+                let found: Option<i64> = statement.query_row(values, |row| row.get(0))?;
+                oldest = oldest.into_iter().chain(found).min();
+            }
+            Ok(oldest.and_then(|at| u64::try_from(at).ok()).map(Timestamp))
+        })
+    }
+
+    /// When each signer's newest data record was captured, for the `limit` most recent signers.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            Ok(connection.list(&last_seen(), params![RecordKind::Data.code(), limit], |row| {
+                let at: i64 = row.get(1)?;
+                Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
+            })?)
+        })
+    }
+
+    /// The record that a signer captured last for an owner, of those with the highest number of their topic.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn newest_of(&self, owner: Address, signer: SignerId) -> Result<Option<NewestRecord>, StoreError> {
+        self.read(|connection| {
+            let found = connection.one(
+                "SELECT x.epoch, x.captured_at, x.acknowledged_at FROM topics t
+                 JOIN recorders r ON r.key = t.recorder
+                 JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
+                 WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1",
+                params![owner.0, signer.0],
+                |row| {
+                    let time = |column| super::rows::unsigned(row, column).map(Timestamp);
+                    let epoch = super::rows::unsigned(row, 0)?;
+                    Ok(NewestRecord { epoch, captured_at: time(1)?, acknowledged_at: time(2)? })
+                },
+            );
+            Ok(found.optional()?)
+        })
+    }
+
+    /// Losses not yet reported in a gap record: entries by place and reason, not messages.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn untold_gaps(&self) -> Result<u64, StoreError> {
+        self.read(|connection| Ok(connection.one(UNTOLD, [], |row| super::rows::unsigned(row, 0))?))
+    }
+}
+
+// A glance at a ledger that may be in use or not: read only, nothing written beside it, and no patience. For shell
+// completion; any problem is for the next command to report.
+
+/// How long a lock is waited for.
+const BUSY: Duration = Duration::from_millis(100);
+/// Characters of a record's id.
+const ID_LENGTH: usize = 16;
+
+/// A ledger to read a few names from.
+#[derive(Debug)]
+pub struct Glance(Connection);
+
+impl Glance {
+    /// Opens the existing file; none is created.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn at(path: &Path) -> Result<Self, StoreError> {
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
+        // Without a log nobody has it open, and SQLite would create one to read it.
+        let mut log = path.as_os_str().to_owned();
+        log.push("-wal");
+        let rest = if Path::new(&log).exists() { "" } else { "?immutable=1" };
+        let uri = format!("file:{}{rest}", escaped(path));
+        Connection::open_with_flags(uri, flags)
+            .and_then(|connection| {
+                connection.busy_timeout(BUSY)?;
+                Ok(Self(connection))
+            })
+            .map_err(|error| StoreError::from(error).in_file(path))
+    }
+
+    /// Names of topics with this prefix, in order, at most `limit`; they are foreign text, so clean them.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn topics(&self, begun: &str, limit: usize) -> Result<Vec<String>, StoreError> {
+        let mut names: Vec<String> = rows::streams(&self.0, &Which::All)?
+            .into_iter()
+            .map(|stream| stream.topic)
+            .filter(|name| name.starts_with('/') && name.starts_with(begun))
+            .collect();
+        names.sort();
+        names.dedup();
+        names.truncate(limit);
+        Ok(names)
+    }
+
+    /// Ids of records with this prefix, at most `limit`: the newest if the prefix is empty.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn ids(&self, begun: &str, limit: usize) -> Result<Vec<String>, StoreError> {
+        let whole = 2 * crate::model::Digest::LENGTH;
+        if begun.len() > whole || !begun.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return Ok(Vec::new());
+        }
+        let fill = |digit: &str| format!("{}{}", begun.to_ascii_lowercase(), digit.repeat(whole - begun.len()));
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        let order = if begun.is_empty() { "n DESC" } else { "digest" };
+        let sql = format!(
+            "SELECT lower(hex(digest)) FROM records WHERE digest BETWEEN unhex(?1) AND unhex(?2) ORDER BY {order} LIMIT ?3"
+        );
+        let mut statement = self.0.prepare(&sql)?;
+        let found = statement.query_map(params![fill("0"), fill("f"), limit], |row| row.get::<_, String>(0))?;
+        let ids: Result<Vec<String>, _> = found.collect();
+        // Text beyond an id's length stays as typed.
+        let length = ID_LENGTH.max(begun.len());
+        Ok(ids?.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
+    }
+
+    /// The value under a key of the settings.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn setting(&self, key: &str) -> Result<Option<String>, StoreError> {
+        let sql = "SELECT value FROM settings WHERE key = ?1";
+        Ok(self.0.query_row(sql, [key], |row| row.get(0)).optional()?)
+    }
+}
+
+/// A path in the form of a URI.
+fn escaped(path: &Path) -> String {
+    use std::fmt::Write as _;
+    use std::os::unix::ffi::OsStrExt as _;
+    let mut text = String::new();
+    for byte in path.as_os_str().as_bytes() {
+        if byte.is_ascii_alphanumeric() || b"/-_.".contains(byte) {
+            text.push(char::from(*byte));
+        } else {
+            // Writing to a string cannot fail.
+            let _ = write!(text, "%{byte:02X}");
+        }
+    }
+    text
+}
+
+// Pages over many streams at once, read from the index of capture times: when most records match, a few rows tell as
+// much as a look into each of thousands of streams. When few match, `query` merges the streams instead.
+
+/// With fewer streams than this, a merge is as fast.
+pub(super) const MANY: usize = 24;
+/// The most rows examined for each row wanted.
+const PATIENCE: usize = 8;
+
+/// The first `wanted` keys of these streams within a range; nothing if the streams are few, or their records so rare
+/// that the rows examined did not contain enough of them.
+pub(super) fn keys(
+    connection: &Connection,
+    streams: &[i64],
+    range: Range,
+    wanted: usize,
+) -> Result<Option<Vec<Key>>, StoreError> {
+    if streams.len() < MANY {
+        return Ok(None);
+    }
+    let streams: HashSet<i64> = streams.iter().copied().collect();
+    let most = wanted.saturating_mul(PATIENCE);
+    let order = if range.newest_first { "DESC" } else { "ASC" };
+    let mut statement = connection.prepare_cached(&format!(
+        "SELECT captured_at, n, stream FROM records
+         WHERE (captured_at, n) > (?1, ?2) AND (captured_at, n) < (?3, ?4)
+         ORDER BY captured_at {order}, n {order} LIMIT ?5"
+    ))?;
+    let (low, high, limit) = (range.low, range.high, i64::try_from(most).unwrap_or(i64::MAX));
+    let mut rows = statement.query(params![low.captured_at, low.n, high.captured_at, high.n, limit])?;
+    let (mut keys, mut seen) = (Vec::with_capacity(wanted), 0);
+    while let Some(row) = rows.next()? {
+        seen += 1;
+        if streams.contains(&row.get(2)?) {
+            keys.push(Key { captured_at: row.get(0)?, n: row.get(1)? });
+            if keys.len() == wanted {
+                return Ok(Some(keys));
+            }
+        }
+    }
+    Ok((seen < most).then_some(keys))
 }

@@ -3,13 +3,14 @@
 
 use std::collections::HashSet;
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, params};
 
 use super::append::{add, count};
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use super::{Erasure, Ledger, NewRecord, database::whole};
+use crate::StoreError;
+use crate::database::Statements as _;
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
-use crate::store::StoreError;
 
 /// A topic considered for retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -147,12 +148,9 @@ impl Ledger {
                 name(connection, record.digest, report.digest, header)?;
                 bytes += record.bytes;
             }
-            connection
-                .prepare_cached(
-                    "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
-                     ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes",
-                )?
-                .execute(params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])?;
+            let sql = "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
+                     ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
+            connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])?;
             Ok(())
         })
     }
@@ -197,7 +195,7 @@ impl Ledger {
                      SELECT record, statement, account, taken FROM erasures
                      WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                 ] {
-                    session.connection.prepare_cached(sql)?.execute(params![digest.0, now])?;
+                    session.connection.run(sql, params![digest.0, now])?;
                 }
             }
             Ok(())
@@ -210,14 +208,10 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn retained(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.read(|connection| {
-            let found = connection
-                .prepare_cached(
-                    "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
+            let found = connection.find("SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
                      (SELECT value FROM settings WHERE key = 'erased:' || lower(hex(report))), told.n IS NOT NULL,
                      (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
-                     JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1",
-                )?
-                .query_row(params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
+                     JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1", params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
                     let erased = row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text));
                     let (told, stated): (bool, Option<Vec<u8>>) = (row.get(5)?, row.get(6)?);
                     // Its own erasures a ledger knows without a statement.
@@ -233,8 +227,7 @@ impl Ledger {
                         erased: erased.or_else(|| stated.as_deref().and_then(Erasure::stated)),
                         stated,
                     }))
-                })
-                .optional()?;
+                })?;
             Ok(found.flatten())
         })
     }
@@ -281,7 +274,7 @@ impl Ledger {
         self.read(|connection| {
             let sql =
                 "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
-            Ok(connection.prepare_cached(sql)?.query_row([owner.0], |row| unsigned(row, 0))?)
+            Ok(connection.one(sql, [owner.0], |row| unsigned(row, 0))?)
         })
     }
 
@@ -295,7 +288,7 @@ impl Ledger {
             let sql = "DELETE FROM copies WHERE record IN (SELECT record FROM copies JOIN records ON n = record
                        WHERE state = ?1 AND captured_at < ?2 ORDER BY record LIMIT ?3)";
             let values = params![RecordState::Verified.code(), before, limit];
-            Ok(count(session.connection.prepare_cached(sql)?.execute(values)?))
+            Ok(count(session.connection.run(sql, values)?))
         })
     }
 }
@@ -311,12 +304,9 @@ pub(super) fn is_held() -> String {
 }
 
 pub(super) fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
-    let named = connection
-        .prepare_cached(
-            "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records
-             WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING",
-        )?
-        .execute(params![digest.0, report.0, header, RecordState::Verified.code()])?;
+    let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records
+             WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING";
+    let named = connection.run(sql, params![digest.0, report.0, header, RecordState::Verified.code()])?;
     match named {
         1 => Ok(()),
         _ => Err(StoreError::NotReady { digest, found: "not verified, or already discarded" }),

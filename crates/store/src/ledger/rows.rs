@@ -1,19 +1,26 @@
-//! The input and output of the ledger, one record at a time.
+//! What a record is in the ledger: its row, its states and the ways between them, the names and places it is found by.
 
 use std::collections::HashMap;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::Path;
 
 use rusqlite::types::Value;
-use rusqlite::{Connection, Row, params_from_iter};
+use rusqlite::{Connection, Row, params, params_from_iter};
 use serde::{Deserialize, Serialize};
 
+use super::Ledger;
 use crate::chain::merkle::Leaf;
 use crate::crypto::SealedRecord;
+use crate::database::Statements as _;
+use crate::model::RecordState::{
+    self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Sealed, Stored, Submitted, Tampered, Verified,
+};
 use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
 use crate::model::{
-    Address, Digest, FilterId, Hash, Head, RecordKind, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
+    Address, Digest, FilterId, Hash, Head, RecordKind, RecorderId, Signature, SignerId, Timestamp, TopicId, clean,
 };
-use crate::store::StoreError;
+use crate::{StoreError, snapshot};
 
 /// Characters of a record id: the first 16 hex characters of its digest.
 const ID_LENGTH: usize = 16;
@@ -192,12 +199,12 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
         Which::Of(owner) => (" WHERE t.owner = ?1", Some(Value::from(owner.0.to_vec()))),
         Which::Key(key) => (" WHERE s.key = ?1", Some(Value::from(*key))),
     };
-    let mut statement = connection.prepare_cached(&format!(
+    let sql = format!(
         "SELECT s.key, t.owner, r.id, t.topic_id, {TOPIC_NAME}, s.kind, coalesce(type_name.name, s.type_name), r.signer
          FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder {LEARNED_NAME}
          LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name{condition}"
-    ))?;
-    let rows = statement.query_map(params_from_iter(value), |row| {
+    );
+    Ok(connection.list(&sql, params_from_iter(value), |row| {
         Ok(Stream {
             key: row.get(0)?,
             owner: Address(row.get(1)?),
@@ -208,8 +215,7 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
             type_name: row.get(6)?,
             signer: SignerId(row.get(7)?),
         })
-    })?;
-    Ok(rows.collect::<Result<_, _>>()?)
+    })?)
 }
 
 /// The streams with these keys, by key: looking up a few records costs the same however many streams there are.
@@ -303,4 +309,287 @@ pub(super) fn state(row: &Row<'_>, column: usize) -> rusqlite::Result<RecordStat
 /// The error for a code that no version of this program wrote.
 pub(super) fn out_of_range(column: usize) -> rusqlite::Error {
     rusqlite::Error::IntegralValueOutOfRange(column, -1)
+}
+
+// The legal state transitions of a record, and which part of the program may make each.
+
+/// The cause of a transition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum By {
+    /// A worker, with `advance`.
+    Worker,
+    /// The anchorer closes a batch.
+    Batch,
+    /// The sender signs a transaction.
+    Submit,
+    /// The sender's transaction failed or was replaced.
+    Close,
+    /// The watcher found the anchor in a block.
+    Sight,
+    /// The block is deep enough.
+    Confirm,
+    /// The block was replaced.
+    Reorg,
+    /// A gateway took the record over, or reported its standing.
+    Gateway,
+    /// The operator decides about a quarantined record.
+    Operator,
+    /// The signer's right ended or returned, or its anchor does not count for lack of it.
+    Right,
+}
+
+const EDGES: [(RecordState, RecordState, By); 52] = [
+    (Sealed, Stored, By::Worker),
+    (Sealed, Quarantined, By::Worker),
+    (Stored, Quarantined, By::Worker),
+    (Stored, Batched, By::Batch),
+    (Confirmed, Verified, By::Worker),
+    (Sealed, Tampered, By::Worker),
+    (Stored, Tampered, By::Worker),
+    (Batched, Tampered, By::Worker),
+    (Submitted, Tampered, By::Worker),
+    (Mined, Tampered, By::Worker),
+    (Confirmed, Tampered, By::Worker),
+    (Verified, Tampered, By::Worker),
+    (Quarantined, Tampered, By::Worker),
+    (Tampered, Quarantined, By::Worker),
+    (Quarantined, Stored, By::Operator),
+    (Quarantined, Sealed, By::Operator),
+    (Quarantined, Dropped, By::Operator),
+    (Tampered, Stored, By::Worker),
+    (Tampered, Batched, By::Worker),
+    (Tampered, Submitted, By::Worker),
+    (Tampered, Mined, By::Worker),
+    (Tampered, Confirmed, By::Worker),
+    (Stored, Submitted, By::Submit),
+    (Batched, Submitted, By::Submit),
+    (Submitted, Stored, By::Close),
+    (Submitted, Batched, By::Close),
+    (Sealed, Mined, By::Sight),
+    (Stored, Mined, By::Sight),
+    (Batched, Mined, By::Sight),
+    (Submitted, Mined, By::Sight),
+    (Mined, Confirmed, By::Confirm),
+    (Mined, Submitted, By::Reorg),
+    (Mined, Batched, By::Reorg),
+    (Mined, Stored, By::Reorg),
+    (Confirmed, Mined, By::Reorg),
+    (Confirmed, Submitted, By::Reorg),
+    (Confirmed, Batched, By::Reorg),
+    (Confirmed, Stored, By::Reorg),
+    (Verified, Mined, By::Reorg),
+    (Verified, Submitted, By::Reorg),
+    (Verified, Batched, By::Reorg),
+    (Verified, Stored, By::Reorg),
+    (Stored, Submitted, By::Gateway),
+    (Submitted, Stored, By::Gateway),
+    (Submitted, Verified, By::Gateway),
+    (Submitted, Tampered, By::Gateway),
+    (Stored, RightEnded, By::Right),
+    (Batched, Stored, By::Right),
+    (Confirmed, Stored, By::Right),
+    (RightEnded, Stored, By::Right),
+    (RightEnded, Mined, By::Sight),
+    (RightEnded, Tampered, By::Worker),
+];
+
+/// Whether a record may ever go from one state to another in one step.
+pub fn is_legal(from: RecordState, to: RecordState) -> bool {
+    EDGES.iter().any(|edge| (edge.0, edge.1) == (from, to))
+}
+
+/// Whether `by` may make this transition.
+pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
+    EDGES.contains(&(from, to, by))
+}
+
+// Finding one record by its digest or a prefix of it.
+
+impl Ledger {
+    /// The record with this digest.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
+        Ok(self.records(&[digest])?.pop().flatten())
+    }
+
+    /// The records with these digests, in this order, as of one moment.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn records(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
+        self.read(|connection| rows_of(connection, digests))
+    }
+
+    /// The record whose digest begins with `id` (4 to 64 hex characters).
+    ///
+    /// # Errors
+    /// [`StoreError::Id`] if `id` is malformed, [`StoreError::Ambiguous`] if several records match.
+    pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
+        let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
+        self.read(|connection| {
+            let found: Vec<i64> = connection
+                .prepare_cached("SELECT stream FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2")?
+                .query_map(params![low.0, high.0], |row| row.get(0))?
+                .collect::<Result<_, _>>()?;
+            let by_key = keyed_streams(connection, found)?;
+            let sql = format!("SELECT {COLUMNS} FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2");
+            let mut found = connection
+                .prepare_cached(&sql)?
+                .query_map(params![low.0, high.0], |row| record(row, &by_key))?
+                .collect::<Result<Vec<_>, _>>()?;
+            if found.len() > 1 { Err(StoreError::Ambiguous(id.to_owned())) } else { Ok(found.pop()) }
+        })
+    }
+}
+
+/// The records with these digests, in this order.
+pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
+    let mut find = connection.prepare_cached(&format!("SELECT {COLUMNS} FROM records WHERE digest = ?1"))?;
+    let mut by_key = HashMap::new();
+    let one = |digest: &Digest| {
+        let mut found = find.query(params![digest.0])?;
+        let Some(row) = found.next()? else { return Ok(None) };
+        learn_stream(connection, row, &mut by_key)?;
+        Ok(Some(record(row, &by_key)?))
+    };
+    digests.iter().map(one).collect()
+}
+
+/// The fewest characters that may name a record.
+const SHORTEST_ID: usize = 4;
+
+/// The lowest and highest digest that begin with `id`.
+fn bounds(id: &str) -> Option<(Digest, Digest)> {
+    let whole = Digest::LENGTH * 2;
+    let valid = (SHORTEST_ID..=whole).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_hexdigit());
+    let fill = |digit: &str| format!("{id}{}", digit.repeat(whole - id.len())).parse().ok();
+    if valid { fill("0").zip(fill("f")) } else { None }
+}
+
+// Where a ledger is stored: a copy opened elsewhere becomes a ledger of its own, like a restored one, so that no
+// number is ever used twice.
+
+/// The setting that records where the ledger was last opened.
+pub(super) const PLACE: &str = "home:place";
+/// Identifies the machine (machine-id(5)).
+const MACHINE: &str = "/etc/machine-id";
+
+impl Ledger {
+    /// Opens the ledger of a home, and says whether it is a copy: its file is another one than when it was last opened,
+    /// or it is on another machine. It then has a new recorder, and a note of how far the chain was known.
+    ///
+    /// # Errors
+    /// See [`Ledger::open`].
+    pub fn open_in_place(path: &Path) -> Result<(Self, bool), StoreError> {
+        let ledger = Self::open(path)?;
+        let here = place(path)?;
+        let copied = match ledger.setting(PLACE)? {
+            Some(there) if there == here => return Ok((ledger, false)),
+            there => there.is_some(),
+        };
+        if !copied {
+            ledger.put_setting(PLACE, &here)?;
+            return Ok((ledger, false));
+        }
+        ledger.close()?;
+        snapshot::renew_ledger(path)?;
+        let ledger = Self::open(path)?;
+        ledger.put_setting(PLACE, &here)?;
+        Ok((ledger, true))
+    }
+}
+
+/// The machine and the file's inode: a copy has another one.
+fn place(path: &Path) -> Result<String, StoreError> {
+    let about = std::fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
+    let machine = std::fs::read_to_string(MACHINE).unwrap_or_default();
+    Ok(format!("{} {}", clean(machine.trim(), 64), about.ino()))
+}
+
+#[cfg(test)]
+mod edges_tests {
+    use super::*;
+
+    #[test]
+    fn edges_are_distinct_and_leave_no_state_stuck() {
+        for (index, edge) in EDGES.iter().enumerate() {
+            assert!(!EDGES[..index].contains(edge), "{edge:?}");
+            assert_ne!(edge.0, edge.1);
+        }
+        for state in [Sealed, Stored, Batched, Submitted, Mined, Confirmed] {
+            assert!(EDGES.iter().any(|edge| edge.0 == state && edge.1 > state && edge.1 <= Verified), "{state:?}");
+        }
+    }
+
+    #[test]
+    fn nobody_verifies_by_leaping() {
+        for state in RecordState::ALL {
+            assert_eq!(is_legal(state, Verified), matches!(state, Confirmed | Submitted));
+            assert_eq!(may(By::Gateway, state, Verified), state == Submitted);
+            assert_eq!(may(By::Worker, state, Verified), state == Confirmed);
+        }
+        assert!(!may(By::Worker, Quarantined, Stored) && !is_legal(Quarantined, Batched) && !is_legal(Dropped, Stored));
+        assert!(!is_legal(RightEnded, Batched) && !is_legal(RightEnded, Submitted), "nobody here anchors it");
+        assert!(!may(By::Worker, Stored, Submitted) && !may(By::Worker, Submitted, Mined));
+    }
+}
+
+#[cfg(test)]
+mod place_tests {
+    use super::*;
+    use crate::NewRecord;
+    use crate::ledger::tests::record;
+    use crate::model::{Address, Digest, SignerId, TopicId};
+
+    #[test]
+    fn a_copy_that_is_opened_elsewhere_numbers_under_a_recorder_of_its_own() {
+        let home = tempfile::tempdir().expect("a folder");
+        let (path, copy) = (home.path().join("ledger.db"), home.path().join("copy.db"));
+        let (ledger, copied) = Ledger::open_in_place(&path).expect("made");
+        let recorder = ledger.recorder();
+        assert!(!copied);
+        let (owner, signer) = (Address([1; 20]), SignerId([1; 32]));
+        ledger.append(vec![record(1, 1, 1)]).expect("recorded");
+        ledger.close().expect("closed");
+        std::fs::copy(&path, &copy).expect("copied");
+        let (ledger, copied) = Ledger::open_in_place(&path).expect("opened again");
+        assert!(!copied && ledger.recorder() == recorder, "the first is as it was");
+        assert_eq!(ledger.predecessor(owner, signer).expect("read"), None);
+        let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened");
+        assert!(copied && other.recorder() != recorder);
+        let before = recorder.of_signer(&signer);
+        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before), "it says whose copy it is");
+        assert_eq!(other.next_seq(owner, signer, TopicId([1; 16])), Ok(1), "and numbers anew");
+        other.append(vec![NewRecord { digest: Digest([9; 32]), ..record(1, 1, 1) }]).expect("recorded");
+        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before));
+        let renewed = other.recorder();
+        other.close().expect("closed");
+        let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened again");
+        assert!(!copied && other.recorder() == renewed, "once is enough");
+    }
+
+    #[test]
+    fn one_of_before_that_names_no_place_stays_what_it_is() {
+        let home = tempfile::tempdir().expect("a folder");
+        let path = home.path().join("ledger.db");
+        let ledger = Ledger::open(&path).expect("made as before");
+        let recorder = ledger.recorder();
+        ledger.close().expect("closed");
+        let (ledger, copied) = Ledger::open_in_place(&path).expect("opened");
+        assert!(!copied && ledger.recorder() == recorder);
+    }
+
+    #[test]
+    fn a_moved_file_is_no_copy() {
+        let home = tempfile::tempdir().expect("a folder");
+        let (path, moved) = (home.path().join("ledger.db"), home.path().join("moved.db"));
+        let (ledger, _) = Ledger::open_in_place(&path).expect("made");
+        let recorder = ledger.recorder();
+        ledger.close().expect("closed");
+        std::fs::rename(&path, &moved).expect("moved");
+        let (ledger, copied) = Ledger::open_in_place(&moved).expect("opened");
+        assert!(!copied && ledger.recorder() == recorder);
+    }
 }

@@ -1,12 +1,16 @@
 //! Small durable state: key-value settings, and the positions of those who walk the chain.
 
+use std::collections::BTreeMap;
 use std::sync::PoisonError;
 
-use rusqlite::{OptionalExtension as _, params};
+use rusqlite::params;
+use serde::{Deserialize, Serialize};
 
-use super::{Ledger, database::whole, rows};
-use crate::model::Hash;
-use crate::store::StoreError;
+use super::database::whole;
+use super::{Ledger, rows};
+use crate::StoreError;
+use crate::database::Statements as _;
+use crate::model::{FilterId, Hash, TopicId};
 
 impl Ledger {
     /// Stores a value under a key, replacing the previous one.
@@ -16,7 +20,7 @@ impl Ledger {
     pub fn put_setting(&self, key: &str, value: &str) -> Result<(), StoreError> {
         let (key, value) = (key.to_owned(), value.to_owned());
         self.write(move |session| {
-            session.connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?.execute([key, value])?;
+            session.connection.run("REPLACE INTO settings VALUES (?1, ?2)", [key, value])?;
             Ok(())
         })
     }
@@ -47,11 +51,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn setting(&self, key: &str) -> Result<Option<String>, StoreError> {
         self.read(|connection| {
-            let value = connection
-                .prepare_cached("SELECT value FROM settings WHERE key = ?1")?
-                .query_row([key], |row| row.get(0))
-                .optional()?;
-            Ok(value)
+            Ok(connection.find("SELECT value FROM settings WHERE key = ?1", [key], |row| row.get(0))?)
         })
     }
 
@@ -63,7 +63,7 @@ impl Ledger {
         let (key, value) = (key.to_owned(), value.to_owned());
         self.write(move |session| {
             let sql = "DELETE FROM settings WHERE key = ?1 AND value = ?2";
-            session.connection.prepare_cached(sql)?.execute([key, value])?;
+            session.connection.run(sql, [key, value])?;
             Ok(())
         })
     }
@@ -74,11 +74,9 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn cursor(&self, name: &str) -> Result<Option<(u64, Hash)>, StoreError> {
         self.read(|connection| {
-            let cursor = connection
-                .prepare_cached("SELECT block, hash FROM cursors WHERE name = ?1")?
-                .query_row([name], |row| Ok((rows::unsigned(row, 0)?, Hash(row.get(1)?))))
-                .optional()?;
-            Ok(cursor)
+            Ok(connection.find("SELECT block, hash FROM cursors WHERE name = ?1", [name], |row| {
+                Ok((rows::unsigned(row, 0)?, Hash(row.get(1)?)))
+            })?)
         })
     }
 
@@ -89,11 +87,37 @@ impl Ledger {
     pub fn set_cursor(&self, name: &str, block: u64, hash: Hash) -> Result<(), StoreError> {
         let (name, block) = (name.to_owned(), whole("block", block)?);
         self.write(move |session| {
-            session
-                .connection
-                .prepare_cached("REPLACE INTO cursors VALUES (?1, ?2, ?3)")?
-                .execute(params![name, block, hash.0])?;
+            session.connection.run("REPLACE INTO cursors VALUES (?1, ?2, ?3)", params![name, block, hash.0])?;
             Ok(())
         })
+    }
+}
+
+// The pseudonyms of types and tags by which records are found.
+
+/// A filter id that finds records: the same for every topic, or another one for some topics.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FilterChoice {
+    /// For records of any topic.
+    pub id: FilterId,
+    /// For records of these topics.
+    pub by_topic: BTreeMap<TopicId, FilterId>,
+}
+
+impl FilterChoice {
+    /// Both ids that records of a topic may have; the same twice if there is only one.
+    pub(super) fn of(&self, topic: TopicId) -> [FilterId; 2] {
+        [self.id, self.by_topic.get(&topic).copied().unwrap_or(self.id)]
+    }
+
+    /// Whether it finds a record of a topic with these ids.
+    pub fn is_in(&self, topic: TopicId, ids: &[FilterId]) -> bool {
+        self.of(topic).iter().any(|id| ids.contains(id))
+    }
+}
+
+impl From<FilterId> for FilterChoice {
+    fn from(id: FilterId) -> Self {
+        Self { id, by_topic: BTreeMap::new() }
     }
 }

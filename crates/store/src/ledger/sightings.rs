@@ -1,13 +1,13 @@
-//! What the watcher saw on the chain: anchors in blocks, depth, replaced blocks.
+//! What the watcher read on the chain: blocks, anchors seen in them, and what is proven of them.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::append::count;
-use super::edges::{By, may};
-use super::rows::unsigned;
-use super::{Ledger, batches, database::whole, rows};
-use crate::model::{Address, Digest, Hash, RecordState, Timestamp};
-use crate::store::StoreError;
+use super::rows::{self, By, may, unsigned};
+use super::{Ledger, batches};
+use crate::StoreError;
+use crate::database::{Statements as _, whole};
+use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
 
 /// An anchor found in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,12 +75,9 @@ impl Ledger {
         let block = whole("block", up_to_block)?;
         self.write(move |session| {
             let (mined, confirmed) = (RecordState::Mined.code(), RecordState::Confirmed.code());
-            let mut statement = session.connection.prepare_cached(
-                "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1
-                 RETURNING captured_at",
-            )?;
-            let times = statement.query_map(params![block, mined, confirmed], |row| unsigned(row, 0).map(Timestamp))?;
-            Ok(times.collect::<Result<_, _>>()?)
+            let sql = "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1
+                 RETURNING captured_at";
+            Ok(session.connection.list(sql, params![block, mined, confirmed], |row| unsigned(row, 0).map(Timestamp))?)
         })
     }
 
@@ -114,10 +111,8 @@ impl Ledger {
     pub fn verified_from(&self, block: u64) -> Result<u64, StoreError> {
         let block = whole("block", block)?;
         self.read(|connection| {
-            let found = connection
-                .prepare_cached("SELECT count(*) FROM records WHERE state = ?1 AND block >= ?2")?
-                .query_row(params![RecordState::Verified.code(), block], |row| rows::unsigned(row, 0))?;
-            Ok(found)
+            let sql = "SELECT count(*) FROM records WHERE state = ?1 AND block >= ?2";
+            Ok(connection.one(sql, params![RecordState::Verified.code(), block], |row| rows::unsigned(row, 0))?)
         })
     }
 
@@ -125,21 +120,15 @@ impl Ledger {
         let block = whole("block", from_block)?;
         self.write(move |session| {
             let connection = session.connection;
-            connection
-                .prepare_cached(
-                    "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
-                     WHERE state = 1 AND block >= ?1",
-                )?
-                .execute([block])?;
+            let sql = "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
+                     WHERE state = 1 AND block >= ?1";
+            connection.run(sql, [block])?;
             batches::take_back(connection, block)?;
             // In the same commit, so that no anchor in one of them is taken in from elsewhere until the chain is read again.
-            connection.prepare_cached("DELETE FROM trail WHERE block >= ?1")?.execute([block])?;
-            connection.prepare_cached("DELETE FROM passed_over WHERE block >= ?1")?.execute([block])?;
-            connection
-                .prepare_cached(
-                    "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2",
-                )?
-                .execute(params![RecordState::Tampered.code(), block])?;
+            connection.run("DELETE FROM trail WHERE block >= ?1", [block])?;
+            connection.run("DELETE FROM passed_over WHERE block >= ?1", [block])?;
+            let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
+            connection.run(sql, params![RecordState::Tampered.code(), block])?;
             states.iter().try_fold(0, |moved, state| Ok(moved + unplace(connection, *state, block)?))
         })
     }
@@ -154,22 +143,17 @@ fn see(connection: &Connection, sighting: &Sighting) -> Result<u64, StoreError> 
         RecordState::Mined | RecordState::Tampered if !known => standing.state,
         _ => return Ok(0),
     };
-    connection
-        .prepare_cached("UPDATE records SET state = ?2, tx = ?3, block = ?4, block_hash = ?5 WHERE n = ?1")?
-        .execute(params![standing.n, state.code(), sighting.transaction.0, block, sighting.block_hash.0])?;
+    let sql = "UPDATE records SET state = ?2, tx = ?3, block = ?4, block_hash = ?5 WHERE n = ?1";
+    connection.run(sql, params![standing.n, state.code(), sighting.transaction.0, block, sighting.block_hash.0])?;
     Ok(u64::from(state == RecordState::Mined))
 }
 
 fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Standing>, StoreError> {
-    let found = connection
-        .prepare_cached(
-            "SELECT n, state, block, block_hash FROM records JOIN topics ON key = topic
-             WHERE digest = ?1 AND owner = ?2",
-        )?
-        .query_row(params![sighting.digest.0, sighting.owner.0], |row| {
-            Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
-        })
-        .optional()?;
+    let sql = "SELECT n, state, block, block_hash FROM records JOIN topics ON key = topic
+             WHERE digest = ?1 AND owner = ?2";
+    let found = connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
+        Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
+    })?;
     Ok(found)
 }
 
@@ -206,7 +190,252 @@ fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64
             "UPDATE records INDEXED BY records_by_state SET state = ?3, {values}
              WHERE state = ?1 AND block >= ?2 AND {condition}"
         );
-        moved += count(connection.prepare_cached(&sql)?.execute(params![from.code(), block, to.code()])?);
+        moved += count(connection.run(&sql, params![from.code(), block, to.code()])?);
     }
     Ok(moved)
+}
+
+// The blocks that the watcher has seen, so that after a reorg it finds where the old and the new chain diverge.
+
+/// Below the newest block, how many blocks have every entry kept.
+pub(super) const DENSE: u64 = 1024;
+/// Below those, one entry is kept for this many blocks.
+const SPARSE: u64 = 256;
+
+impl Ledger {
+    /// Moves the walker `name` to a block, and stores this and other blocks met on the way, in one commit.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then nothing moves.
+    pub fn walk_to(&self, name: &str, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
+        let name = name.to_owned();
+        let block = whole("block", to.0)?;
+        self.write(move |session| {
+            let connection = session.connection;
+            let mut keep = connection.prepare_cached("REPLACE INTO trail VALUES (?1, ?2)")?;
+            for (number, hash) in met.iter().chain([&to]) {
+                keep.execute(params![whole("block", *number)?, hash.0])?;
+            }
+            connection.run("REPLACE INTO cursors VALUES (?1, ?2, ?3)", params![name, block, to.1.0])?;
+            let old = block.saturating_sub(whole("block", DENSE)?);
+            if to.0.is_multiple_of(SPARSE) {
+                let sql = "DELETE FROM trail WHERE block < ?1 AND block NOT IN
+                         (SELECT max(block) FROM trail WHERE block < ?1 GROUP BY block / ?2)";
+                connection.run(sql, params![old, whole("block", SPARSE)?])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// The blocks kept, oldest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn trail(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
+        self.read(|connection| {
+            Ok(connection.list("SELECT block, hash FROM trail ORDER BY block", [], |row| {
+                Ok((unsigned(row, 0)?, Hash(row.get(1)?)))
+            })?)
+        })
+    }
+
+    /// The newest block kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn trail_end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
+            Ok(connection.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
+        })
+    }
+
+    /// Moves the walker `name` back to `to` if it is further, and deletes the blocks after `to`, in one commit.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then nothing moves.
+    pub fn walk_back(&self, name: &str, to: (u64, Hash)) -> Result<(), StoreError> {
+        let name = name.to_owned();
+        let block = whole("block", to.0)?;
+        self.write(move |session| {
+            let connection = session.connection;
+            connection.run("DELETE FROM trail WHERE block > ?1", [block])?;
+            let sql = "UPDATE cursors SET block = ?2, hash = ?3 WHERE name = ?1 AND block > ?2";
+            connection.run(sql, params![name, block, to.1.0])?;
+            Ok(())
+        })
+    }
+}
+
+// How far this ledger's recorder has counted, and which recorder it succeeds.
+
+impl Ledger {
+    /// The highest acknowledged number that `signer` gave in this ledger in each topic of an owner, by topic id; topics
+    /// filed under one of these names are left out.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn heights(&self, owner: Address, signer: SignerId, but: [&str; 2]) -> Result<Vec<(TopicId, u64)>, StoreError> {
+        let recorder = self.recorder().of_signer(&signer);
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT topic_id, highest FROM
+                 (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
+                  WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
+                  AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
+                 WHERE highest IS NOT NULL ORDER BY topic_id",
+            )?;
+            let [one, other] = but;
+            let rows = statement.query_map(params![owner.0, one, other, recorder.0, signer.0], |row| {
+                Ok((TopicId(row.get(0)?), unsigned(row, 1)?))
+            })?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// The recorder that the one of `signer` follows for an owner: that of the key before, or of the ledger that this one is
+    /// a copy of, restored or opened elsewhere.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn predecessor(&self, owner: Address, signer: SignerId) -> Result<Option<RecorderId>, StoreError> {
+        let recorder = self.recorder().of_signer(&signer);
+        self.read(|connection| {
+            let sql = "SELECT id FROM recorders WHERE key < coalesce(
+                     (SELECT key FROM recorders WHERE id = ?2 AND signer = ?3), 9223372036854775807)
+                 AND EXISTS (SELECT 1 FROM topics WHERE recorder = recorders.key AND owner = ?1 AND keeper IS NULL)
+                 ORDER BY key DESC LIMIT 1";
+            let found = connection.one(sql, params![owner.0, recorder.0, signer.0], |row| row.get(0));
+            Ok(found.optional()?.map(RecorderId))
+        })
+    }
+}
+
+// A robot's evidence for records that its gateway reports as verified: the signed statement, and proofs that were
+// checked.
+
+/// A gateway's signed statement of standings.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptStanding {
+    /// Its time.
+    pub time: Timestamp,
+    /// The signed bytes, without label and domain.
+    pub statement: Vec<u8>,
+    /// Signature by the gateway's identity key.
+    pub signature: Signature,
+    /// Records it reports as verified, each with the proof of its anchor.
+    pub proofs: Vec<(Digest, Vec<u8>)>,
+}
+
+impl Ledger {
+    /// Stores a statement with the proofs of its records; records that already have one keep it.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then nothing is stored.
+    pub fn keep_proven(&self, kept: KeptStanding) -> Result<(), StoreError> {
+        self.write(move |session| {
+            let (connection, time) = (session.connection, whole("time", kept.time.0)?);
+            let sql = "INSERT INTO standings (at, statement, signature) VALUES (?1, ?2, ?3)";
+            connection.run(sql, params![time, kept.statement, kept.signature.0])?;
+            let (key, now) = (connection.last_insert_rowid(), whole("time", Timestamp::now().0)?);
+            let mut insert = connection.prepare_cached(
+                "INSERT INTO proven SELECT n, ?2, ?3, ?4, 0 FROM records WHERE digest = ?1 ON CONFLICT DO NOTHING",
+            )?;
+            for (digest, proof) in &kept.proofs {
+                insert.execute(params![digest.0, key, proof, now])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Verified records that were proven before a given time and whose ciphertext is still here, oldest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn proven_before(&self, moment: Timestamp, limit: usize) -> Result<Vec<Digest>, StoreError> {
+        let (moment, limit) = (whole("time", moment.0)?, i64::try_from(limit).unwrap_or(i64::MAX));
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT digest FROM proven JOIN records ON n = record
+                 WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2",
+            )?;
+            let verified = crate::model::RecordState::Verified.code();
+            let found = statement.query_map(params![moment, limit, verified], |row| row.get(0).map(Digest))?;
+            Ok(found.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Notes that the ciphertext of these was deleted; statement and proof stay.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like.
+    pub fn proven_gone(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        let digests = digests.to_vec();
+        self.write_many(digests.len(), move |session| {
+            let mut mark = session.connection.prepare_cached(
+                "UPDATE proven SET gone = 1 WHERE record = (SELECT n FROM records WHERE digest = ?1)",
+            )?;
+            for digest in &digests {
+                mark.execute(params![digest.0])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// The statement that reports a record as verified, with only the proof of its anchor.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn proven(&self, digest: Digest) -> Result<Option<KeptStanding>, StoreError> {
+        use rusqlite::OptionalExtension as _;
+        self.read(|connection| {
+            let sql = "SELECT s.at, statement, signature, proof FROM proven p JOIN standings s ON s.key = p.standing
+                       WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+            let found = connection.one(sql, params![digest.0], |row| {
+                Ok(KeptStanding {
+                    time: Timestamp(row.get::<_, i64>(0)?.cast_unsigned()),
+                    statement: row.get(1)?,
+                    signature: Signature(row.get(2)?),
+                    proofs: vec![(digest, row.get(3)?)],
+                })
+            });
+            Ok(found.optional()?)
+        })
+    }
+}
+
+#[cfg(test)]
+mod trail_tests {
+    use super::*;
+
+    fn hash(number: u64) -> Hash {
+        let mut bytes = [0; 32];
+        bytes[..8].copy_from_slice(&number.to_be_bytes());
+        Hash(bytes)
+    }
+
+    #[test]
+    fn old_blocks_thin_out_and_a_way_back_is_left() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        for number in 1..=4096 {
+            let met = if number % 3 == 0 { vec![(number - 1, hash(number - 1))] } else { Vec::new() };
+            ledger.walk_to("w", (number, hash(number)), met).expect("walks");
+        }
+        let trail = ledger.trail().expect("read");
+        assert!(trail.len() < 1300 && trail.is_sorted(), "{}", trail.len());
+        assert!((3072..=4096).all(|number| trail.contains(&(number, hash(number)))), "the newest are all there");
+        for bucket in 0..12 {
+            assert!(trail.iter().any(|(number, _)| number / SPARSE == bucket), "{bucket}");
+        }
+        assert_eq!(ledger.trail_end(), Ok(Some((4096, hash(4096)))));
+        ledger.walk_back("w", (4000, hash(4000))).expect("walks back");
+        assert_eq!(
+            (ledger.cursor("w"), ledger.trail_end()),
+            (Ok(Some((4000, hash(4000)))), Ok(Some((4000, hash(4000)))))
+        );
+        ledger.set_cursor("w", 7, hash(7)).expect("set");
+        ledger.walk_back("w", (3999, hash(3999))).expect("walks back");
+        assert_eq!(ledger.cursor("w"), Ok(Some((7, hash(7)))), "a walker that is behind stays there");
+    }
 }

@@ -1,13 +1,14 @@
 //! The sender's transactions: signed bytes are stored before they are sent, with the records they anchor.
 
-use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::edges::{By, may};
-use super::rows::{out_of_range, unsigned};
-use super::{Anchors, Ledger, batches, database::whole, rows};
+use super::database::whole;
+use super::rows::{self, By, may, out_of_range, unsigned};
+use super::{Anchors, Ledger, batches};
+use crate::StoreError;
+use crate::database::Statements as _;
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
-use crate::store::StoreError;
 
 /// A signed transaction, before it is sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,21 +51,12 @@ impl TransactionState {
 
 /// How a transaction ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum TransactionOutcome {
     /// In a block, successful. Its records wait for the watcher, which will find their anchors there.
-    Mined {
-        /// The block's number.
-        block: u64,
-        /// The block's hash.
-        block_hash: Hash,
-        /// Gas used.
-        gas_used: Option<u64>,
-    },
+    Mined { block: u64, block_hash: Hash, gas_used: Option<u64> },
     /// In a block, failed; its records are stored again.
-    Reverted {
-        /// The contract's reason.
-        reason: String,
-    },
+    Reverted { reason: String },
     /// Another one took its nonce; its records are stored again.
     Replaced,
 }
@@ -129,9 +121,7 @@ impl Ledger {
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
         self.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
-            let mut statement = connection.prepare_cached(&sql)?;
-            let rows = statement.query_map([account.0], transaction_row)?;
-            Ok(rows.collect::<Result<_, _>>()?)
+            Ok(connection.list(&sql, [account.0], transaction_row)?)
         })
     }
 
@@ -142,7 +132,7 @@ impl Ledger {
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
         self.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
-            Ok(connection.prepare_cached(&sql)?.query_row([hash.0], transaction_row).optional()?)
+            Ok(connection.find(&sql, [hash.0], transaction_row)?)
         })
     }
 
@@ -169,9 +159,7 @@ impl Ledger {
                 return Err(transaction_error(old, "is not open with the account and nonce of its replacement"));
             }
             close(connection, old, TransactionOutcome::Replaced)?;
-            connection
-                .prepare_cached("UPDATE transactions SET replaced_by = ?2 WHERE hash = ?1")?
-                .execute(params![old.0, new.hash.0])?;
+            connection.run("UPDATE transactions SET replaced_by = ?2 WHERE hash = ?1", params![old.0, new.hash.0])?;
             keep(connection, &new)
         })
     }
@@ -183,27 +171,22 @@ pub(super) fn transaction_error(hash: Hash, detail: &str) -> StoreError {
 
 /// Account and nonce of an open transaction.
 fn lane(connection: &Connection, hash: Hash) -> Result<Option<(Address, u64)>, StoreError> {
-    let found = connection
-        .prepare_cached("SELECT account, nonce FROM transactions WHERE hash = ?1 AND state = 0")?
-        .query_row([hash.0], |row| Ok((Address(row.get(0)?), unsigned(row, 1)?)))
-        .optional()?;
-    Ok(found)
+    Ok(connection.find("SELECT account, nonce FROM transactions WHERE hash = ?1 AND state = 0", [hash.0], |row| {
+        Ok((Address(row.get(0)?), unsigned(row, 1)?))
+    })?)
 }
 
 fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError> {
-    let known: Option<u8> = connection
-        .prepare_cached("SELECT state FROM transactions WHERE hash = ?1")?
-        .query_row([new.hash.0], |row| row.get(0))
-        .optional()?;
+    let known: Option<u8> =
+        connection.find("SELECT state FROM transactions WHERE hash = ?1", [new.hash.0], |row| row.get(0))?;
     match known {
         Some(0) => return Ok(()),
         Some(_) => return Err(transaction_error(new.hash, "is already closed")),
         None => {}
     }
     let nonce = whole("nonce", new.nonce)?;
-    let taken = connection
-        .prepare_cached("SELECT 1 FROM transactions WHERE state = 0 AND account = ?1 AND nonce = ?2")?
-        .exists(params![new.account.0, nonce])?;
+    let sql = "SELECT 1 FROM transactions WHERE state = 0 AND account = ?1 AND nonce = ?2";
+    let taken = connection.has(sql, params![new.account.0, nonce])?;
     if taken {
         return Err(transaction_error(new.hash, "uses the nonce of another open transaction"));
     }
@@ -213,12 +196,10 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
         Anchors::Batch(root) => (&[], Some(root.0)),
     };
     let bytes: Vec<u8> = digests.iter().flat_map(|digest| digest.0).collect();
-    connection
-        .prepare_cached(
-            "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
+    connection.run(
+        "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)",
-        )?
-        .execute(params![
+        params![
             new.hash.0,
             new.account.0,
             nonce,
@@ -227,7 +208,8 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
             bytes,
             whole("time", Timestamp::now().0)?,
             batch,
-        ])?;
+        ],
+    )?;
     match new.anchors {
         Anchors::Batch(root) => batches::submit(connection, root, new.hash, new.account),
         _ => digests.iter().try_for_each(|digest| mark(connection, *digest, new.hash)),
@@ -235,20 +217,15 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
 }
 
 fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), StoreError> {
-    let found = connection
-        .prepare_cached("SELECT state FROM records WHERE digest = ?1")?
-        .query_row([digest.0], |row| rows::state(row, 0))
-        .optional()?;
+    let found =
+        connection.find("SELECT state FROM records WHERE digest = ?1", [digest.0], |row| rows::state(row, 0))?;
     // A batched record is anchored with its batch, never individually.
     let ready = |state| state != RecordState::Batched && may(By::Submit, state, RecordState::Submitted);
     if !found.is_some_and(ready) {
         return Err(StoreError::NotReady { digest, found: found.map_or("unknown", RecordState::word) });
     }
-    connection.prepare_cached("UPDATE records SET state = ?2, tx = ?3 WHERE digest = ?1")?.execute(params![
-        digest.0,
-        RecordState::Submitted.code(),
-        hash.0
-    ])?;
+    let sql = "UPDATE records SET state = ?2, tx = ?3 WHERE digest = ?1";
+    connection.run(sql, params![digest.0, RecordState::Submitted.code(), hash.0])?;
     Ok(())
 }
 
@@ -261,12 +238,10 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
         TransactionOutcome::Reverted { reason } => (TransactionState::Reverted, None, None, Some(clean(&reason, 200))),
         TransactionOutcome::Replaced => (TransactionState::Replaced, None, None, None),
     };
-    let changed = connection
-        .prepare_cached(
-            "UPDATE transactions SET state = ?2, block = ?3, block_hash = ?4, gas_used = ?5, reason = ?6
-             WHERE hash = ?1",
-        )?
-        .execute(params![hash.0, state.code(), place.map(|p| p.0), place.map(|p| p.1), gas, reason])?;
+    let sql = "UPDATE transactions SET state = ?2, block = ?3, block_hash = ?4, gas_used = ?5, reason = ?6
+             WHERE hash = ?1";
+    let changed =
+        connection.run(sql, params![hash.0, state.code(), place.map(|p| p.0), place.map(|p| p.1), gas, reason])?;
     if changed == 0 {
         return Err(transaction_error(hash, "is not in the ledger"));
     }
@@ -275,9 +250,10 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
 
 /// Records of a transaction that will never be mined are stored (or batched) again.
 fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
-    let (digests, batch): (Vec<u8>, Option<[u8; 32]>) = connection
-        .prepare_cached("SELECT digests, batch FROM transactions WHERE hash = ?1")?
-        .query_row([hash.0], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    let (digests, batch): (Vec<u8>, Option<[u8; 32]>) =
+        connection.one("SELECT digests, batch FROM transactions WHERE hash = ?1", [hash.0], |row| {
+            Ok((row.get(0)?, row.get(1)?))
+        })?;
     if let Some(root) = batch {
         return batches::release(connection, Hash(root), hash);
     }
@@ -316,4 +292,213 @@ fn transaction_row(row: &Row<'_>) -> rusqlite::Result<TransactionRow> {
         reason: row.get(10)?,
         replaced_by: row.get::<_, Option<_>>(11)?.map(Hash),
     })
+}
+
+// Nonce lanes as the ledger knows them: open transactions, those that share a nonce, and replacing one signed
+// transaction with another along with everything it carries.
+
+/// The open part of a lane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LaneCount {
+    /// Transactions in no block yet.
+    pub open: u64,
+    /// The highest nonce among them.
+    pub highest: Option<u64>,
+    /// When the oldest of them was first signed.
+    pub oldest: Option<Timestamp>,
+}
+
+/// An open transaction without its bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OpenTransaction {
+    /// Its hash.
+    pub hash: Hash,
+    /// Its nonce.
+    pub nonce: u64,
+    /// Its purpose.
+    pub purpose: String,
+    /// Whether its records go back if it fails; otherwise it is a call of its own, to be signed again.
+    pub anchors: bool,
+}
+
+/// An open transaction's call, signed again.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reissue {
+    /// The new hash.
+    pub hash: Hash,
+    /// The new nonce, or the same at another price.
+    pub nonce: u64,
+    /// The new bytes.
+    pub raw: Vec<u8>,
+}
+
+impl Ledger {
+    /// How many transactions of an account are open, read from an index.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn lane_count(&self, account: Address) -> Result<LaneCount, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT count(*), max(nonce), min(signed_at) FROM transactions WHERE state = 0 AND account = ?1";
+            let count = connection.one(sql, [account.0], |row| {
+                let optional = |column| row.get::<_, Option<i64>>(column).map(|value| value.map(i64::cast_unsigned));
+                Ok(LaneCount { open: unsigned(row, 0)?, highest: optional(1)?, oldest: optional(2)?.map(Timestamp) })
+            })?;
+            Ok(count)
+        })
+    }
+
+    /// The highest nonce of an account's transactions signed here, whatever became of them.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn highest_nonce(&self, account: Address) -> Result<Option<u64>, StoreError> {
+        self.read(|connection| {
+            let highest: Option<i64> =
+                connection
+                    .one("SELECT max(nonce) FROM transactions WHERE account = ?1", [account.0], |row| row.get(0))?;
+            Ok(highest.map(i64::cast_unsigned))
+        })
+    }
+
+    /// The cost of an account's newest `most` anchoring transactions in blocks: their number, their gas, and the
+    /// records they anchored. Read from an index, whatever the number of transactions.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn anchoring_gas(&self, account: Address, most: u64) -> Result<(u64, u64, u64), StoreError> {
+        let most = whole("transactions", most)?;
+        self.read(|connection| {
+            let sql = "SELECT count(*), coalesce(sum(gas_used), 0), coalesce(sum(records), 0) FROM (
+                SELECT gas_used, CASE WHEN batch IS NULL THEN length(digests) / 32
+                    ELSE (SELECT count FROM batches WHERE root = batch) END AS records
+                FROM transactions WHERE account = ?1 AND state = 1 AND gas_used IS NOT NULL
+                    AND (batch IS NOT NULL OR length(digests) > 0)
+                ORDER BY nonce DESC LIMIT ?2)";
+            let figures = connection.one(sql, params![account.0, most], |row| {
+                Ok((unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?))
+            })?;
+            Ok(figures)
+        })
+    }
+
+    /// The open transactions of an account by nonce, without their bytes.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
+        self.read(|connection| {
+            Ok(connection.list(
+                "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
+                 WHERE state = 0 AND account = ?1 ORDER BY nonce",
+                [account.0],
+                |row| {
+                    Ok(OpenTransaction {
+                        hash: Hash(row.get(0)?),
+                        nonce: unsigned(row, 1)?,
+                        purpose: row.get(2)?,
+                        anchors: row.get(3)?,
+                    })
+                },
+            )?)
+        })
+    }
+
+    /// The signed bytes of a transaction; `None` if the ledger does not hold it.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
+        self.read(|connection| {
+            Ok(connection.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))?)
+        })
+    }
+
+    /// Hash and bytes of every transaction ever signed here with this nonce, whatever its outcome, newest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
+        let nonce = whole("nonce", nonce)?;
+        self.read(|connection| {
+            let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
+            Ok(connection.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))?)
+        })
+    }
+
+    /// [`Ledger::close_transaction`] for several, in one commit.
+    ///
+    /// # Errors
+    /// See [`Ledger::close_transaction`]; then none is closed.
+    pub fn close_transactions(&self, closings: Vec<(Hash, TransactionOutcome)>) -> Result<(), StoreError> {
+        self.write_many(closings.len(), move |session| {
+            closings.into_iter().try_for_each(|(hash, outcome)| close(session.connection, hash, outcome))
+        })
+    }
+
+    /// Replaces an open transaction with the same call, signed again, in one commit: purpose, age and everything it
+    /// anchors pass to the new one. The new one may be one that was replaced before.
+    ///
+    /// # Errors
+    /// [`StoreError::Transaction`] if the old one is not open, or the new one is the old one or was closed by the
+    /// chain.
+    pub fn reissue(&self, old: Hash, new: Reissue) -> Result<(), StoreError> {
+        let nonce = whole("nonce", new.nonce)?;
+        self.write(move |session| {
+            let connection = session.connection;
+            let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
+                     SELECT ?2, account, ?3, ?4, purpose, digests, signed_at, 0, batch FROM transactions
+                     WHERE hash = ?1 AND state = 0
+                     ON CONFLICT (hash) DO UPDATE SET state = 0, replaced_by = NULL
+                     WHERE transactions.state = 3 AND transactions.hash <> ?1";
+            let kept = connection.run(sql, params![old.0, new.hash.0, nonce, new.raw])?;
+            if kept == 0 {
+                return Err(transaction_error(old, "is not open, or nothing about it would change"));
+            }
+            hand_over(connection, old, new.hash)?;
+            supersede(connection, old, new.hash)
+        })
+    }
+
+    /// The chain chose `winner`, which makes the same call with the same nonce as the open `loser`: what the loser
+    /// carries passes to the winner, which then ends with `outcome`.
+    ///
+    /// # Errors
+    /// [`StoreError::Transaction`] if the ledger does not hold the winner.
+    pub fn decide_nonce(&self, loser: Hash, winner: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
+        self.write(move |session| {
+            let connection = session.connection;
+            hand_over(connection, loser, winner)?;
+            supersede(connection, loser, winner)?;
+            connection.run("UPDATE transactions SET replaced_by = NULL WHERE hash = ?1", [winner.0])?;
+            close(connection, winner, outcome)
+        })
+    }
+}
+
+/// Moves records and a batch from one transaction to another.
+fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreError> {
+    let (digests, batch): (Vec<u8>, Option<[u8; 32]>) =
+        connection.one("SELECT digests, batch FROM transactions WHERE hash = ?1", [from.0], |row| {
+            Ok((row.get(0)?, row.get(1)?))
+        })?;
+    if let Some(root) = batch {
+        connection
+            .run("UPDATE batches SET tx = ?3 WHERE root = ?1 AND tx = ?2 AND block IS NULL", [root, from.0, to.0])?;
+        let sql = "UPDATE records SET tx = ?3 WHERE tx = ?2 AND block IS NULL AND n IN
+                 (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)";
+        connection.run(sql, [root, from.0, to.0])?;
+    }
+    let mut statement =
+        connection.prepare_cached("UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL")?;
+    for digest in digests.chunks_exact(crate::model::Digest::LENGTH) {
+        statement.execute(params![digest, from.0, to.0])?;
+    }
+    Ok(())
+}
+
+/// Marks a transaction as replaced by another one, without returning its records.
+fn supersede(connection: &Connection, old: Hash, new: Hash) -> Result<(), StoreError> {
+    connection.run("UPDATE transactions SET state = 3, replaced_by = ?2 WHERE hash = ?1", [old.0, new.0])?;
+    Ok(())
 }

@@ -12,9 +12,10 @@ use std::thread::{self, JoinHandle};
 use rusqlite::Connection;
 
 use super::append::Names;
+use crate::StoreError;
 use crate::crypto::fault;
-use crate::store::StoreError;
-use crate::store::database::{self, Checkpoints};
+use crate::database::Statements as _;
+use crate::database::{self, Checkpoints};
 
 /// The most pieces of work in one transaction.
 const GROUP: usize = 256;
@@ -281,7 +282,7 @@ fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
 }
 
 fn run(connection: &Connection, sql: &str) -> Result<(), StoreError> {
-    connection.prepare_cached(sql)?.execute([])?;
+    connection.run(sql, [])?;
     Ok(())
 }
 

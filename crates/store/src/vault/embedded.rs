@@ -6,9 +6,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use rusqlite::{Connection, ErrorCode, OptionalExtension as _, params};
 
 use super::{Usage, Vault};
+use crate::StoreError;
+use crate::database::Statements as _;
+use crate::database::{self, Schema};
 use crate::model::Digest;
-use crate::store::StoreError;
-use crate::store::database::{self, Schema};
 
 const SCHEMA: Schema = Schema { application: 0x4155_5631, text: include_str!("schema.sql") };
 
@@ -100,8 +101,7 @@ impl Vault for EmbeddedVault {
 
     fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         self.on(&self.reader, |connection| {
-            let mut statement = connection.prepare_cached("SELECT bytes FROM blobs WHERE digest = ?1")?;
-            Ok(statement.query_row([digest.0], |row| row.get(0)).optional()?)
+            Ok(connection.find("SELECT bytes FROM blobs WHERE digest = ?1", [digest.0], |row| row.get(0))?)
         })
     }
 
@@ -131,9 +131,7 @@ impl Vault for EmbeddedVault {
     }
 
     fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
-        self.on(&self.writer, |connection| {
-            Ok(connection.prepare_cached("DELETE FROM blobs WHERE digest = ?1")?.execute([digest.0])? > 0)
-        })
+        self.on(&self.writer, |connection| Ok(connection.run("DELETE FROM blobs WHERE digest = ?1", [digest.0])? > 0))
     }
 
     fn discard(&self, digests: &[Digest]) -> Result<(), StoreError> {
@@ -176,9 +174,7 @@ impl Vault for EmbeddedVault {
     }
 
     fn contains(&self, digest: Digest) -> Result<bool, StoreError> {
-        self.on(&self.reader, |connection| {
-            Ok(connection.prepare_cached("SELECT 1 FROM blobs WHERE digest = ?1")?.exists([digest.0])?)
-        })
+        self.on(&self.reader, |connection| Ok(connection.has("SELECT 1 FROM blobs WHERE digest = ?1", [digest.0])?))
     }
 
     fn usage(&self) -> Result<Usage, StoreError> {
@@ -211,8 +207,7 @@ impl Vault for EmbeddedVault {
 
     fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError> {
         self.on(&self.writer, |connection| {
-            let mut statement = connection.prepare_cached("UPDATE blobs SET bytes = ?2 WHERE digest = ?1")?;
-            Ok(statement.execute(params![digest.0, bytes])? > 0)
+            Ok(connection.run("UPDATE blobs SET bytes = ?2 WHERE digest = ?1", params![digest.0, bytes])? > 0)
         })
     }
 }

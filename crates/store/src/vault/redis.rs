@@ -1,26 +1,21 @@
 //! The vault on Redis: a cache and sharing point, never the authoritative copy. One server, the master named by
 //! sentinels, or a cluster. Keys are digests, so the nodes of a cluster share the records evenly.
 
-mod address;
 mod cluster;
 mod connection;
 mod node;
-mod slots;
-mod together;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use redis::{RedisResult, Value, cmd, pipe};
+use redis::{FromRedisValue, Pipeline, RedisResult, Value, cmd, from_redis_value, pipe};
 
-use self::address::{Address, Place};
 use self::cluster::{Cluster, Member};
 use self::connection::Connection;
 use self::node::{Failure, Node};
-use super::policy::Finding;
-use super::{Stored, Usage, Vault};
-use crate::model::Digest;
-use crate::store::StoreError;
+use super::{Finding, Stored, Usage, Vault};
+use crate::StoreError;
+use crate::model::{Digest, clean};
 
 /// The most bytes sent in one pipeline; a larger record is sent alone.
 const LARGEST_PIPELINE: usize = 8 << 20;
@@ -79,7 +74,7 @@ impl RedisVault {
         match Self::open(url) {
             Ok(vault) => Ok(vault.findings()),
             Err(StoreError::Policy { url: server, detail: text, advice }) => {
-                Ok(vec![Finding { gravity: super::policy::Gravity::Refused, server, text, advice }])
+                Ok(vec![Finding { gravity: super::Gravity::Refused, server, text, advice }])
             }
             Err(error) => Err(error),
         }
@@ -96,7 +91,7 @@ impl RedisVault {
     fn with<T>(&self, digest: Digest, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, StoreError> {
         match &self.servers {
             Servers::One(node) => node.with(work).map_err(|failure| failure.error),
-            Servers::Many(cluster) => cluster.with(slots::slot(&key(digest)), work),
+            Servers::Many(cluster) => cluster.with(slot(&key(digest)), work),
         }
     }
 
@@ -128,7 +123,7 @@ impl RedisVault {
                 for (digest, bytes) in now {
                     pipeline.cmd("SET").arg(key(*digest)).arg(*bytes);
                 }
-                together::ask::<Value>(connection, &pipeline).map(drop)
+                ask::<Value>(connection, &pipeline).map(drop)
             })?;
             rest = later;
         }
@@ -140,7 +135,7 @@ impl RedisVault {
         let mut stored = Stored::default();
         let mut groups: BTreeMap<usize, Group<'_>> = BTreeMap::new();
         for entry in entries {
-            match cluster.of(slots::slot(&key(entry.0))) {
+            match cluster.of(slot(&key(entry.0))) {
                 Ok(member) => {
                     let place = Arc::as_ptr(&member) as usize;
                     groups.entry(place).or_insert_with(|| (member, Vec::new())).1.push(*entry);
@@ -205,7 +200,7 @@ impl RedisVault {
             for key in keys {
                 pipeline.cmd("STRLEN").arg(key);
             }
-            together::ask(connection, &pipeline)
+            ask(connection, &pipeline)
         });
         lengths.map_err(|failure| failure.error)
     }
@@ -237,9 +232,7 @@ impl Vault for RedisVault {
     fn answers(&self, digest: Digest) -> bool {
         match &self.servers {
             Servers::One(_) => true,
-            Servers::Many(cluster) => {
-                cluster.of(slots::slot(&key(digest))).is_ok_and(|member| member.rests().is_none())
-            }
+            Servers::Many(cluster) => cluster.of(slot(&key(digest))).is_ok_and(|member| member.rests().is_none()),
         }
     }
 
@@ -256,7 +249,7 @@ impl Vault for RedisVault {
             for digest in digests {
                 pipeline.cmd("GET").arg(key(*digest));
             }
-            together::ask(connection, &pipeline)
+            ask(connection, &pipeline)
         });
         found.map_err(|failure| failure.error)
     }
@@ -276,7 +269,7 @@ impl Vault for RedisVault {
             for digest in digests {
                 pipeline.cmd("GETRANGE").arg(key(*digest)).arg(0).arg(last);
             }
-            together::ask(connection, &pipeline)
+            ask(connection, &pipeline)
         });
         Ok(found.map_err(|failure| failure.error)?.into_iter().map(some).collect())
     }
@@ -354,7 +347,7 @@ impl Vault for RedisVault {
             for digest in digests {
                 pipeline.cmd("EXISTS").arg(key(*digest));
             }
-            together::ask(connection, &pipeline)
+            ask(connection, &pipeline)
         });
         found.map_err(|failure| failure.error)
     }
@@ -386,4 +379,157 @@ fn pipeline_length(entries: &[(Digest, &[u8])]) -> usize {
         bytes <= LARGEST_PIPELINE
     });
     fitting.count().max(1)
+}
+
+// The address of a Redis: one server, the master named by sentinels, or the nodes of a cluster.
+
+/// A vault's URL, parsed.
+#[derive(Clone, PartialEq, Eq)]
+struct Address {
+    /// Its name, without secrets.
+    pub shown: String,
+    /// `USER:PASSWORD@` as written; empty if there is none.
+    credentials: String,
+    /// What it leads to.
+    pub place: Place,
+}
+
+/// The kind of address.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Place {
+    /// One server, at a URL that the client understands.
+    Server(String),
+    /// Sentinels as HOST:PORT, their name for the master, its database.
+    Sentinels(Vec<String>, String, String),
+    /// Nodes of a cluster as HOST:PORT; the rest are learnt from them.
+    Cluster(Vec<String>),
+}
+
+impl Address {
+    /// Parses `redis://[USER:PASSWORD@]HOST:PORT/DB`, `redis+unix:///PATH[?db=N]`,
+    /// `redis+sentinel://[USER:PASSWORD@]HOST:PORT,HOST:PORT/MASTER[/DB]` or
+    /// `redis+cluster://[USER:PASSWORD@]HOST:PORT,HOST:PORT`.
+    ///
+    /// # Errors
+    /// [`StoreError::VaultUrl`].
+    fn parse(url: &str) -> Result<Self, StoreError> {
+        let shown = redact(url);
+        let wrong = |detail: &str| StoreError::VaultUrl { url: shown.clone(), detail: detail.to_owned() };
+        let (scheme, rest) = url.split_once("://").unwrap_or(("", url));
+        let (credentials, rest) = match rest.rsplit_once('@') {
+            Some((credentials, rest)) if scheme.starts_with("redis+") => (format!("{credentials}@"), rest),
+            _ => (String::new(), rest),
+        };
+        let place = match scheme {
+            "redis+sentinel" => {
+                let mut parts = rest.split('/');
+                let hosts = hosts(parts.next().unwrap_or_default()).map_err(wrong)?;
+                let master = parts.next().filter(|name| !name.is_empty());
+                let master = master.ok_or_else(|| wrong("the master's name is missing after the sentinels"))?;
+                let database = parts.next().unwrap_or("0");
+                if database.parse::<u16>().is_err() || parts.next().is_some() {
+                    return Err(wrong("the database must be a number"));
+                }
+                Place::Sentinels(hosts, master.to_owned(), database.to_owned())
+            }
+            "redis+cluster" => Place::Cluster(hosts(rest.trim_end_matches('/')).map_err(wrong)?),
+            _ => Place::Server(url.to_owned()),
+        };
+        Ok(Self { shown, credentials, place })
+    }
+
+    /// The URL of one server of a cluster, or of a master.
+    fn server(&self, host: &str, database: &str) -> String {
+        format!("redis://{}{host}/{database}", self.credentials)
+    }
+}
+
+fn hosts(text: &str) -> Result<Vec<String>, &'static str> {
+    let good = |host: &str| {
+        let port = host.rsplit_once(':').filter(|(name, _)| !name.is_empty()).map(|(_, port)| port.parse::<u16>());
+        matches!(port, Some(Ok(1..))) && host.bytes().all(|byte| byte.is_ascii_graphic() && !b"/?#@".contains(&byte))
+    };
+    let hosts: Vec<String> = text.split(',').map(str::to_owned).collect();
+    if hosts.iter().all(|host| good(host)) { Ok(hosts) } else { Err("servers must be HOST:PORT, separated by commas") }
+}
+
+/// The URL without user, password and query, safe to show.
+fn redact(url: &str) -> String {
+    let plain = url.split_once(['?', '#']).map_or(url, |(before, _)| before);
+    let Some((scheme, rest)) = plain.split_once("://") else { return clean(plain, 80) };
+    let host = rest.rsplit_once('@').map_or(rest, |(_, host)| host);
+    let hidden = if host.len() == rest.len() { "" } else { "***@" };
+    clean(&format!("{scheme}://{hidden}{host}"), 120)
+}
+
+// Hash slots of a Redis cluster: which node has which keys.
+
+/// How many there are.
+const SLOTS: u16 = 16_384;
+
+/// The slot of a key without a hash tag: CRC-16/XMODEM of it (Redis cluster specification, appendix A).
+fn slot(key: &str) -> u16 {
+    let crc = key.bytes().fold(0u16, |crc, byte| {
+        (0..8).fold(
+            crc ^ (u16::from(byte) << 8),
+            |crc, _| {
+                if crc & 0x8000 == 0 { crc << 1 } else { (crc << 1) ^ 0x1021 }
+            },
+        )
+    });
+    crc % SLOTS
+}
+
+// Several commands sent at once, and an answer read for each.
+//
+// The library's own pipeline goes on reading after a silence and waits for its time-out once for every answer that does
+// not come: 64 commands to a server that is stopped held the connection for three minutes.
+
+/// The answers to all commands, in their order. Ends at the first silence; a command that the server refuses is
+/// reported after all answers are read, so that the connection stays usable.
+fn ask<T: FromRedisValue>(connection: &mut Connection, commands: &Pipeline) -> RedisResult<Vec<T>> {
+    if commands.is_empty() {
+        return Ok(Vec::new());
+    }
+    connection.send(&commands.get_packed_pipeline())?;
+    let values = connection.replies(commands.len())?;
+    values.into_iter().map(|value| Ok(from_redis_value(value.extract_error()?)?)).collect()
+}
+
+#[cfg(test)]
+mod address_tests {
+    use super::*;
+
+    #[test]
+    fn sentinels_and_clusters_are_understood_and_secrets_hidden() {
+        let place = |url: &str| Address::parse(url).map(|address| address.place).ok();
+        let two = vec!["a:1".to_owned(), "[::1]:2".to_owned()];
+        assert_eq!(place("redis+cluster://a:1,[::1]:2"), Some(Place::Cluster(two.clone())));
+        let sentinels = |database: &str| Place::Sentinels(two.clone(), "mine".to_owned(), database.to_owned());
+        assert_eq!(place("redis+sentinel://u:p@a:1,[::1]:2/mine"), Some(sentinels("0")));
+        assert_eq!(place("redis+sentinel://a:1,[::1]:2/mine/3"), Some(sentinels("3")));
+        assert_eq!(place("redis://h:1/0"), Some(Place::Server("redis://h:1/0".to_owned())));
+        for bad in ["cluster://", "cluster://a", "cluster://a:0", "cluster://a:1,", "cluster://a:1/x", "sentinel://a:1"]
+        {
+            assert_eq!(place(&format!("redis+{bad}")), None, "{bad}");
+        }
+        assert_eq!(place("redis+sentinel://a:1/mine/x"), None);
+        let address = Address::parse("redis+cluster://me:s3cret@a:1,b:2").expect("good");
+        assert_eq!(address.server("b:2", "0"), "redis://me:s3cret@b:2/0");
+        assert!(!address.shown.contains("s3cret") && address.shown.contains("a:1,b:2"), "{}", address.shown);
+        let error = Address::parse("redis+sentinel://me:s3cret@a:1").map(drop).expect_err("no master");
+        assert!(!error.to_string().contains("s3cret"), "{error}");
+    }
+}
+
+#[cfg(test)]
+mod slots_tests {
+    use super::*;
+
+    #[test]
+    fn slots_are_those_of_the_specification() {
+        // The specification's own check value, and slots that `CLUSTER KEYSLOT` of Redis 7.0 gives.
+        assert_eq!((slot("123456789"), 0x31c3 % SLOTS), (12_739, 12_739));
+        assert_eq!((slot("foo"), slot("bar"), slot("")), (12_182, 5_061, 0));
+    }
 }

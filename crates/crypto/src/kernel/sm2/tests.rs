@@ -11,7 +11,7 @@ use super::limbs::{self, Limbs};
 use super::point::{GENERATOR, Jacobian};
 use super::scalar::{HALF, ORDER, digit, digits};
 use super::*;
-use crate::crypto::kernel::tests::Noise;
+use crate::kernel::tests::Noise;
 
 fn cases(short: usize, long: usize) -> usize {
     if std::env::var_os("AUTHROS_LONG").is_some() { long } else { short }

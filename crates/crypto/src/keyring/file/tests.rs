@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 use proptest::prelude::*;
 
 use super::*;
-use crate::crypto::private_file::write_private;
 use crate::model::{Domain, ErrorKind};
+use crate::private_file::write_private;
 
 fn sample() -> Keyring {
     let mut keyring = Keyring::generate(provider(ProviderName::RustCrypto)).expect("generates");
@@ -48,20 +48,20 @@ fn further_pairs_come_back() {
     assert!(open(&bytes, &quick_key()).is_ok_and(|opened| opened == *WITH_FURTHER));
     let mut one = SAMPLE.0.clone();
     for take in 0..4 {
-        one.further = crate::crypto::keyring::FurtherPairs::default();
+        one.further = crate::keyring::FurtherPairs::default();
         match take {
             0 => one.further.envelopes = WITH_FURTHER.further.envelopes.clone(),
             1 => one.further.next_signing = WITH_FURTHER.further.next_signing.clone(),
             2 => one.further.next_envelope = WITH_FURTHER.further.next_envelope.clone(),
             _ => one.further.gateway = WITH_FURTHER.further.gateway.clone(),
         }
-        assert_eq!(body::parse(&body::encode(&one)).as_ref(), Ok(&one));
+        assert_eq!(parse(&encode(&one)).as_ref(), Ok(&one));
     }
-    let plain = body::encode(&SAMPLE.0);
+    let plain = encode(&SAMPLE.0);
     let secret = WITH_FURTHER.signing.secret.expose();
     let twice = [&plain[..plain.len() - 4], &[0, 0, 0, 2, 4], secret, &[4], secret].concat();
-    assert!(body::parse(&twice).is_err(), "one gateway");
-    let plain = body::encode(&WITH_FURTHER);
+    assert!(parse(&twice).is_err(), "one gateway");
+    let plain = encode(&WITH_FURTHER);
     assert!(plain.capacity() >= plain.len() + 16);
 }
 
@@ -150,13 +150,13 @@ fn the_file_shows_no_secret() {
     for secret in secrets {
         assert!(!bytes.windows(8).any(|window| window == &secret[..8]));
     }
-    assert_eq!(bytes.len(), HEADER + body::encode(keyring).len() + 16);
+    assert_eq!(bytes.len(), HEADER + encode(keyring).len() + 16);
 }
 
 #[test]
 fn the_buffer_of_secrets_never_grows() {
     let (keyring, _) = &*SAMPLE;
-    let plain = body::encode(keyring);
+    let plain = encode(keyring);
     assert!(plain.capacity() >= plain.len() + 16);
     assert!(plain.capacity() < 2 * plain.len(), "reserved once");
 }
@@ -180,13 +180,13 @@ proptest! {
     fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..500),
                           at in any::<prop::sample::Index>(), bit in 0u8..8) {
         prop_assert!(open(&noise, &quick_key()).is_err());
-        prop_assert!(body::parse(&noise).is_err());
+        prop_assert!(parse(&noise).is_err());
         for keyring in [&SAMPLE.0, &*WITH_FURTHER] {
-            let mut plain = body::encode(keyring);
+            let mut plain = encode(keyring);
             let at = at.index(plain.len());
             plain[at] ^= 1 << bit;
-            let _ = body::parse(&plain);
-            prop_assert!(body::parse(&plain[..at]).is_err());
+            let _ = parse(&plain);
+            prop_assert!(parse(&plain[..at]).is_err());
         }
     }
 }

@@ -1,8 +1,7 @@
 //! When a table is built, and which one is evicted.
 
-use super::super::signers::{IDLE, SIGHTINGS, Signers, of_process};
-use super::super::signing::verify_among;
 use super::*;
+use crate::sm2::{IDLE, SIGHTINGS, Signers, of_process, verify_among};
 
 /// So many verifications, of whatever signatures, once made all others replaceable.
 const FLOOD: u32 = (1 << 16) + 1;

@@ -6,7 +6,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use super::*;
-use crate::crypto::kernel::sm2::Signer as _;
+use crate::kernel::sm2::Signer as _;
 
 /// For two samples: the difference of their means over its standard error.
 fn welch(samples: &[Vec<f64>; 2]) -> f64 {
@@ -78,7 +78,7 @@ fn times_tell_nothing_of_secrets() {
     });
     measured("a multiple of a point (decryption), factor 3 or random", runs, |class, noise| {
         let factor = number(class, noise);
-        timed(|| crate::crypto::kernel::sm2::multiply(black_box(&factor), &other))
+        timed(|| crate::kernel::sm2::multiply(black_box(&factor), &other))
     });
     measured("signing, key fixed or random", runs / 4, |class, noise| {
         let random = key(noise).1;

@@ -3,7 +3,7 @@
 use rusqlite::StatementStatus::VmStep;
 
 use super::*;
-use crate::store::ledger::ages::{OLDEST, OWNERS, UNTOLD, last_seen};
+use crate::ledger::query::{OLDEST, OWNERS, UNTOLD, last_seen};
 
 /// Steps that SQLite's machine takes for each query of the figures, over this many records in four streams.
 fn steps(records: u64) -> Vec<i32> {

@@ -1,7 +1,7 @@
 //! When there are records of a topic: compared with what was put in, part by part.
 
-use super::super::coverage::{Coverage, CoverageQuery};
 use super::*;
+use crate::ledger::counts::{Coverage, CoverageQuery};
 
 const OWNER: Address = Address([1; 20]);
 
@@ -16,7 +16,7 @@ fn query(since: Option<u64>, until: u64, parts: usize) -> CoverageQuery {
 
 /// A letter for each part: d = data, q = quarantined, t = tampered, l = lost, `.` = nothing.
 fn strip(coverage: &Coverage) -> Vec<String> {
-    let letters = |part: &super::super::coverage::CoveragePart| {
+    let letters = |part: &crate::ledger::counts::CoveragePart| {
         let all = [(part.data, 'd'), (part.quarantined, 'q'), (part.tampered, 't'), (part.lost > 0, 'l')];
         let text: String = all.iter().filter(|(is, _)| *is).map(|(_, letter)| *letter).collect();
         if text.is_empty() { ".".to_owned() } else { text }

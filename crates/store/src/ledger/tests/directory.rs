@@ -71,7 +71,7 @@ fn what_an_event_ends_is_found_without_what_ended_before() {
             })
             .expect("planned")
     };
-    for sql in crate::store::ledger::directory::ENDING {
+    for sql in crate::ledger::directory::ENDING {
         let plan = plan(sql);
         assert!(plan.contains("INDEX rights_standing (owner=? AND kind=?"), "{plan}");
     }

@@ -1,7 +1,7 @@
 //! Shell completion: read beside a running site and without one, and nothing is left beside the file.
 
-use super::super::glance::Glance;
 use super::*;
+use crate::ledger::query::Glance;
 
 fn files(home: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(home).expect("a folder").flatten();

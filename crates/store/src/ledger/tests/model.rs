@@ -259,7 +259,7 @@ impl Pair {
                 let answer = self.ledger().advance(&self.model.digests(&picked), from, to);
                 match answer {
                     Ok(moved) => assert_eq!(moved, self.model.advance(&picked, from, to), "{from:?} {to:?}"),
-                    Err(_) => assert!(!edges::may(edges::By::Worker, from, to)),
+                    Err(_) => assert!(!rows::may(rows::By::Worker, from, to)),
                 }
             }
             Step::Heal(picked) => {

@@ -1,7 +1,7 @@
 //! The record of the tests that need nothing special.
 
+use crate::NewRecord;
 use crate::model::{Address, Digest, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId};
-use crate::store::NewRecord;
 
 /// A stored record of owner 1 that is this number in all.
 pub(in super::super) fn numbered(number: u8) -> NewRecord {

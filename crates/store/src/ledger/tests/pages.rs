@@ -108,8 +108,8 @@ fn a_choice_finds_the_id_of_all_topics_and_that_of_its_own() {
     let rows = [with(1, 1, 1), with(1, 2, 2), with(2, 3, 1), with(2, 2, 2), with(3, 4, 1)];
     ledger.append(rows.to_vec()).expect("acknowledged");
     let by_topic = [(TopicId([1; 16]), tag(2)), (TopicId([2; 16]), tag(3))].into();
-    let choice = crate::store::FilterChoice { id: tag(1), by_topic };
-    let found = |filters: Vec<crate::store::FilterChoice>| {
+    let choice = crate::FilterChoice { id: tag(1), by_topic };
+    let found = |filters: Vec<crate::FilterChoice>| {
         let page = ledger.list(&RecordQuery { filters, ..RecordQuery::default() }).expect("page");
         page.rows.iter().map(|row| row.digest).collect::<std::collections::BTreeSet<_>>()
     };

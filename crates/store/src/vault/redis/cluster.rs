@@ -7,12 +7,11 @@ use std::time::{Duration, Instant};
 
 use redis::{RedisResult, Value, cmd, from_redis_value};
 
-use super::address::{Address, Place};
 use super::connection::Connection;
 use super::node::{Failure, MARK, Node};
-use super::slots::{SLOTS, slot};
+use super::{Address, Place, SLOTS, slot};
+use crate::StoreError;
 use crate::model::clean;
-use crate::store::StoreError;
 
 /// How long an unresponsive node is left alone.
 const REST: Duration = Duration::from_secs(1);

@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 
 use redis::{ConnectionInfo, ErrorKind, IntoConnectionInfo, RedisError, RedisResult, ServerErrorKind, cmd};
 
-use super::address::{Address, Place};
 use super::connection::Connection;
+use super::{Address, Place};
+use crate::StoreError;
 use crate::model::{Timestamp, clean};
-use crate::store::StoreError;
-use crate::store::vault::policy::{Finding, Gravity, Setup};
+use crate::vault::{Finding, Gravity, Setup};
 
 /// How long an unresponsive server is left alone: callers meanwhile get the previous error at once, so nobody waits a
 /// second time for the same silence.
