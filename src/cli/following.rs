@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::connect::{Context, ProfileNeed};
 use super::parse;
-use super::progress::Teller;
+use super::printed::Teller;
 use super::recordings::absolute;
 use super::serve::Ending;
 use crate::model::ErrorKind;

@@ -13,7 +13,7 @@ use super::args::{Arguments, ConsoleArguments, PrintArguments};
 use super::connect::Context;
 use super::twins::{TWINS, Twin};
 use super::{complete, passphrase};
-use crate::app::progress::Progress;
+use crate::app::history::Progress;
 use crate::app::{Keymap, keymap};
 use crate::config::DEFINITIONS;
 use crate::model::{ErrorKind, Timestamp, clean};

@@ -125,7 +125,7 @@ pub fn opened(view: &OpenedView) -> String {
     lines.extend(view.note.iter().map(|note| format!("note: {note}")));
     if let Some(readable) = &view.readable {
         lines.push(String::new());
-        lines.push(readable(readable));
+        lines.push(readable_text(readable));
         lines.push(String::new());
     }
     lines.extend(view.fields.iter().map(|(path, text)| format!("  {path}: {text}")));
@@ -144,7 +144,7 @@ fn compressed(word: &str) -> String {
     }
 }
 
-fn readable(view: &Readable) -> String {
+fn readable_text(view: &Readable) -> String {
     let width = view.lines.iter().map(|(label, _)| label.chars().count()).max().unwrap_or(0);
     let mut parts: Vec<String> = view.lines.iter().map(|(label, value)| format!("{label:width$}  {value}")).collect();
     parts.extend(view.tables.iter().map(tabled));

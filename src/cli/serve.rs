@@ -129,8 +129,8 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
         _ => context.config.ros_master.clone(),
     };
     let root = context.home.root().display().to_string();
-    let ready = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
-    output.result(&ready, || {
+    let serving = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
+    output.result(&serving, || {
         let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
         format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}", context.profile)
     });

@@ -40,7 +40,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     let asked = connection.client.ask(SiteStatus).await;
     // Of a home that cannot be written, the chain is opened in its copy too.
     let peers = match connection.site.as_ref().map(|site| site.place()) {
-        Some(home) => doctor(&home, &context.config).await,
+        Some(home) => doctor::peers(&home, &context.config).await,
         None => Vec::new(),
     };
     connection.close().await;
@@ -57,7 +57,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
 
 /// The parts' health where no site runs and the vault does not answer.
 async fn without_vault(context: &Context, failure: &Failure, output: &Output) -> Result<u8, Failure> {
-    let mut health = doctor(&context.home, &context.config).await;
+    let mut health = doctor::peers(&context.home, &context.config).await;
     let text = failure.message.clone();
     health.push(PartHealth { part: "vault".to_owned(), level: HealthLevel::Failed, text, since: None, retry: None });
     output.result(&serde_json::json!({ "health": health }), || {

@@ -64,7 +64,7 @@ fn expect_shown_as_sent(distribution: &str, seed: &str) {
     let folder = home.root().join("sent");
     fs::create_dir(&folder).expect("created");
     let which: &[&str] = if long() { &["types", "all"] } else { &["types"] };
-    let listed = peer(&network, &python, which).wait(60).expect_code(0).stdout();
+    let listed = peer(&network, &python, which).wait(60).expect_code(0).stdout;
     let types: Vec<&str> = listed.lines().collect();
     assert!(types.len() >= 30, "{types:?}");
 

@@ -13,7 +13,7 @@ use crate::paths::Home;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::store::vault::policy::{self, Gravity};
+use crate::store::vault::{self, Gravity};
 use crate::store::{SiteLock, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
@@ -360,7 +360,7 @@ fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
     let Some(url) = &config.vault_url else {
         return database("vault", &home.vault().join("vault.db"), sheet);
     };
-    match policy::examine(Some(url)) {
+    match vault::examine(Some(url)) {
         Ok(findings) => {
             if findings.is_empty() {
                 let text = format!("{} answers, does not evict and has an append-only file", without_secrets(url));

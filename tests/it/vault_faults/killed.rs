@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use authros::store::vault::policy::{Gravity, examine};
+use authros::store::vault::{Gravity, examine};
 
 use super::field::{CAMERA, Load, NO_REDIS, ODOM, sample};
 use crate::support::{Redis, Running, count, free_port, long, skipped, wait_until};

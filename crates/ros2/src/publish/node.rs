@@ -99,7 +99,7 @@ mod tests {
         let participant = GUID::GUID_UNKNOWN;
         let writers = [GUID::GUID_UNKNOWN, GUID::GUID_UNKNOWN];
         let mut nodes = Nodes::default();
-        nodes.take(&[vec![0, 1, 0, 0], message(participant, &writers)].concat());
+        nodes.take(&participant.to_bytes(), &[vec![0, 1, 0, 0], message(participant, &writers)].concat());
         assert_eq!(nodes.of(&writers[0].to_bytes()), Some("/authros_bridge"));
     }
 
