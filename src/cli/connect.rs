@@ -71,6 +71,9 @@ pub enum ProfileNeed {
     None,
     /// Its keyring open.
     Unlocked,
+    /// Its keyring open at a running site, for what that site is to do from now on. It is not required: what is wished for
+    /// begins when the keyring is opened, and that is said.
+    OpenAtSite,
     /// Its keyring open; created first if there is none.
     Made,
 }
@@ -321,7 +324,16 @@ impl Context {
             return Ok(());
         }
         if identity.exists && !identity.unlocked {
-            let Some(passphrase) = passphrase::given(&self.global, &self.home, &self.profile)? else {
+            let given = passphrase::given(&self.global, &self.home, &self.profile)?;
+            if given.is_none() && need == ProfileNeed::OpenAtSite {
+                output.note(&format!(
+                    "to begin, pass --passphrase-file or --passphrase-fd: the keyring of profile '{}' is locked, and until \
+                     it is open nothing is captured",
+                    self.profile
+                ));
+                return Ok(());
+            }
+            let Some(passphrase) = given else {
                 return Err(Failure::new(
                     ErrorKind::Refused,
                     format!(

@@ -55,7 +55,9 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
     connection.tell_read_only(output);
     let forgets = matches!(plan.question.command, Command::ChangePassphrase { .. });
     let told = async {
-        context.prepare(&connection.client, plan.profile, output).await?;
+        let is_own = connection.site.is_some();
+        let need = if is_own && plan.profile == ProfileNeed::OpenAtSite { ProfileNeed::None } else { plan.profile };
+        context.prepare(&connection.client, need, output).await?;
         if let Some(first) = plan.first {
             connection.client.ask(first).await?.lines.iter().for_each(|line| output.note(line));
         }
@@ -138,7 +140,7 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
         TopicsVerb::List => Plan::new(ROS, ProfileNeed::None, ListTopics),
         TopicsVerb::Watch { topic, type_name } => {
             let type_name = type_name.as_deref().map(parse::value).transpose()?;
-            kept(WatchTopic { topic: parse::value(&topic)?, type_name }.into())
+            Plan::new(NEITHER, ProfileNeed::OpenAtSite, WatchTopic { topic: parse::value(&topic)?, type_name })
         }
         TopicsVerb::Unwatch { topic } => kept(UnwatchTopic { topic: parse::value(&topic)? }.into()),
         TopicsVerb::Pin(pin) => kept(pin.question()?),

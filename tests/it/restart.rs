@@ -145,3 +145,27 @@ fn identities_grants_and_records_are_there_after_a_restart() {
     let id = text(&bob.records(&["shared", "list"])[0], "id");
     assert_eq!(bob.json(&["shared", "open", &id])["verdict"], "verified");
 }
+
+/// What is watched at a site that was started anew is captured: the keyring that it needs is opened, or it is said that it is not.
+#[test]
+fn a_watch_at_a_restarted_site_begins_or_says_why_it_does_not() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    let site = authros.serve(&home);
+    let alice = home.profile("alice");
+    alice.enrol();
+    alice.json(&["topics", "watch", TOPICS[0]]);
+    wait_until(60, "a first record", || (!alice.records(&["uploads", "list"]).is_empty()).then_some(()));
+    site.stop("TERM", 60).expect_code(0);
+    let _site = authros.serve(&home);
+    let before = alice.records(&["uploads", "list"]).len();
+
+    let passphrase = home.path().join("profiles/alice/passphrase");
+    let kept = passphrase.with_extension("elsewhere");
+    std::fs::rename(&passphrase, &kept).expect("taken away");
+    let said = alice.run(&["topics", "watch", TOPICS[0]]).expect_code(0);
+    assert!(said.stderr.contains("locked") && said.stderr.contains("--passphrase-file"), "{}", said.stderr);
+    std::fs::rename(&kept, &passphrase).expect("given back");
+    alice.json(&["topics", "watch", TOPICS[0]]);
+    wait_until(60, "it is captured again", || (alice.records(&["uploads", "list"]).len() > before + 20).then_some(()));
+}
