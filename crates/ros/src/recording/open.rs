@@ -160,6 +160,14 @@ impl Recording {
         }
     }
 
+    /// The file of a folder that the last message is from; `None` where the recording is one file.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Folder(reader) => Some(reader.file()),
+            Self::Bag(_) | Self::Mcap(_) | Self::Db3(_) => None,
+        }
+    }
+
     /// Bytes of the file read so far, and its size.
     pub fn progress(&self) -> (u64, u64) {
         match self {
