@@ -166,12 +166,12 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
 }
 
 /// Seals a copy of a recording in a profile of its own.
-struct Copy {
+struct Copied {
     authros: Authros,
     folder: PathBuf,
 }
 
-impl Copy {
+impl Copied {
     fn new(home: &Home, recorded: &Path, name: &str) -> Self {
         let (authros, folder) = (home.profile(name), home.root().join(name));
         authros.enrol();
@@ -187,8 +187,8 @@ impl Copy {
     fn import(&self, path: &Path) -> [u64; 3] {
         let view = self.authros.json_within(240, &["bag", "import", utf8(path)]);
         assert!(list(&view, "damages").is_empty(), "{view}");
-        let beside = list(&view, "topics").iter().find(|topic| text(topic, "topic") == BESIDE);
-        [count(&view, "imported"), count(&view, "already"), beside.map_or(0, |topic| count(topic, "imported"))]
+        let beside = list(&view, "topics").into_iter().find(|topic| text(topic, "topic") == BESIDE);
+        [count(&view, "imported"), count(&view, "already"), beside.map_or(0, |topic| count(&topic, "imported"))]
     }
 
     /// What was sealed and found sealed, what is beside the messages among it.
@@ -211,26 +211,26 @@ fn a_folder_that_is_followed_and_imported_is_sealed_once_whichever_is_first() {
     // The metadata records of its files; an import has metadata.yaml, too.
     let (messages, beside) = (count(&recorded, "messages"), count(&recorded, "files") + 1);
 
-    let one = Copy::new(&home, &run, "followed");
+    let one = Copied::new(&home, &run, "followed");
     assert_eq!(one.follow(&["--attach"]), [messages + beside, 0]);
     assert_eq!(one.import(&one.folder), [0, messages, 1], "only metadata.yaml is new");
     assert_eq!(one.import(&one.folder), [0, messages, 0]);
     expect_all_once(&one.authros, &one.folder, messages);
 
-    let one = Copy::new(&home, &run, "imported");
+    let one = Copied::new(&home, &run, "imported");
     assert_eq!(one.import(&one.folder), [messages, 0, beside + 1]);
     assert_eq!(one.follow(&[]), [0, messages + beside]);
     let [new, known, _] = one.import(&recordings(&one.folder)[0]);
     assert!(new == 0 && known > 0 && known < messages, "{known}: a file of it alone");
     expect_all_once(&one.authros, &one.folder, messages);
 
-    let one = Copy::new(&home, &run, "alone");
+    let one = Copied::new(&home, &run, "alone");
     let [new, ..] = one.import(&recordings(&one.folder)[1]);
     let [rest, known, _] = one.import(&one.folder);
     assert_eq!((known, new + rest), (new, messages), "a file of it was imported alone");
 
     // Only some topics were followed; the others are not taken for sealed.
-    let one = Copy::new(&home, &run, "chosen");
+    let one = Copied::new(&home, &run, "chosen");
     let numbers = messages.div_ceil(3);
     assert_eq!(one.follow(&["--topic", "/numbers"]), [numbers, 0]);
     assert_eq!(one.import(&one.folder), [messages - numbers, numbers, beside + 1]);
@@ -243,17 +243,20 @@ fn an_import_goes_on_where_a_follower_was_killed() {
         skipped!("no mcap of Python in target/peers (tests/run installs it)");
     }
     let home = Home::new();
-    let authros = home.authros().with(&["--robots", "0"]);
+    let serve = || home.authros().with(&["--robots", "0"]).serve(&home);
+    let (site, authros) = (serve(), home.authros());
     authros.enrol();
     let folder = home.root().join("run");
     let mut following = follower(&authros, &folder, &["--until-closed"]);
     following.wait_for_text("to appear", 120);
     // One file, so that it is left in its middle.
     let recording = recorder(&folder, 12, 300, 60, "lz4");
-    let one = Copy { authros, folder };
+    let one = Copied { authros, folder };
     wait_until(120, "a record", || one.authros.records(&["uploads", "list"]).first().map(|_| ()));
+    site.stop("KILL", 60);
     following.signal("KILL");
     drop(following.wait(60));
+    let _site = serve();
     let messages = count(&recording.wait(120).expect_code(0).document(), "messages");
     let [new, known, _] = one.import(&one.folder);
     assert!(new > 0 && known > 0 && new + known == messages, "{new} and {known} of {messages}");

@@ -1,10 +1,9 @@
 //! An import: every message of a recording sealed as a record with its own time.
 //!
 //! Each file is known by its SM3, also one of a folder. The ledger stores which of its topics were begun and which are
-//! complete, so that a second import seals nothing twice, nor one of what was followed, and an interrupted one continues.
+//! complete, so that nothing is sealed twice that was imported or followed before, and an interrupted import continues.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,7 +17,7 @@ use crate::model::{Digest, ErrorKind, clean};
 use crate::pipeline::importer::Importer;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{CaptureSession, Network, Owner};
-use crate::ros::recording::{BESIDE, Recording};
+use crate::ros::recording::{BESIDE, Recording, content_of};
 use crate::ros::rosbag2::files_of;
 use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
@@ -199,7 +198,8 @@ pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> 
     list.collect()
 }
 
-/// SM3 of a recording, and of each of its files. That of a folder is of its files' names, lengths and digests.
+/// SM3 of a recording, and of each of its files, unpacked where they are compressed as a whole. That of a folder is of its
+/// files' names, lengths and digests.
 fn digests_of(
     path: &Path,
     run: &Run,
@@ -215,7 +215,7 @@ fn digests_of(
     let (mut folder, mut digests, mut done) = (Sm3Hasher::new(), BTreeMap::new(), 0);
     let mut buffer = vec![0; 256 * 1024];
     for (name, size) in opened {
-        let (mut file, mut hasher) = (File::open(&name).map_err(unreadable)?, Sm3Hasher::new());
+        let (mut file, mut hasher) = (content_of(&name)?, Sm3Hasher::new());
         loop {
             let read = file.read(&mut buffer).map_err(unreadable)?;
             let bytes = buffer.get(..read).unwrap_or_default();
@@ -230,7 +230,7 @@ fn digests_of(
             }
             hasher.update(bytes);
             done += read as u64;
-            run.at(done, of, 0);
+            run.at(done.min(of), of, 0);
         }
         let digest = Digest(hasher.finish());
         if name == path {

@@ -1,5 +1,5 @@
-//! What was sealed of a file already by an import or a follower that did not end, identified by the file, the position in
-//! it and the content.
+//! What an import or a follower that did not end has sealed of a file already, identified by the file, the position
+//! in it and the content.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
