@@ -250,15 +250,18 @@ fn an_import_goes_on_where_a_follower_was_killed() {
     let mut following = follower(&authros, &folder, &["--until-closed"]);
     following.wait_for_text("to appear", 120);
     // One file, so that it is left in its middle.
-    let recording = recorder(&folder, 12, 300, 60, "lz4");
+    let recording = recorder(&folder, 16, 300, 60, "lz4");
     let one = Copied { authros, folder };
-    wait_until(120, "a record", || one.authros.records(&["uploads", "list"]).first().map(|_| ()));
+    let sealed = || one.authros.records(&["uploads", "list", "--topic", "/numbers"]).len();
+    wait_until(120, "records", || (sealed() > 50).then_some(()));
     site.stop("KILL", 60);
     following.signal("KILL");
     drop(following.wait(60));
     let _site = serve();
     let messages = count(&recording.wait(120).expect_code(0).document(), "messages");
-    let [new, known, _] = one.import(&one.folder);
+    let [new, known, beside] = one.import(&one.folder);
+    // Its last metadata record and metadata.yaml; the first was sealed before the messages.
+    assert_eq!(beside, 2);
     assert!(new > 0 && known > 0 && new + known == messages, "{new} and {known} of {messages}");
     assert_eq!(one.follow(&[]), [0, messages + 2]);
     expect_all_once(&one.authros, &one.folder, messages);

@@ -1,5 +1,5 @@
-//! What an import or a follower that did not end has sealed of a file already, identified by the file, the position
-//! in it and the content.
+//! What an import or a follower that did not end has sealed of a file already, identified by the file, the time
+//! and the content.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use crate::crypto::sm3::sm3;
 use crate::model::{Address, RecordKind, Timestamp};
 use crate::pipeline::importer::kind_of;
 use crate::pipeline::reader::Reader;
-use crate::ros::recording::RecordedMessage;
+use crate::ros::recording::{Beside, Encoding, RecordedMessage};
 use crate::service::reply::Failure;
 use crate::store::RecordQuery;
 
@@ -23,8 +23,9 @@ type Contents = HashMap<[u8; 32], HashMap<String, u64>>;
 pub(super) struct SealedBefore<'a> {
     reader: Reader<'a>,
     /// For each topic and time met: what was sealed there and not met yet. Two recordings may have the same topics and
-    /// times, so only records that name the file count, and only by their content.
-    met: HashMap<(Arc<str>, Timestamp), Contents>,
+    /// times, so only records that name the file count, and only by their content. Metadata of MCAP has no time of its own:
+    /// what it gets depends on whether the end of the file was known.
+    met: HashMap<(Arc<str>, Option<Timestamp>), Contents>,
 }
 
 impl<'a> SealedBefore<'a> {
@@ -45,9 +46,11 @@ impl<'a> SealedBefore<'a> {
         message: &RecordedMessage,
         tags: &BTreeSet<String>,
     ) -> Result<bool, Failure> {
-        let key = (Arc::clone(topic), message.time);
+        let encoding = message.channel.encoding;
+        let time = (encoding != Encoding::Beside(Beside::Metadata)).then_some(message.time);
+        let key = (Arc::clone(topic), time);
         if !self.met.contains_key(&key) {
-            let contents = self.contents(topic, kind_of(message.channel.encoding), message.time)?;
+            let contents = self.contents(topic, kind_of(encoding), time)?;
             self.met.insert(key.clone(), contents);
         }
         let left = self.met.get_mut(&key).and_then(|contents| contents.get_mut(&sm3(&[&message.body])));
@@ -57,13 +60,13 @@ impl<'a> SealedBefore<'a> {
         Ok(true)
     }
 
-    fn contents(&self, topic: &str, kind: RecordKind, time: Timestamp) -> Result<Contents, Failure> {
+    fn contents(&self, topic: &str, kind: RecordKind, time: Option<Timestamp>) -> Result<Contents, Failure> {
         let mut query = RecordQuery {
             owner: Some(self.reader.reader.address),
             topic: Some(topic.to_owned()),
             kind: Some(kind),
-            since: Some(time),
-            until: Some(Timestamp(time.0.saturating_add(1))),
+            since: time,
+            until: time.map(|time| Timestamp(time.0.saturating_add(1))),
             limit: PAGE,
             ..RecordQuery::default()
         };
