@@ -1,6 +1,5 @@
 //! `retention`: erasing chosen records; what rules delete is decided by the settings.
 
-use std::fs::File;
 use std::io::{BufRead as _, IsTerminal as _, Read as _};
 use std::path::Path;
 
@@ -12,6 +11,7 @@ use super::parse;
 use super::verbs::CHAIN;
 use crate::crypto::Sm3Hasher;
 use crate::model::{ByteSize, Digest, ErrorKind, clean};
+use crate::ros::recording::content_of;
 use crate::service::command::{EraseRecords, ErasureWishes};
 use crate::service::reply::ErasureView;
 use crate::service::{Client, Failure};
@@ -103,17 +103,17 @@ fn tag_of(file: &str) -> Result<String, Failure> {
     if file.len() == TAG && file.bytes().all(|byte| byte.is_ascii_hexdigit()) && !Path::new(file).exists() {
         return Ok(file.to_ascii_lowercase());
     }
-    let unreadable = |error: std::io::Error| {
+    let unreadable = |error: &dyn std::fmt::Display| {
         let text = format!(
             "{} cannot be read: {error}; name the file that was imported, or the tag 'recording' of its messages",
             clean(file, 300)
         );
         Failure::new(ErrorKind::Input, text)
     };
-    let mut opened = File::open(file).map_err(unreadable)?;
+    let mut opened = content_of(Path::new(file)).map_err(|error| unreadable(&error))?;
     let (mut hasher, mut buffer) = (Sm3Hasher::new(), vec![0; 256 * 1024]);
     loop {
-        let read = opened.read(&mut buffer).map_err(unreadable)?;
+        let read = opened.read(&mut buffer).map_err(|error| unreadable(&error))?;
         let bytes = buffer.get(..read).unwrap_or_default();
         if bytes.is_empty() {
             return Ok(Digest(hasher.finish()).to_hex().chars().take(TAG).collect());

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use authros::ros::recording::BESIDE;
 use serde_json::Value;
 use support::ros2::{beside_by_others, others_can_read, read_by_others, recorder};
 use support::{Authros, Home, Outcome, Running, count, list, skipped, text, wait_until};
@@ -162,6 +163,108 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
     assert_eq!((sum(&again, "sealed"), sum(&again, "already")), (0, messages + beside), "{again}");
     let tagged = authros.records(&["uploads", "list", "--tag", "mission=harbour", "--topic", "/numbers"]);
     assert_eq!(tagged.len() as u64, messages.div_ceil(3));
+}
+
+/// Seals a copy of a recording in a profile of its own.
+struct Copied {
+    authros: Authros,
+    folder: PathBuf,
+}
+
+impl Copied {
+    fn new(home: &Home, recorded: &Path, name: &str) -> Self {
+        let (authros, folder) = (home.profile(name), home.root().join(name));
+        authros.enrol();
+        fs::create_dir(&folder).expect("a folder");
+        for entry in fs::read_dir(recorded).expect("listed") {
+            let path = entry.expect("an entry").path();
+            fs::copy(&path, folder.join(path.file_name().expect("a name"))).expect("copied");
+        }
+        Self { authros, folder }
+    }
+
+    /// Messages imported and found sealed, and what was imported beside them.
+    fn import(&self, path: &Path) -> [u64; 3] {
+        let view = self.authros.json_within(240, &["bag", "import", utf8(path)]);
+        assert!(list(&view, "damages").is_empty(), "{view}");
+        let beside = list(&view, "topics").into_iter().find(|topic| text(topic, "topic") == BESIDE);
+        [count(&view, "imported"), count(&view, "already"), beside.map_or(0, |topic| count(&topic, "imported"))]
+    }
+
+    /// What was sealed and found sealed, what is beside the messages among it.
+    fn follow(&self, options: &[&str]) -> [u64; 2] {
+        let options = [&["--until-closed"], options].concat();
+        let view = follower(&self.authros, &self.folder, &options).wait(240).expect_code(0).document();
+        ["sealed", "already"].map(|field| sum(&view, field))
+    }
+}
+
+#[test]
+fn a_folder_that_is_followed_and_imported_is_sealed_once_whichever_is_first() {
+    if !others_can_read() {
+        skipped!("no mcap of Python in target/peers (tests/run installs it)");
+    }
+    let home = Home::new();
+    let _site = home.authros().with(&["--robots", "0"]).serve(&home);
+    let run = home.root().join("run");
+    let recorded = recorder(&run, 4, 300, 2, "zstd").wait(120).expect_code(0).document();
+    // The metadata records of its files; an import has metadata.yaml, too.
+    let (messages, beside) = (count(&recorded, "messages"), count(&recorded, "files") + 1);
+
+    let one = Copied::new(&home, &run, "followed");
+    assert_eq!(one.follow(&["--attach"]), [messages + beside, 0]);
+    assert_eq!(one.import(&one.folder), [0, messages, 1], "only metadata.yaml is new");
+    assert_eq!(one.import(&one.folder), [0, messages, 0]);
+    expect_all_once(&one.authros, &one.folder, messages);
+
+    let one = Copied::new(&home, &run, "imported");
+    assert_eq!(one.import(&one.folder), [messages, 0, beside + 1]);
+    assert_eq!(one.follow(&[]), [0, messages + beside]);
+    let [new, known, _] = one.import(&recordings(&one.folder)[0]);
+    assert!(new == 0 && known > 0 && known < messages, "{known}: a file of it alone");
+    expect_all_once(&one.authros, &one.folder, messages);
+
+    let one = Copied::new(&home, &run, "alone");
+    let [new, ..] = one.import(&recordings(&one.folder)[1]);
+    let [rest, known, _] = one.import(&one.folder);
+    assert_eq!((known, new + rest), (new, messages), "a file of it was imported alone");
+
+    // Only some topics were followed; the others are not taken for sealed.
+    let one = Copied::new(&home, &run, "chosen");
+    let numbers = messages.div_ceil(3);
+    assert_eq!(one.follow(&["--topic", "/numbers"]), [numbers, 0]);
+    assert_eq!(one.import(&one.folder), [messages - numbers, numbers, beside + 1]);
+    expect_all_once(&one.authros, &one.folder, messages);
+}
+
+#[test]
+fn an_import_goes_on_where_a_follower_was_killed() {
+    if !others_can_read() {
+        skipped!("no mcap of Python in target/peers (tests/run installs it)");
+    }
+    let home = Home::new();
+    let serve = || home.authros().with(&["--robots", "0"]).serve(&home);
+    let (site, authros) = (serve(), home.authros());
+    authros.enrol();
+    let folder = home.root().join("run");
+    let mut following = follower(&authros, &folder, &["--until-closed"]);
+    following.wait_for_text("to appear", 120);
+    // One file, so that it is left in its middle.
+    let recording = recorder(&folder, 16, 300, 60, "lz4");
+    let one = Copied { authros, folder };
+    let sealed = || one.authros.records(&["uploads", "list", "--topic", "/numbers"]).len();
+    wait_until(120, "records", || (sealed() > 50).then_some(()));
+    site.stop("KILL", 60);
+    following.signal("KILL");
+    drop(following.wait(60));
+    let _site = serve();
+    let messages = count(&recording.wait(120).expect_code(0).document(), "messages");
+    let [new, known, beside] = one.import(&one.folder);
+    // Its last metadata record and metadata.yaml; the first was sealed before the messages.
+    assert_eq!(beside, 2);
+    assert!(new > 0 && known > 0 && new + known == messages, "{new} and {known} of {messages}");
+    assert_eq!(one.follow(&[]), [0, messages + 2]);
+    expect_all_once(&one.authros, &one.folder, messages);
 }
 
 /// Prints the processor's time of following and of importing the same files, a message.

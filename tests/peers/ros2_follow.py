@@ -96,7 +96,11 @@ def main():
     writer.finish()
     out.close()
     with open(os.path.join(folder, "metadata.yaml"), "w") as description:
-        description.write("rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n")
+        names = "".join(f"    - {name}_{number}.mcap\n" for number in range(files))
+        description.write(
+            f"rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n  relative_file_paths:\n{names}"
+            f"  starting_time:\n    nanoseconds_since_epoch: 1790000000000000000\n  message_count: {total}\n"
+        )
     print(json.dumps({"messages": total, "files": files}))
 
 

@@ -17,7 +17,7 @@ pub use compression::ChunkCompression;
 pub(super) use compression::{ZSTD, pack, unpack, unpacked_body};
 pub use damage::{Damage, Findings, Unusable};
 pub use described::{Described, TYPE_HASH, TypeFacts};
-pub use open::{Recording, RecordingFormat, RecordingWriter};
+pub use open::{Recording, RecordingFormat, RecordingWriter, content_of};
 pub(super) use place::{go_to, read_at};
 
 pub use super::mcap::{AttachedFile, BESIDE, Beside, BesideContent};

@@ -90,6 +90,18 @@ fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
     Ok((file, magic))
 }
 
+/// The content of a file, by which it is known: of one that is compressed as a whole, what comes out of it, if it can be
+/// unpacked. A recorder compresses what it has closed, which may have been sealed before.
+///
+/// # Errors
+/// [`RosError::Recording`] if it cannot be read.
+pub fn content_of(path: &Path) -> Result<File, RosError> {
+    let (file, magic) = begin(path)?;
+    let whole = if magic.starts_with(&ZSTD) { unpacked(path).ok() } else { None };
+    // What cannot be unpacked is told when it is read as a recording.
+    Ok(whole.and_then(|whole| whole.reopen().ok()).unwrap_or_else(|| file.into_inner()))
+}
+
 /// A recording being read, message by message in file order.
 pub enum Recording {
     /// A bag.
@@ -157,6 +169,14 @@ impl Recording {
             Self::Mcap(reader) => reader.findings(),
             Self::Db3(reader) => reader.findings(),
             Self::Folder(reader) => reader.findings(),
+        }
+    }
+
+    /// The file of a folder that the last message is from; `None` where the recording is one file.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Folder(reader) => Some(reader.file()),
+            Self::Bag(_) | Self::Mcap(_) | Self::Db3(_) => None,
         }
     }
 
@@ -240,6 +260,21 @@ mod tests {
         assert!(other_than_a_recording(&[0x1f, 0x8b, 8]).contains("gunzip"));
         assert!(other_than_a_recording(b"BZh91AY&SY").contains("bunzip2"));
         assert!(other_than_a_recording(b"rosbag2_bagfile_information:").contains("import the folder"));
+    }
+
+    #[test]
+    fn a_file_compressed_as_a_whole_is_known_by_what_comes_out_of_it() {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let path = directory.path().join("run_0.mcap.zstd");
+        let level = ruzstd::encoding::CompressionLevel::Fastest;
+        let packed = ruzstd::encoding::compress_to_vec(&b"what was recorded"[..], level);
+        let cut = packed.get(..packed.len() / 2).expect("its half").to_vec();
+        for (bytes, known) in [(packed, b"what was recorded".to_vec()), (cut.clone(), cut)] {
+            std::fs::write(&path, bytes).expect("written");
+            let mut content = Vec::new();
+            content_of(&path).expect("there").read_to_end(&mut content).expect("read");
+            assert_eq!(content, known);
+        }
     }
 
     #[test]

@@ -16,12 +16,16 @@ const AT_ONCE: usize = 2;
 /// The longest `metadata.yaml`, bytes.
 const LONGEST: u64 = 4 << 20;
 
+/// The end of the name of a copy that has the proof of its original attached: it is no recording of its own.
+pub const ATTACHED: &str = ".authros.mcap";
+
 /// The most entries of a folder that are looked at.
 const MOST_ENTRIES: usize = 65_536;
 
 /// A file being read, and its next message.
 struct Part {
     name: String,
+    path: Arc<Path>,
     recording: Recording,
     next: RecordedMessage,
 }
@@ -33,6 +37,7 @@ pub struct FolderReader {
     left: VecDeque<String>,
     parts: Vec<Part>,
     described: Option<RecordedMessage>,
+    file: Arc<Path>,
     findings: Findings,
     met: BTreeMap<Arc<str>, u64>,
     done: u64,
@@ -94,6 +99,7 @@ impl FolderReader {
             left: metadata.files.iter().cloned().collect(),
             parts: Vec::new(),
             described: Some(described),
+            file: folder.join(METADATA).into(),
             findings: Findings::default(),
             met: BTreeMap::new(),
             done: 0,
@@ -113,11 +119,19 @@ impl FolderReader {
             let end = name.strip_suffix(".zstd").unwrap_or(name).rsplit_once('.').map(|(_, end)| end);
             matches!(end, Some("db3" | "mcap"))
         };
-        let mut others: Vec<String> = names.filter(is_one).filter(|name| !self.metadata.files.contains(name)).collect();
+        let mut others: Vec<String> = names
+            .filter(is_one)
+            .filter(|name| !name.ends_with(ATTACHED) && !self.metadata.files.contains(name))
+            .collect();
         others.sort();
         for name in others {
             self.findings.note(0, &format!("{name} is in the folder, but not in {METADATA}: it was not read"));
         }
+    }
+
+    /// The file that the last message is from, as [`files_of`] names it.
+    pub fn file(&self) -> &Path {
+        &self.file
     }
 
     /// What has been skipped so far; of the files that are still read, later.
@@ -148,6 +162,7 @@ impl FolderReader {
             self.compare();
             return Ok(None);
         };
+        self.file = Arc::clone(&part.path);
         let message = match part.recording.next_message()? {
             Some(next) => std::mem::replace(&mut part.next, next),
             None => {
@@ -177,7 +192,7 @@ impl FolderReader {
             }
         };
         match recording.next_message()? {
-            Some(next) => self.parts.push(Part { name, recording, next }),
+            Some(next) => self.parts.push(Part { name, path: path.into(), recording, next }),
             None => {
                 self.done += recording.progress().1;
                 self.findings.add(&name, recording.findings());

@@ -7,7 +7,7 @@ mod temporary;
 mod yaml;
 
 pub use db3::Db3Reader;
-pub use folder::{FolderReader, files_of};
+pub use folder::{ATTACHED, FolderReader, files_of};
 pub use metadata::{METADATA, Tally};
 pub(super) use temporary::unpacked;
 

@@ -35,7 +35,7 @@ pub struct LeftOut {
 pub struct ImportView {
     /// The file, or the other home, cleaned.
     pub file: String,
-    /// SM3 of the file; of a folder that of its files, each behind its name and length.
+    /// SM3 of the file, unpacked if it is compressed as a whole; of a folder that of its files' names, lengths and digests.
     pub digest: Option<Digest>,
     /// Messages, attachments and metadata records that the file or home holds, wanted or not.
     pub found: u64,
@@ -43,7 +43,7 @@ pub struct ImportView {
     pub imported: u64,
     /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
-    /// Messages sealed by an earlier import of the same file or home; they are not sealed twice.
+    /// Messages that an earlier import of the same file or home sealed, or a follower; they are not sealed twice.
     pub already: u64,
     /// Attachments and metadata records of the file sealed now or earlier; [`Self::topics`] has them under a name of their own.
     pub attachments: u64,

@@ -158,7 +158,7 @@ impl Recordings {
         view.left_out = left_out_list(left_out);
         let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
         view.topics = already.into_iter().map(topic).collect();
-        Ok(ReadOut { view, sessions: importer.finish(), whole: None })
+        Ok(ReadOut { view, sessions: importer.finish(), whole: Vec::new() })
     }
 }
 

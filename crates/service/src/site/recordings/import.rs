@@ -1,25 +1,23 @@
 //! An import: every message of a recording sealed as a record with its own time.
 //!
-//! The file is known by its SM3. The ledger stores which of its topics were begun and which are complete, so that a
-//! second import of the file seals nothing twice, and an interrupted one continues.
+//! Each file is known by its SM3, also one of a folder. The ledger stores which of its topics were begun and which are
+//! complete, so that nothing is sealed twice that was imported or followed before, and an interrupted import continues.
 
-use std::collections::BTreeMap;
-use std::fs::File;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-use serde::{Deserialize, Serialize};
 
 use super::choosing::Choosing;
 use super::sealed_before::SealedBefore;
+use super::standings::{Parts, Standing};
 use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
-use crate::model::{Address, Digest, ErrorKind, clean};
+use crate::model::{Digest, ErrorKind, clean};
 use crate::pipeline::importer::Importer;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{CaptureSession, Network, Owner};
-use crate::ros::recording::{BESIDE, Recording};
+use crate::ros::recording::{BESIDE, Recording, content_of};
 use crate::ros::rosbag2::files_of;
 use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
@@ -33,26 +31,14 @@ pub(super) const MOST_TAGS: usize = 24;
 /// The tag that names the file by the beginning of its digest.
 pub(in crate::site) const RECORDING: &str = "recording";
 
-/// The progress of a topic of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Standing {
-    /// Some messages may be sealed.
-    Begun,
-    /// All messages are sealed.
-    Whole,
-}
-
-pub(super) type Standings = BTreeMap<String, Standing>;
-
 /// The result of reading a file or a home.
 pub(super) struct ReadOut {
     /// What there was to import.
     pub view: ImportView,
     /// What was given to the sealer.
     pub sessions: Vec<Arc<CaptureSession>>,
-    /// The file and the topics that are whole once all of this is verified.
-    pub whole: Option<(Digest, Standings)>,
+    /// Files, and their topics that are whole once all of this is verified.
+    pub whole: Vec<(Digest, BTreeSet<String>)>,
 }
 
 impl Recordings {
@@ -133,24 +119,19 @@ impl Recordings {
         view.verified = messages.iter().map(|topic| topic.verified).sum();
         view.already = messages.iter().map(|topic| topic.already).sum();
         view.attachments = beside.iter().map(|topic| topic.imported + topic.already).sum();
-        if let Some((digest, mut standings)) = whole.filter(|_| !view.ended_early && view.lost == 0) {
-            standings.values_mut().for_each(|standing| *standing = Standing::Whole);
+        if !view.ended_early && view.lost == 0 {
             let address = owner.address;
-            blocking(self, move |recordings| recordings.put_standings(address, digest, &standings)).await?;
+            let note = move |recordings: &Self| -> Result<(), Failure> {
+                for (digest, topics) in whole {
+                    recordings.add_standings((address, digest), None, topics, Standing::Whole)?;
+                }
+                Ok(())
+            };
+            blocking(self, note).await?;
         }
         let text = format!("{}: {} messages imported, {} already there", view.file, view.imported, view.already);
         self.hub.notice(NoticeLevel::Info, &text);
         Ok(view)
-    }
-
-    pub(super) fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
-        let text = self.plant.ledger.setting(&key(owner, digest))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
-    }
-
-    pub(super) fn put_standings(&self, owner: Address, digest: Digest, standings: &Standings) -> Result<(), Failure> {
-        let text = serde_json::to_string(standings).unwrap_or_default();
-        Ok(self.plant.ledger.put_setting(&key(owner, digest), &text)?)
     }
 
     /// Reads the file to its end and gives every wanted message to the sealer.
@@ -165,14 +146,12 @@ impl Recordings {
         let mut recording = Recording::open(&wishes.path)?;
         let goes_on = || !control.is_closed() && !self.life.is_stopping();
         run.step("hashing");
-        let digest = digest_of(&wishes.path, run, &goes_on)?;
-        let mut standings = if wishes.again { Standings::new() } else { self.standings(owner.address, digest)? };
-        let before = standings.clone();
+        let (digest, digests) = digests_of(&wishes.path, run, &goes_on)?;
         let file: String = digest.to_hex().chars().take(16).collect();
         let mut tags = wishes.tags.clone();
         tags.push((RECORDING.to_owned(), file.clone()));
         let reader = Reader { plant: &self.plant, network, reader: owner };
-        let mut sealed = SealedBefore::new(reader, &file);
+        let mut parts = Parts::new(self, SealedBefore::new(reader), &file, digests, wishes.again)?;
         run.step("importing");
         let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, tags);
         let mut choosing = Choosing::new(&wishes.topics);
@@ -180,21 +159,12 @@ impl Recordings {
         while let Some(message) = recording.next_message()? {
             view.found += 1;
             let Some(topic) = choosing.topic(&message) else { continue };
-            let known = match before.get(&*topic) {
-                Some(Standing::Whole) => true,
-                Some(Standing::Begun) => sealed.take(&topic, &message)?,
-                None => false,
-            };
-            if known {
+            let from = recording.file().unwrap_or(&wishes.path);
+            if parts.is_sealed(from, &topic, &message)? {
                 *already.entry(topic.to_string()).or_default() += 1;
                 continue;
             }
-            if !standings.contains_key(&*topic) {
-                standings.insert(topic.to_string(), Standing::Begun);
-                if !wishes.again {
-                    self.put_standings(owner.address, digest, &standings)?;
-                }
-            }
+            parts.begin(from, &topic)?;
             if !importer.take(message, &topic, &goes_on) {
                 view.ended_early = true;
                 break;
@@ -214,13 +184,8 @@ impl Recordings {
         view.more_damages = findings.more_damages;
         let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
         view.topics = already.into_iter().map(topic).collect();
-        let whole = (!wishes.again).then_some((digest, standings));
-        Ok(ReadOut { view, sessions: importer.finish(), whole })
+        Ok(ReadOut { view, sessions: importer.finish(), whole: parts.whole() })
     }
-}
-
-fn key(owner: Address, digest: Digest) -> String {
-    format!("import:{owner}:{digest}")
 }
 
 /// By topic and reason; names come from the file, so they are cleaned.
@@ -233,8 +198,13 @@ pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> 
     list.collect()
 }
 
-/// SM3 of a file; of a folder that of its files, each behind its name and length.
-fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Digest, Failure> {
+/// SM3 of a recording, and of each of its files, unpacked where they are compressed as a whole. That of a folder is of its
+/// files' names, lengths and digests.
+fn digests_of(
+    path: &Path,
+    run: &Run,
+    goes_on: &dyn Fn() -> bool,
+) -> Result<(Digest, BTreeMap<PathBuf, Digest>), Failure> {
     let unreadable = |error: std::io::Error| input(format!("{} cannot be read: {error}", path.display()));
     let mut opened = Vec::new();
     for file in files_of(path)? {
@@ -242,15 +212,10 @@ fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Diges
         opened.push((file, size));
     }
     let of = opened.iter().map(|(_, size)| size).sum();
-    let (mut hasher, mut buffer, mut done) = (Sm3Hasher::new(), vec![0; 256 * 1024], 0);
+    let (mut folder, mut digests, mut done) = (Sm3Hasher::new(), BTreeMap::new(), 0);
+    let mut buffer = vec![0; 256 * 1024];
     for (name, size) in opened {
-        let mut file = File::open(&name).map_err(unreadable)?;
-        if name != path {
-            let name = name.file_name().unwrap_or_default().as_encoded_bytes();
-            hasher.update(&(name.len() as u64).to_le_bytes());
-            hasher.update(name);
-            hasher.update(&size.to_le_bytes());
-        }
+        let (mut file, mut hasher) = (content_of(&name)?, Sm3Hasher::new());
         loop {
             let read = file.read(&mut buffer).map_err(unreadable)?;
             let bytes = buffer.get(..read).unwrap_or_default();
@@ -265,8 +230,18 @@ fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Diges
             }
             hasher.update(bytes);
             done += read as u64;
-            run.at(done, of, 0);
+            run.at(done.min(of), of, 0);
         }
+        let digest = Digest(hasher.finish());
+        if name == path {
+            return Ok((digest, BTreeMap::from([(name, digest)])));
+        }
+        let word = name.file_name().unwrap_or_default().as_encoded_bytes();
+        folder.update(&(word.len() as u64).to_le_bytes());
+        folder.update(word);
+        folder.update(&size.to_le_bytes());
+        folder.update(&digest.0);
+        digests.insert(name, digest);
     }
-    Ok(Digest(hasher.finish()))
+    Ok((Digest(folder.finish()), digests))
 }

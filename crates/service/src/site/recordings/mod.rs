@@ -6,6 +6,7 @@ mod follow;
 mod from_home;
 mod import;
 mod sealed_before;
+mod standings;
 mod writing;
 
 use self::follow::Follows;

@@ -5,14 +5,13 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use crate::ros::rosbag2::ATTACHED;
+
 /// The most entries that are looked at.
 const MOST_ENTRIES: usize = 16 * 1024;
 
 /// How deep folders in the folder are looked into: a recorder makes one for each recording.
 const DEEPEST: usize = 2;
-
-/// The end of the name of a copy with its proof attached, which is no recording of its own.
-pub(super) const ATTACHED: &str = ".authros.mcap";
 
 /// What was found of the folder.
 pub(super) enum Look {

@@ -11,6 +11,7 @@ mod proof;
 mod tape;
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -18,6 +19,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 
 use self::folder::{Folder, Look};
+use self::place::Known;
 use self::proof::{Due, Proven};
 use self::tape::{Opened, QUIET, Round, Tape};
 use super::import::MOST_TAGS;
@@ -31,6 +33,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{AGAIN, input, refused};
 use crate::service::reply::{Failure, FollowView, FollowedFile};
 use crate::site::blocking;
+use crate::store::Ledger;
 
 /// Between two looks at the folder.
 const LOOK: Duration = Duration::from_millis(250);
@@ -65,6 +68,15 @@ impl Drop for Claim {
     fn drop(&mut self) {
         self.0.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|of| *of != self.1);
     }
+}
+
+/// What the tag of a file's records says if it was followed, to its end or not; `None` if it was not.
+pub(super) fn followed_as(ledger: &Ledger, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
+    let file = File::open(path).map_err(|error| input(format!("{} cannot be read: {error}", path.display())))?;
+    Ok(match place::known(ledger, owner, &file, true)? {
+        Known::Here(key, place, _) if place.begun > 0 => Some(key.tag),
+        Known::Here(..) | Known::TooShort | Known::Shrank(_) => None,
+    })
 }
 
 /// What all files of a folder need.

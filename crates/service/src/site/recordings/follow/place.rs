@@ -53,6 +53,8 @@ pub(super) struct Place {
     pub stated_at: Option<Timestamp>,
     /// SM3 of the statement.
     pub statement: Option<Digest>,
+    /// Whether a run chose among its topics: what is done with need not be sealed then.
+    pub chosen: bool,
 }
 
 /// The key of a file in the ledger, and the tag of its records.

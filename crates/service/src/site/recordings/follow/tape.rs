@@ -11,8 +11,9 @@ use std::time::{Duration, Instant};
 use authros_evidence::recorded::{RecordedFile, TAG};
 
 use super::super::choosing::Choosing;
-use super::super::import::{RECORDING, Standing as Imported, Standings};
+use super::super::import::RECORDING;
 use super::super::sealed_before::SealedBefore;
+use super::super::standings::{Standing as Imported, Standings};
 use super::hashed::Hashed;
 use super::place::{self, FileKey, Known, Place, Standing};
 use super::{Due, Follower, folder, proof};
@@ -73,7 +74,7 @@ pub(super) struct Tape<'a> {
     choosing: Choosing,
     importer: Importer<'a>,
     sealed_before: SealedBefore<'a>,
-    /// What an import of the whole file has sealed.
+    /// What imports have sealed of it, alone or with its folder; with the tags of its records, its own among them.
     imported: Standings,
     /// Messages up to this one were perhaps sealed by an earlier run.
     doubt: u64,
@@ -136,7 +137,7 @@ impl<'a> Tape<'a> {
         let reader = McapReader::follow(BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?))?;
         let mut tags = follower.wishes.tags.clone();
         tags.push((RECORDING.to_owned(), key.tag.clone()));
-        let sealed_before = SealedBefore::new(follower.reader(), &key.tag);
+        let sealed_before = SealedBefore::new(follower.reader());
         let importer = follower.importer(tags);
         let mut tape = Self {
             follower,
@@ -149,7 +150,7 @@ impl<'a> Tape<'a> {
             choosing: Choosing::new(&follower.wishes.topics),
             importer,
             sealed_before,
-            imported: Standings::new(),
+            imported: Standings::default(),
             batch: VecDeque::new(),
             met: 0,
             latest: None,
@@ -157,24 +158,29 @@ impl<'a> Tape<'a> {
             length,
             grew: Instant::now(),
             view,
-            place: Place { name, ..place },
+            place: Place { name, chosen: place.chosen || !follower.wishes.topics.is_empty(), ..place },
             key,
         };
         tape.find_import(length)?;
         Ok(Opened::Tape(Box::new(tape)))
     }
 
-    /// A file that is closed when it is first met may have been imported as a whole.
+    /// A file that nobody writes when it is first met may have been imported.
     fn find_import(&mut self, length: u64) -> Result<(), Failure> {
         let mut tail = [0; 8];
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
         self.file.read_exact_at(&mut tail, length.saturating_sub(8)).map_err(unreadable)?;
-        if tail != *crate::ros::mcap::MAGIC {
+        let metadata = self.file.metadata().map_err(unreadable)?;
+        self.imported.tags.insert(self.key.tag.clone());
+        if tail != *crate::ros::mcap::MAGIC && folder::has_writer(metadata.dev(), metadata.ino()) {
             return Ok(());
         }
         let mut hashed = Hashed::default();
         hashed.advance(&self.file, length, Vec::new()).map_err(unreadable)?;
-        self.imported = self.follower.recordings.standings(self.follower.owner.address, hashed.digest())?;
+        let Standings { topics, tags } =
+            self.follower.recordings.standings(self.follower.owner.address, hashed.digest())?;
+        self.imported.topics = topics;
+        self.imported.tags.extend(tags);
         Ok(())
     }
 
@@ -273,9 +279,12 @@ impl<'a> Tape<'a> {
             }
             let number = self.met - self.batch.len() as u64 + 1;
             let known = match topic {
-                Some(topic) if self.imported.get(&**topic) == Some(&Imported::Whole) => true,
-                Some(topic) if number <= self.doubt => self.sealed_before.take(topic, message)?,
-                Some(_) | None => false,
+                Some(topic) => match self.imported.topics.get(&**topic) {
+                    Some(Imported::Whole) => true,
+                    None if number > self.doubt => false,
+                    Some(Imported::Begun) | None => self.sealed_before.take(topic, message, &self.imported.tags)?,
+                },
+                None => false,
             };
             match self.batch.pop_front() {
                 Some((Some(_), _)) if known => self.view.already += 1,
@@ -326,7 +335,7 @@ impl<'a> Tape<'a> {
         let message = RecordedMessage { channel: Arc::new(Beside::Metadata.channel()), time, sent: None, body };
         self.begin_to(self.met + 1)?;
         let topic: Arc<str> = BESIDE.into();
-        if self.met >= self.doubt || !self.sealed_before.take(&topic, &message)? {
+        if self.met >= self.doubt || !self.sealed_before.take(&topic, &message, &self.imported.tags)? {
             let mut tags = self.follower.wishes.tags.clone();
             tags.extend(
                 [(RECORDING, self.key.tag.as_str()), TAG].map(|(key, value)| (key.to_owned(), value.to_owned())),
@@ -343,13 +352,12 @@ impl<'a> Tape<'a> {
         self.note_as_imported(stated.digest)
     }
 
-    /// An import of the same file has then nothing left to seal.
+    /// An import of the same file, or of its folder, has then nothing left to seal.
     fn note_as_imported(&self, digest: Digest) -> Result<(), Failure> {
-        if !self.follower.wishes.topics.is_empty() || self.importer.lost() > 0 {
-            return Ok(());
-        }
-        let whole = self.topics.iter().map(|topic| (topic.clone(), Imported::Whole)).collect();
-        self.follower.recordings.put_standings(self.follower.owner.address, digest, &whole)
+        let is_whole = !self.place.chosen && self.importer.lost() == 0;
+        let standing = if is_whole { Imported::Whole } else { Imported::Begun };
+        let (file, tag) = ((self.follower.owner.address, digest), Some(self.key.tag.as_str()));
+        self.follower.recordings.add_standings(file, tag, self.topics.iter().cloned(), standing)
     }
 
     /// The proof that is now to be written.

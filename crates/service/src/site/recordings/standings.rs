@@ -1,0 +1,159 @@
+//! What is sealed already of a recording's files, however it was: alone, with its folder, or while it was recorded.
+//!
+//! Each file is known by its own SM3, also within a folder.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::Recordings;
+use super::follow::followed_as;
+use super::sealed_before::SealedBefore;
+use crate::model::{Address, Digest};
+use crate::ros::recording::RecordedMessage;
+use crate::service::failure::input;
+use crate::service::reply::Failure;
+
+/// The progress of a topic of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Standing {
+    /// Some messages may be sealed.
+    Begun,
+    /// All messages are sealed.
+    Whole,
+}
+
+/// What is sealed of a file.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub(super) struct Standings {
+    /// Its topics, as far as they were begun.
+    pub topics: BTreeMap<String, Standing>,
+    /// What the tag `recording` of its records may say: a file is imported alone, with a folder, or followed.
+    pub tags: BTreeSet<String>,
+}
+
+impl Recordings {
+    pub(super) fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
+        let text = self.plant.ledger.setting(&key(owner, digest))?;
+        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    }
+
+    /// Adds that topics of a file stand so, and that its records may have a tag; what is whole stays whole.
+    pub(super) fn add_standings(
+        &self,
+        (owner, digest): (Address, Digest),
+        tag: Option<&str>,
+        topics: impl IntoIterator<Item = String>,
+        standing: Standing,
+    ) -> Result<(), Failure> {
+        let mut standings = self.standings(owner, digest)?;
+        standings.tags.extend(tag.map(str::to_owned));
+        for topic in topics {
+            let known = standings.topics.entry(topic).or_insert(standing);
+            *known = standing.max(*known);
+        }
+        let text = serde_json::to_string(&standings).unwrap_or_default();
+        Ok(self.plant.ledger.put_setting(&key(owner, digest), &text)?)
+    }
+}
+
+fn key(owner: Address, digest: Digest) -> String {
+    format!("import:{owner}:{digest}")
+}
+
+/// The content of a file that is imported.
+#[derive(Debug, Default)]
+struct Part {
+    before: Standings,
+    /// Whether it was followed, so that any of its messages may be sealed.
+    is_followed: bool,
+    /// Topics met now.
+    met: BTreeSet<String>,
+    /// Topics of which something is sealed now.
+    begun: BTreeSet<String>,
+}
+
+/// The files of a recording that is imported.
+pub(super) struct Parts<'a> {
+    recordings: &'a Recordings,
+    owner: Address,
+    tag: String,
+    sealed: SealedBefore<'a>,
+    digests: BTreeMap<PathBuf, Digest>,
+    /// Files of the same content are one.
+    parts: HashMap<Digest, Part>,
+    again: bool,
+}
+
+impl<'a> Parts<'a> {
+    /// What is known of these files; `again` is to know nothing. `tag` is that of their new records.
+    pub fn new(
+        recordings: &'a Recordings,
+        sealed: SealedBefore<'a>,
+        tag: &str,
+        digests: BTreeMap<PathBuf, Digest>,
+        again: bool,
+    ) -> Result<Self, Failure> {
+        let (owner, mut parts) = (sealed.owner(), HashMap::<Digest, Part>::new());
+        for (path, digest) in &digests {
+            let part = parts.entry(*digest).or_default();
+            if again {
+                continue;
+            }
+            let followed = followed_as(&recordings.plant.ledger, owner, path)?;
+            // Two files of one content have the same standings, and each may have been followed.
+            let tags = std::mem::take(&mut part.before.tags);
+            part.before = recordings.standings(owner, *digest)?;
+            part.is_followed |= followed.is_some();
+            part.before.tags.extend(tags.into_iter().chain(followed));
+        }
+        Ok(Self { recordings, owner, tag: tag.to_owned(), sealed, digests, parts, again })
+    }
+
+    fn part(&mut self, file: &Path) -> Result<(Digest, &mut Part), Failure> {
+        let digest = self.digests.get(file).copied();
+        digest
+            .and_then(|digest| Some((digest, self.parts.get_mut(&digest)?)))
+            .ok_or_else(|| input(format!("{} appeared while its folder was read; repeat the import", file.display())))
+    }
+
+    /// Whether a message of a file is sealed already.
+    pub fn is_sealed(&mut self, file: &Path, topic: &Arc<str>, message: &RecordedMessage) -> Result<bool, Failure> {
+        let (digest, part) = self.part(file)?;
+        if !part.met.contains(&**topic) {
+            part.met.insert(topic.to_string());
+        }
+        let may_be = match part.before.topics.get(&**topic) {
+            Some(Standing::Whole) => return Ok(true),
+            Some(Standing::Begun) => true,
+            None => part.is_followed,
+        };
+        let part = self.parts.get(&digest).filter(|_| may_be);
+        part.map_or(Ok(false), |part| self.sealed.take(topic, message, &part.before.tags))
+    }
+
+    /// Keeps that a topic of a file is begun, before the first of its messages is given to the sealer.
+    pub fn begin(&mut self, file: &Path, topic: &str) -> Result<(), Failure> {
+        let (digest, part) = self.part(file)?;
+        if part.begun.contains(topic) {
+            return Ok(());
+        }
+        part.begun.insert(topic.to_owned());
+        if self.again {
+            return Ok(());
+        }
+        let topics = std::iter::once(topic.to_owned());
+        self.recordings.add_standings((self.owner, digest), Some(&self.tag), topics, Standing::Begun)
+    }
+
+    /// The topics of each file that are whole once all is verified.
+    pub fn whole(self) -> Vec<(Digest, BTreeSet<String>)> {
+        if self.again {
+            return Vec::new();
+        }
+        self.parts.into_iter().map(|(digest, part)| (digest, part.met)).collect()
+    }
+}
