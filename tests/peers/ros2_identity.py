@@ -25,6 +25,8 @@ def main():
     print(json.dumps({"ready": True}), flush=True)
     while publisher.get_subscription_count() == 0:
         rclpy.spin_once(node, timeout_sec=0.05)
+    # The subscriber may learn of this publisher a moment later, and what was sent before is not for it.
+    time.sleep(1)
     begin, number = time.monotonic(), 0
     while count == 0 or number < count:
         wait = begin + number / hertz - time.monotonic()

@@ -84,7 +84,7 @@ pub(super) struct Parts<'a> {
     sealed: SealedBefore<'a>,
     digests: BTreeMap<PathBuf, Digest>,
     /// Files of the same content are one.
-    parts: HashMap<Digest, Part>,
+    by_content: HashMap<Digest, Part>,
     again: bool,
 }
 
@@ -97,9 +97,9 @@ impl<'a> Parts<'a> {
         digests: BTreeMap<PathBuf, Digest>,
         again: bool,
     ) -> Result<Self, Failure> {
-        let (owner, mut parts) = (sealed.owner(), HashMap::<Digest, Part>::new());
+        let (owner, mut by_content) = (sealed.owner(), HashMap::<Digest, Part>::new());
         for (path, digest) in &digests {
-            let part = parts.entry(*digest).or_default();
+            let part = by_content.entry(*digest).or_default();
             if again {
                 continue;
             }
@@ -110,13 +110,13 @@ impl<'a> Parts<'a> {
             part.is_followed |= followed.is_some();
             part.before.tags.extend(tags.into_iter().chain(followed));
         }
-        Ok(Self { recordings, owner, tag: tag.to_owned(), sealed, digests, parts, again })
+        Ok(Self { recordings, owner, tag: tag.to_owned(), sealed, digests, by_content, again })
     }
 
     fn part(&mut self, file: &Path) -> Result<(Digest, &mut Part), Failure> {
         let digest = self.digests.get(file).copied();
         digest
-            .and_then(|digest| Some((digest, self.parts.get_mut(&digest)?)))
+            .and_then(|digest| Some((digest, self.by_content.get_mut(&digest)?)))
             .ok_or_else(|| input(format!("{} appeared while its folder was read; repeat the import", file.display())))
     }
 
@@ -131,7 +131,7 @@ impl<'a> Parts<'a> {
             Some(Standing::Begun) => true,
             None => part.is_followed,
         };
-        let part = self.parts.get(&digest).filter(|_| may_be);
+        let part = self.by_content.get(&digest).filter(|_| may_be);
         part.map_or(Ok(false), |part| self.sealed.take(topic, message, &part.before.tags))
     }
 
@@ -154,6 +154,6 @@ impl<'a> Parts<'a> {
         if self.again {
             return Vec::new();
         }
-        self.parts.into_iter().map(|(digest, part)| (digest, part.met)).collect()
+        self.by_content.into_iter().map(|(digest, part)| (digest, part.met)).collect()
     }
 }
