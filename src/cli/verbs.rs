@@ -171,7 +171,9 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
             return follow::run(context, follow::Which::Uploads, parse::query(&list)?, output).await;
         }
         UploadsVerb::List(list) => {
-            Plan::new(NEITHER, ProfileNeed::None, check::list_uploads(&context, parse::query(&list)?))
+            // Tags are found by the profile's own key.
+            let need = if list.tags.is_empty() { ProfileNeed::None } else { ProfileNeed::Unlocked };
+            Plan::new(NEITHER, need, check::list_uploads(&context, parse::query(&list)?))
         }
         UploadsVerb::Import { other } => return recordings::import_home(context, &other, output).await,
         UploadsVerb::Show { id } => Plan::new(CHAIN, ProfileNeed::None, ShowUpload { id }),

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use support::ros2::{Network, reader_program};
-use support::{Authros, Home, Running, count, is_verified, long, poll, skipped, text, wait_until};
+use support::{Authros, Home, Running, count, is_verified, long, poll, skipped, text};
 
 const PEER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_shown.py");
 
@@ -87,13 +87,17 @@ fn expect_shown_as_sent(distribution: &str, seed: &str) {
 
     // The definitions of types that are not built in come from the node; the messages before them are shown by them too.
     let own = |id: &str| alice.json(&["shared", "open", id])["message"].is_object();
-    wait_until(60, "every message has fields", || {
-        alice
-            .records(&["uploads", "list", "--topic", "/shown/test_msgs/**"])
-            .iter()
-            .all(|row| own(&text(row, "id")))
-            .then_some(())
-    });
+    let mut without: Vec<Value> = of_sent(alice.records(&["uploads", "list"]));
+    let mut all_have = || {
+        without.retain(|record| !own(&text(record, "id")));
+        without.is_empty().then_some(())
+    };
+    let done = poll(60, &mut all_have);
+    assert!(
+        done.is_some(),
+        "without fields: {:?}",
+        without.iter().map(|record| text(record, "topic")).collect::<Vec<_>>()
+    );
     assert_eq!(open_all(&alice, &folder), expected);
     let recording = folder.join("export.mcap");
     let recording = recording.to_str().expect("UTF-8");

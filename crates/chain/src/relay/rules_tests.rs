@@ -1,3 +1,5 @@
+//! The rules of what a gateway passes on to its node.
+
 use super::*;
 use crate::crypto::EoaSecret;
 use crate::model::bytes::hex;

@@ -268,7 +268,7 @@ impl Moving<'_> {
             topic: Some(opened.head.topic.clone()),
             kind: Some(opened.header.kind),
             since: Some(time),
-            until: Some(Timestamp(time.0.saturating_add(1))),
+            until: time.0.checked_add(1).filter(|end| i64::try_from(*end).is_ok()).map(Timestamp),
             limit: PAGE,
             ..RecordQuery::default()
         };

@@ -14,6 +14,9 @@ use crate::store::Ledger;
 /// So many bytes at its beginning make a file known. A recorder's first chunk, with its times, begins within them.
 const LEAD: usize = 1024;
 
+/// The last bytes of a closed MCAP file.
+const MCAP_END: &[u8; 8] = b"\x89MCAP0\r\n";
+
 /// The most files that one place on the disk was used for, of which all began alike.
 const MOST_AGAIN: u32 = 64;
 
@@ -81,11 +84,18 @@ pub(super) enum Known {
     Shrank(Box<Place>),
 }
 
+/// Whether a file ends as a recorder ends it.
+fn is_closed(file: &File, length: u64) -> bool {
+    let mut end = [0; MCAP_END.len()];
+    let at = length.checked_sub(MCAP_END.len() as u64).filter(|at| *at > 0);
+    at.is_some_and(|at| file.read_exact_at(&mut end, at).is_ok()) && end == *MCAP_END
+}
+
 /// Finds a file's place.
 pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool) -> Result<Known, Failure> {
     let unreadable = |error: std::io::Error| internal(format!("it cannot be read: {error}"));
     let metadata = file.metadata().map_err(unreadable)?;
-    if metadata.len() < LEAD as u64 && !is_whole {
+    if metadata.len() < LEAD as u64 && !is_whole && !is_closed(file, metadata.len()) {
         return Ok(Known::TooShort);
     }
     let mut lead = vec![0; LEAD.min(usize::try_from(metadata.len()).unwrap_or(LEAD))];

@@ -201,7 +201,8 @@ fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>, Failur
         topic: Some(BESIDE.to_owned()),
         kind: Some(RecordKind::Attachment),
         since: Some(due.stated_at),
-        until: Some(Timestamp(due.stated_at.0.saturating_add(1))),
+        // The ledger's last moment has none after it.
+        until: due.stated_at.0.checked_add(1).filter(|end| i64::try_from(*end).is_ok()).map(Timestamp),
         ..RecordQuery::default()
     };
     loop {
