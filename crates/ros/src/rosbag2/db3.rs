@@ -64,6 +64,8 @@ type Stamp = (u64, Option<SystemTime>);
 #[derive(Debug)]
 pub struct Db3Reader {
     database: Connection,
+    /// A temporary database of its own: an error in the recording would undo what was written beside it.
+    places: Connection,
     path: PathBuf,
     stamp: Stamp,
     topics: HashMap<i64, Topic>,
@@ -100,6 +102,7 @@ impl Db3Reader {
         }
         let mut reader = Self {
             database,
+            places: Connection::open("").map_err(failed)?,
             path: path.to_owned(),
             stamp,
             topics: HashMap::new(),
@@ -227,10 +230,10 @@ impl Db3Reader {
         Ok(())
     }
 
-    /// The places of all messages into a temporary table, by time.
+    /// The places of all messages into a table of their own, by time.
     fn read_places(&mut self) -> rusqlite::Result<()> {
-        self.database.execute_batch(
-            "CREATE TEMP TABLE places(time INTEGER, row INTEGER, topic INTEGER, size INTEGER, PRIMARY KEY(time, row)) \
+        self.places.execute_batch(
+            "CREATE TABLE places(time INTEGER, row INTEGER, topic INTEGER, size INTEGER, PRIMARY KEY(time, row)) \
              WITHOUT ROWID; BEGIN",
         )?;
         let most = self.stamp.0 / SMALLEST_ROW + 1;
@@ -240,7 +243,7 @@ impl Db3Reader {
         {
             let mut statement = self.database.prepare(&query)?;
             let mut rows = statement.query([])?;
-            let mut put = self.database.prepare("INSERT OR IGNORE INTO temp.places VALUES(?1, ?2, ?3, ?4)")?;
+            let mut put = self.places.prepare("INSERT OR IGNORE INTO places VALUES(?1, ?2, ?3, ?4)")?;
             loop {
                 let row = match rows.next() {
                     Ok(Some(row)) => row,
@@ -271,7 +274,7 @@ impl Db3Reader {
                 }
             }
         }
-        self.database.execute_batch("COMMIT")
+        self.places.execute_batch("COMMIT")
     }
 
     /// What rosbag2 noted about the recording, as its MCAP files have it.
@@ -302,9 +305,9 @@ impl Db3Reader {
     fn next_place(&mut self) -> Result<Option<Place>, RosError> {
         if self.page.is_empty() {
             let failed = |error: rusqlite::Error| unreadable(&self.path, &error);
-            let query = "SELECT time, row, topic, size FROM temp.places WHERE (time, row) > (?1, ?2) \
+            let query = "SELECT time, row, topic, size FROM places WHERE (time, row) > (?1, ?2) \
                          ORDER BY time, row LIMIT ?3";
-            let mut statement = self.database.prepare_cached(query).map_err(failed)?;
+            let mut statement = self.places.prepare_cached(query).map_err(failed)?;
             let rows = statement.query_map(params![self.last.0, self.last.1, PAGE], |row| {
                 Ok(Place { time: row.get(0)?, row: row.get(1)?, topic: row.get(2)?, size: row.get(3)? })
             });

@@ -153,6 +153,12 @@ mod tests {
             Self { _home: home, ledger, file }
         }
 
+        fn is_too_short(&self) -> bool {
+            let length = self.file.metadata().expect("there").len();
+            assert!(length < LEAD as u64, "{length}");
+            matches!(known(&self.ledger, OWNER, &self.file, false), Ok(Known::TooShort))
+        }
+
         fn write(&mut self, bytes: &[u8]) {
             self.file.seek(SeekFrom::End(0)).and_then(|_| self.file.write_all(bytes)).expect("written");
         }
@@ -202,5 +208,16 @@ mod tests {
         assert_eq!(case.here().0, key);
         case.file.set_len(7000).expect("shorter");
         assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000));
+    }
+
+    #[test]
+    fn a_short_file_is_waited_for_until_it_is_closed() {
+        let mut case = Case::new();
+        case.write(MCAP_END);
+        assert!(case.is_too_short(), "its first bytes are its last ones too");
+        case.write(&[1; 300]);
+        assert!(case.is_too_short());
+        case.write(MCAP_END);
+        assert!(!case.is_too_short());
     }
 }
