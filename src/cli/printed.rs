@@ -224,7 +224,7 @@ impl Teller {
     }
 }
 
-/// Whether a request may take so long that it is told how far it is.
+/// Whether a request may take so long that its progress is shown.
 pub fn takes_long(command: &Command) -> bool {
     matches!(command, Command::OfStore(StoreCommand::AuditRecords { .. }))
 }

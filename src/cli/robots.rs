@@ -301,7 +301,7 @@ pub fn devices(rows: &[DeviceRow]) -> String {
     table(&["device", "fingerprint", "state", "from block", "until", "recalled at"], &rows)
 }
 
-/// From so many bytes a second on a rate is suggested.
+/// From this many bytes a second on, a rate is suggested.
 const HEAVY: f64 = 500_000.0;
 /// From so many messages a second on sampling is suggested.
 const FAST: f64 = 50.0;

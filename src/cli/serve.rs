@@ -1,4 +1,4 @@
-//! `authros serve`: the site without a console, in the background too, and what systemd is told of it.
+//! `authros serve`: the site without a console, in the background too, and its reports to systemd.
 
 use std::ffi::OsStr;
 use std::fs::{File, OpenOptions};

@@ -2,12 +2,10 @@
 //! pictures and the first message included, and they see who publishes. All in a network namespace of the test's own.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
-use std::path::{Path, PathBuf};
-
 use crate::support;
 
 use serde_json::Value;
-use support::ros2::{Listener, Network, Talker, network};
+use support::ros2::{Listener, Network, Talker, network, python_with};
 use support::{Authros, Home, Running, count, heavy, is_verified, long, poll, skipped, wait_until};
 
 const INCOMPLETE: i32 = 8;
@@ -15,20 +13,12 @@ const INCOMPLETE: i32 = 8;
 const OUT: &str = "7";
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_bridge.py");
 
-/// Python with the packages of a distribution of ROS 2.
-fn python(distribution: &str) -> Option<PathBuf> {
-    let peers = std::env::var_os("AUTHROS_PEERS")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
-    let path = peers.join(distribution).join("bin/python");
-    path.is_file().then_some(path)
-}
-
 /// A real node that subscribes.
 struct Node(Running);
 
 impl Node {
     fn start(network: &Network, distribution: &str, topics: &[&str]) -> Self {
-        let mut command = network.command(&python(distribution).expect("asked before"));
+        let mut command = network.command(&python_with(distribution).expect("asked before"));
         command.args(["-B", SCRIPT, OUT]).args(topics);
         let mut running = Running::start(command);
         running.wait_for_text("\"ready\"", 60);
@@ -93,7 +83,7 @@ fn plant(network: &Network, kinds: &[Kind<'_>]) -> Plant {
 }
 
 fn ready() -> Result<Network, &'static str> {
-    if ["jazzy", "kilted"].iter().any(|distribution| python(distribution).is_none()) {
+    if ["jazzy", "kilted"].iter().any(|distribution| python_with(distribution).is_none()) {
         return Err("no nodes of ROS 2 in target/peers");
     }
     network()

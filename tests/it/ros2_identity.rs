@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::support;
 
 use serde_json::Value;
-use support::ros2::{Network, network};
+use support::ros2::{Network, network, python_with};
 use support::{Authros, Home, Running, heavy, list, long, poll, skipped, text, wait_until};
 
 const NO_NODES: &str = "no rclpy in target/peers (jazzy, kilted, cyclonedds)";
@@ -20,10 +20,7 @@ struct Pythons {
 }
 
 fn pythons() -> Option<Pythons> {
-    let peers = std::env::var_os("AUTHROS_PEERS")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
-    let python = |name: &str| Some(peers.join(name).join("bin/python")).filter(|path| path.is_file());
-    Some(Pythons { jazzy: python("jazzy")?, kilted: python("kilted")?, cyclone: python("cyclonedds")? })
+    Some(Pythons { jazzy: python_with("jazzy")?, kilted: python_with("kilted")?, cyclone: python_with("cyclonedds")? })
 }
 
 /// A peer, and what it publishes on.

@@ -6,23 +6,16 @@ use crate::support;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde_json::Value;
-use support::ros2::{Network, reader_program};
+use support::ros2::{Network, python_with, reader_program};
 use support::{Authros, Home, Running, count, is_verified, long, poll, skipped, text};
 
 const PEER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_shown.py");
 
 /// Messages of each type.
 const EACH: u64 = 3;
-
-/// The interpreter with rclpy of a distribution, if it is installed.
-fn python_of(distribution: &str) -> Option<PathBuf> {
-    let peers = std::env::var_os("AUTHROS_PEERS")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
-    Some(peers.join(distribution).join("bin/python")).filter(|path| path.is_file())
-}
 
 fn peer(network: &Network, python: &Path, arguments: &[&str]) -> Running {
     let mut command = network.command(python);
@@ -56,7 +49,7 @@ fn open_all(alice: &Authros, folder: &Path) -> usize {
 }
 
 fn expect_shown_as_sent(distribution: &str, seed: &str) {
-    let Some(python) = python_of(distribution).filter(|_| reader_program().is_some()) else {
+    let Some(python) = python_with(distribution).filter(|_| reader_program().is_some()) else {
         skipped!("no rclpy in target/peers; tests/run installs it");
     };
     let Some(network) = Network::new() else { skipped!("this machine gives no network namespace") };

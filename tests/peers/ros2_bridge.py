@@ -1,4 +1,4 @@
-"""A real node of ROS 2 (rclpy) that subscribes to topics and tells what it hears of them.
+"""A real node of ROS 2 (rclpy) that subscribes to topics and prints what it receives.
 
 usage: ros2_bridge.py DOMAIN TOPIC:KIND:RELIABILITY...
 

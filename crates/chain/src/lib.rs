@@ -129,7 +129,7 @@ pub struct BlockRef {
     pub number: u64,
     /// Its hash.
     pub hash: Hash,
-    /// Seconds since 1970, as stated by whoever sealed it.
+    /// Seconds since 1970, as the sealer of the block stated it.
     pub timestamp: u64,
 }
 

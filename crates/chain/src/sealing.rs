@@ -119,7 +119,7 @@ fn listed(extra: &[u8]) -> Vec<Address> {
 pub enum SealerKind {
     /// One AuthROS program, with all keys in its home.
     Embedded,
-    /// A development node: whoever runs it sets blocks and times.
+    /// A development node: its operator sets blocks and times.
     Development,
     /// Named accounts, under proof of authority.
     Authority,

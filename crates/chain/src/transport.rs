@@ -98,7 +98,7 @@ pub enum TransportError {
     /// The answer has more than this many bytes.
     #[error("an answer of more than {} MiB", .0 / MIB)]
     TooLong(usize),
-    /// The node, or what stands before it, cannot be used as it is asked; the reason is a predicate
+    /// The node, or what stands before it, cannot be used with the present settings; the reason is a predicate
     /// of the node.
     #[error("the node {reason}")]
     Unusable { reason: String, advice: String },

@@ -1,4 +1,4 @@
-//! An owner's new SM2 pairs, handed to whoever has its earlier keys: an old backup of the keyring still leads to the
+//! An owner's new SM2 pairs, handed to the holder of its earlier keys: an old backup of the keyring still leads to the
 //! newest. Salt (32) || SM4-GCM(d_C || d_E) (80), under a key that only the account's own key gives, all of it encrypted
 //! to the P_E that the pairs replace. So d_E alone, exposed, opens no later pair.
 

@@ -1,5 +1,5 @@
 //! What a follower states of a file that a recorder wrote: its length, its digest, and those of its chunks. The statement
-//! is the content of a record, sealed like every other: whoever has the record's disclosure and the file compares the two.
+//! is the content of a record, sealed like every other: a verifier with the record's disclosure and the file compares the two.
 //!
 //! It is written as MCAP writes metadata (names and values as texts behind their lengths), so that a recording which is
 //! exported again has it as such.

@@ -409,7 +409,7 @@ impl Connection {
 /// The most entries that wait; beyond that the desk waits.
 const WAITING: usize = 8;
 
-/// How soon it is asked again whether an entry may be sent, while the chain is not fresh.
+/// How soon to check again whether an entry may be sent, while the chain is not fresh.
 const AGAIN: Duration = Duration::from_millis(500);
 
 /// An entry of a subscription, or its end.

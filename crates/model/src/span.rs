@@ -169,6 +169,11 @@ impl Timestamp {
         Self(seconds.saturating_mul(1_000_000_000))
     }
 
+    /// The moment after this one, which ends a span with it as its last; `None` after the last that the ledger holds (2^63 - 1).
+    pub fn next(self) -> Option<Self> {
+        self.0.checked_add(1).filter(|next| i64::try_from(*next).is_ok()).map(Self)
+    }
+
     /// Whole seconds.
     pub fn seconds(self) -> u64 {
         self.0 / 1_000_000_000
@@ -219,6 +224,13 @@ impl<'de> Deserialize<'de> for Timestamp {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_last_moment_of_the_ledger_has_none_after_it() {
+        let last = i64::MAX.cast_unsigned();
+        assert_eq!(Timestamp(last - 1).next(), Some(Timestamp(last)));
+        assert_eq!((Timestamp(last).next(), Timestamp(u64::MAX).next()), (None, None));
+    }
 
     #[test]
     fn every_unit_is_read() {

@@ -77,7 +77,7 @@ pub enum Told {
         /// Whether it can open no file and no local socket.
         confined: bool,
     },
-    /// The domain is joined; whoever supervises the child says for this participant that it is gone if the child is killed.
+    /// The domain is joined; if the child is killed, its supervisor announces that this participant is gone.
     Joined {
         /// The prefix of its ids, 12 bytes as hex.
         participant: String,

@@ -91,7 +91,7 @@ pub enum Report {
         /// Whether it can open no file and no local socket.
         confined: bool,
     },
-    /// The domain of ROS 2 is joined; whoever supervises the child says for this participant that it is gone if the child is killed.
+    /// The domain of ROS 2 is joined; if the child is killed, its supervisor announces that this participant is gone.
     Joined {
         /// The prefix of its ids, 12 bytes as hex.
         participant: String,

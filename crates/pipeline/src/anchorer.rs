@@ -24,7 +24,7 @@ const MOST_OPEN_BATCHES: usize = 2;
 const REST: Duration = Duration::from_secs(60);
 /// How long to wait when only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
-/// How often it is looked whose right has ended while nothing is closed or sent.
+/// How often the anchorer checks for rights that have ended while nothing is closed or sent.
 const LOOK: Duration = Duration::from_millis(500);
 /// Leaf orders tried to find a root that no batch had before.
 const MOST_ORDERS: usize = 16;

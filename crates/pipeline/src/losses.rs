@@ -291,14 +291,7 @@ fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Stre
         last_at: gap.last_at,
     }
     .encode();
-    let speaker = Speaker {
-        domain: keys.domain,
-        owner: author.address,
-        signing: &keys.signing,
-        epoch: keys.epoch,
-        topic_id: topic.id,
-        topic_key: &topic.key,
-    };
+    let speaker = Speaker::of(&keys, author.address, &topic);
     let statement = Statement { kind: RecordKind::Gap, topic: &gap.topic, type_name: TYPE, body: &body };
     let seq = statement::put(plant, &speaker, statement, |row| {
         let seq = row.seq;

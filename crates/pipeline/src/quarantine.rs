@@ -77,14 +77,7 @@ fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool,
     };
     let body = report.encode();
     let topic = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
-    let speaker = Speaker {
-        domain: keys.domain,
-        owner: author.address,
-        signing: &keys.signing,
-        epoch: keys.epoch,
-        topic_id: topic.id,
-        topic_key: &topic.key,
-    };
+    let speaker = Speaker::of(&keys, author.address, &topic);
     let statement =
         Statement { kind: RecordKind::Quarantine, topic: TOPIC, type_name: "authros/Quarantine", body: &body };
     statement::put(plant, &speaker, statement, |row| plant.ledger.report(row, digests))?;

@@ -174,6 +174,27 @@ pub fn rolling(
     Digest(digests.into_iter().fold(start, |rolling, digest| plant.provider.sm3(&[&rolling, &digest.0])))
 }
 
+/// The report about records of one topic, each with its sequence number and the length of its message.
+fn report_body(
+    plant: &Plant,
+    (domain, owner): (&Domain, Address),
+    (topic_id, topic, rule): (TopicId, String, String),
+    gone: &[(Digest, u64, u64)],
+) -> Vec<u8> {
+    let seqs = || gone.iter().map(|(_, seq, _)| *seq);
+    let report = RetentionReport {
+        topic_id,
+        topic,
+        rule,
+        first_seq: seqs().min().unwrap_or(0),
+        last_seq: seqs().max().unwrap_or(0),
+        count: gone.len() as u64,
+        bytes: gone.iter().map(|(_, _, bytes)| bytes).sum(),
+        rolling: rolling(plant, domain, owner, topic_id, gone.iter().map(|(digest, ..)| *digest)),
+    };
+    report.encode()
+}
+
 /// `false`: there are no keys to seal with now.
 fn report(
     plant: &Plant,
@@ -184,27 +205,10 @@ fn report(
 ) -> Result<bool, PipelineError> {
     let Some(keys) = owner.sealing() else { return Ok(false) };
     let place = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
-    let seqs = || records.iter().map(|(record, _)| record.seq);
-    let digests = records.iter().map(|(record, _)| record.digest);
-    let body = RetentionReport {
-        topic_id: topic.topic_id,
-        topic: topic.name.clone(),
-        rule: rule.to_string(),
-        first_seq: seqs().min().unwrap_or(0),
-        last_seq: seqs().max().unwrap_or(0),
-        count: records.len() as u64,
-        bytes: records.iter().map(|(record, _)| record.bytes).sum(),
-        rolling: rolling(plant, &keys.domain, owner.address, topic.topic_id, digests),
-    }
-    .encode();
-    let speaker = Speaker {
-        domain: keys.domain,
-        owner: owner.address,
-        signing: &keys.signing,
-        epoch: keys.epoch,
-        topic_id: place.id,
-        topic_key: &place.key,
-    };
+    let gone: Vec<_> = records.iter().map(|(record, _)| (record.digest, record.seq, record.bytes)).collect();
+    let about = (topic.topic_id, topic.name.clone(), rule.to_string());
+    let body = report_body(plant, (&keys.domain, owner.address), about, &gone);
+    let speaker = Speaker::of(&keys, owner.address, &place);
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
     statement::put(plant, &speaker, statement, |row| plant.ledger.give_up(topic, row, records))?;
     plant.observer.records_changed();
@@ -309,27 +313,10 @@ fn report_erased(
     let keys = owner.sealing().ok_or_else(uncovered)?;
     let place = keys.topic(TOPIC).ok_or_else(uncovered)?;
     let Some((first, _)) = records.first() else { return Ok(()) };
-    let seqs = || records.iter().map(|(row, _)| row.seq);
-    let digests = records.iter().map(|(row, _)| row.digest);
-    let body = RetentionReport {
-        topic_id: first.topic_id,
-        topic: first.topic.clone(),
-        rule: erasure.to_string(),
-        first_seq: seqs().min().unwrap_or(0),
-        last_seq: seqs().max().unwrap_or(0),
-        count: records.len() as u64,
-        bytes: records.iter().map(|(row, _)| row.bytes).sum(),
-        rolling: rolling(plant, &keys.domain, owner.address, first.topic_id, digests),
-    }
-    .encode();
-    let speaker = Speaker {
-        domain: keys.domain,
-        owner: owner.address,
-        signing: &keys.signing,
-        epoch: keys.epoch,
-        topic_id: place.id,
-        topic_key: &place.key,
-    };
+    let gone: Vec<_> = records.iter().map(|(row, _)| (row.digest, row.seq, row.bytes)).collect();
+    let about = (first.topic_id, first.topic.clone(), erasure.to_string());
+    let body = report_body(plant, (&keys.domain, owner.address), about, &gone);
+    let speaker = Speaker::of(&keys, owner.address, &place);
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
     let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
     let told = named.clone();

@@ -6,7 +6,7 @@ use crate::model::head::Compression;
 use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, Timestamp, TopicId};
 use crate::store::{NewRecord, StoreError};
 
-use super::epoch::EpochKeys;
+use super::epoch::{EpochKeys, TopicKeys};
 use super::{PipelineError, Plant};
 
 /// The content of a statement.
@@ -34,14 +34,7 @@ pub fn state(
     statement: Statement<'_>,
 ) -> Result<Option<Digest>, PipelineError> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
-    let speaker = Speaker {
-        domain: keys.domain,
-        owner,
-        signing: &keys.signing,
-        epoch: keys.epoch,
-        topic_id: topic.id,
-        topic_key: &topic.key,
-    };
+    let speaker = Speaker::of(keys, owner, &topic);
     put(plant, &speaker, statement, |row| {
         let digest = row.digest;
         plant.ledger.append(vec![row]).map(|()| Some(digest))
@@ -60,14 +53,7 @@ pub fn state_to_be_found(
 ) -> Result<Option<Digest>, PipelineError> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
     let filters = topic.filters(statement.type_name, &std::collections::BTreeMap::new());
-    let speaker = Speaker {
-        domain: keys.domain,
-        owner,
-        signing: &keys.signing,
-        epoch: keys.epoch,
-        topic_id: topic.id,
-        topic_key: &topic.key,
-    };
+    let speaker = Speaker::of(keys, owner, &topic);
     put_filtered(plant, &speaker, statement, filters, |row| {
         let digest = row.digest;
         plant.ledger.append(vec![row]).map(|()| Some(digest))
@@ -88,6 +74,20 @@ pub struct Speaker<'a> {
     pub topic_id: TopicId,
     /// Seals it.
     pub topic_key: &'a TopicKey,
+}
+
+impl<'a> Speaker<'a> {
+    /// `owner`, with the keys of an epoch, about a topic of it.
+    pub fn of(keys: &'a EpochKeys, owner: Address, topic: &'a TopicKeys) -> Self {
+        Self {
+            domain: keys.domain,
+            owner,
+            signing: &keys.signing,
+            epoch: keys.epoch,
+            topic_id: topic.id,
+            topic_key: &topic.key,
+        }
+    }
 }
 
 /// Seals a statement and stores it, acknowledged by what `acknowledge` does with its row.

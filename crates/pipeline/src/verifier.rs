@@ -74,7 +74,7 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
 }
 
 impl<'a> Outcome<'a> {
-    /// Reads some records and checks them together: each in full, including its signature, whoever wrote it.
+    /// Reads some records and checks them together: each in full, including its signature, own and foreign ones alike.
     fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<(), PipelineError> {
         let mut read = Vec::with_capacity(rows.len());
         for (row, found) in rows.iter().zip(read_back(plant, network, rows)) {

@@ -21,7 +21,7 @@ macro_rules! failure_from {
 }
 failure_from!(ChainError, ConfigError, CryptoError, GatewayError, RosError);
 
-/// Ends the text about a full disk: whoever was refused has to repeat it.
+/// Ends the text about a full disk: a refused request has to be repeated.
 pub const AGAIN: &str = ", then do it again";
 
 impl From<StoreError> for Failure {

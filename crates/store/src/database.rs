@@ -92,7 +92,7 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
 
 /// Works the log into the file, at the end of a process: other connections of it may outlive this one, and then
 /// closing would leave the log beside the file. Where somebody reads just now, or the disk is full, the log stays, and
-/// whoever opens the file next works it in.
+/// the next opening of the file works it in.
 pub(super) fn settle(connection: &Connection) {
     drop(connection.busy_timeout(LAST_WAIT));
     drop(connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(())));

@@ -202,7 +202,7 @@ impl DiskRing {
         Ok(())
     }
 
-    /// Prepares for a round of about so many bytes: a full file is closed, and room is made. Only then is it known
+    /// Prepares for a round of about this many bytes: a full file is closed, and room is made. Only then is it known
     /// which definitions have to go with the round.
     ///
     /// # Errors

@@ -101,7 +101,7 @@ fn fill(mut file: File, bytes: u64) -> std::io::Result<()> {
 }
 
 // The messages that wait in memory while the disk is full, as numbers in a file: it is allocated beforehand and
-// overwritten in place, so that it can be written where nothing else can. Whoever starts next learns from it what died
+// overwritten in place, so that it can be written where nothing else can. The next start learns from it what died
 // with the process.
 //
 // Two slots are written in turn, each `number (8) || length (4) || SM3 of number and text (32) || text`: after a crash one

@@ -19,7 +19,7 @@ use crate::service::reply::IncidentView;
 const AROUND: u64 = 600;
 /// The same before now, as it is written.
 const BEFORE_NOW: &str = "10m";
-/// How often it is asked again what those on screen hold, nanoseconds: nothing tells of it.
+/// How often the console asks again what the incidents on screen hold, in nanoseconds: no event reports it.
 const ASKED_EVERY: u64 = 10_000_000_000;
 /// The most characters of topics that a line of a form takes.
 const LONGEST_TOPICS: usize = 200;
@@ -108,7 +108,7 @@ pub fn open(state: &mut State) {
     state.popups.push(Popup::Incidents(IncidentList::default()));
 }
 
-/// When it is asked again what the incidents on screen hold.
+/// When the console next asks what the incidents on screen hold.
 pub fn asked_at(state: &State) -> Option<Timestamp> {
     let seen = matches!(state.popups.last(), Some(Popup::Incidents(_))) && !state.is_frozen();
     let goes_on = state.incidents.rows.iter().any(|row| row.open);

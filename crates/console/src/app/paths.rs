@@ -25,7 +25,7 @@ pub enum PathKind {
     Folder,
 }
 
-/// The beginning of a path that was typed, and where it is looked for.
+/// The beginning of a path that was typed, and the folder to search for it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sought {
     /// The text as it was typed.

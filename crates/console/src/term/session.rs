@@ -253,7 +253,7 @@ impl Session {
         }
     }
 
-    /// Waits until the thread that reads keys has ended: whoever asks at the terminal next would share them with it.
+    /// Waits until the thread that reads keys has ended: the next question at the terminal would share them with it.
     fn leave_the_keys(&mut self) {
         // A new size is what it wakes up for without a key; without that it ends within its patience.
         rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::WINCH).ok();

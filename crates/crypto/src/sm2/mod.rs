@@ -105,7 +105,7 @@ impl Nonces {
 
 // Tables for known signers: a gateway and an auditor meet the same few thousand keys. A table only makes verification
 // faster; every signature is verified in full. It is built at a signer's third valid signature, and evicted only if its
-// signer had no valid one for an hour: no flood makes an hour pass, whoever's signatures it consists of.
+// signer had no valid one for an hour: no flood of signatures, by any signer, makes an hour pass.
 
 /// The most bytes of all tables together.
 const ROOM: usize = 64 << 20;

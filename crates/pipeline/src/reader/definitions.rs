@@ -29,7 +29,7 @@ const MOST_KEPT: usize = 1024;
 /// What decides about a message's definition within an epoch: its owner, topic, digest, type and the type's hash.
 type Key = (Address, TopicId, u64, Digest, String, Option<String>);
 
-/// Definitions found so far, for whoever opens many messages.
+/// Definitions found so far, so that opening many messages looks each one up once.
 #[derive(Default)]
 pub struct Definitions(HashMap<Key, Arc<str>>);
 

@@ -208,7 +208,7 @@ impl Sealer {
     }
 }
 
-/// The items in rounds of about so many bytes.
+/// The items in rounds of about `most` bytes.
 fn rounds<'a, 'b>(items: &'b [&'a CapturedMessage], most: u64) -> Vec<&'b [&'a CapturedMessage]> {
     let (mut rounds, mut rest) = (Vec::new(), items);
     while !rest.is_empty() {

@@ -95,7 +95,7 @@ impl Lane<'_> {
         Ok(block_in_place(|| self.sender.ledger.open_lane(self.account))?)
     }
 
-    /// The next nonce, after everything mined, pending at the node (whoever signed it), or open here.
+    /// The next nonce, after everything mined, pending at the node (signed here or elsewhere), or open here.
     ///
     /// # Errors
     /// Errors of chain and ledger.

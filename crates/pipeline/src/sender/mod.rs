@@ -317,7 +317,7 @@ pub struct Cancelled {
 impl Sender {
     /// Replaces the account's open transaction with this nonce by an empty one to the account itself, at a higher
     /// price. The records that it anchors wait to be anchored again; whatever else it was for does not happen, and
-    /// whoever waits for it is told. If the chain takes the old one after all, that is recognised as for any other.
+    /// its callers get an error. If the chain takes the old one after all, that is recognised as for any other.
     ///
     /// # Errors
     /// `Refused` if there is no such transaction, it is in a block already, or the cap forbids a higher price;

@@ -214,7 +214,7 @@ impl Run {
             let reason = reading.read(&mut BufReader::new(from), domain);
             reading.state().broken.get_or_insert(reason);
             reading.changed.notify_all();
-            // Whoever writes to it must not wait for it.
+            // A caller that writes to it must not wait for it.
             reading.kill();
         })?;
         run.keep("ros out watch", move || shared.watch_over())?;

@@ -132,7 +132,7 @@ impl Recording {
         drop(file);
         let whole = unpacked(path)?;
         let (file, magic) = begin(whole.path())?;
-        // Whoever reads it has opened it: the name is no longer needed.
+        // It is open by now, so its name is no longer needed.
         Self::of(whole.path(), file, &magic)
     }
 

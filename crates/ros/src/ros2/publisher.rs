@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_vanishes_while_nobody_reads_leaves_an_unknown_end() {
+    fn a_publisher_that_vanishes_while_nobody_reads_leaves_an_unknown_end() {
         let now = Instant::now();
         let mut publisher = Publisher::new(writer(), 0, now);
         assert!(publisher.vanished(now).is_empty(), "nothing was read of it");

@@ -416,7 +416,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_is_not_found_again_is_told_of_with_an_unknown_end() {
+    fn a_publisher_that_is_not_found_again_is_reported_with_an_unknown_end() {
         let (mut state, now) = (State::new(0), Instant::now());
         state.watch(&"/chatter".parse().expect("a name"), &mut Outcome::default());
         let mut take = |told, at| state.take(told, vec![1], at).expect("taken");

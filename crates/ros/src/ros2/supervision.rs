@@ -134,7 +134,7 @@ impl Shared {
         if self.is_stopping() {
             locked(&self.to_child).take();
         }
-        // What is watched from here on is sent by whoever watches it; twice does no harm.
+        // What is watched from here on is sent by the call that watches it; twice does no harm.
         let watched: Vec<TopicName> = self.state().watched.iter().cloned().collect();
         watched.iter().for_each(|topic| self.wish(&Wish::Watch { topic: topic.to_string() }));
         let reason = self.read(&mut BufReader::with_capacity(256 << 10, from));
@@ -209,7 +209,7 @@ impl Shared {
                 self.kill();
             }
         }
-        // The end of its pipe tells it to leave. One that stays and goes on talking would hold up whoever stops it.
+        // The end of its pipe tells it to leave. One that stays and goes on talking would hold up the caller that stops it.
         let begun = Instant::now();
         while begun.elapsed() < child::LEAVING && locked(&self.running).is_some() {
             std::thread::sleep(Duration::from_millis(20));

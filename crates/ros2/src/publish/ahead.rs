@@ -96,7 +96,7 @@ impl Rate {
         self.0 = (self.0 * 1.1).min(RATES.1);
     }
 
-    /// The time for so many bytes of a message of this length.
+    /// The time that this many bytes of a message of this length may take.
     #[expect(clippy::cast_precision_loss, reason = "lengths of messages are below 2^53")]
     fn time(&self, bytes: usize, length: usize) -> Duration {
         Duration::from_secs_f64(bytes as f64 / self.0.max(length as f64 / LONGEST))

@@ -32,7 +32,7 @@ impl Node {
         writers: Vec<GUID>,
     ) {
         if !is_welcome(there.iter().filter(|writer| of_others(writer, participant)).map(|writer| &*writer.user_data)) {
-            // What was told is no longer kept for whoever comes.
+            // What was published is no longer kept for late subscribers.
             *self = Self::default();
             return;
         }

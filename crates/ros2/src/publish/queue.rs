@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_is_outrun_loses_messages_until_it_has_caught_up() {
+    fn a_writer_that_is_outrun_loses_messages_until_it_has_caught_up() {
         let (mut queue, mut outlets, now) = (queue(&[(1, 1), (2, 2), (1, 3)]), outlets(&[0, 9]), Instant::now());
         queue.outrun(&mut outlets);
         assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 3, dropped: 2, unconfirmed: 0 });

@@ -214,8 +214,9 @@ impl Writing {
         let is_large = message.len() > LARGE && (self.ahead.is_some() || !self.addresses.is_empty());
         if is_large {
             self.settle();
-            // One at a time: a second one would be lost in what the network code sends at once of the first. Whoever is no
-            // longer waited for does not keep it from the others while there is room; once begun, it must find some.
+            // One at a time: a second one would be lost in what the network code sends at once of the first. A
+            // subscriber that is no longer waited for does not keep it from the others while there is room; once begun, it
+            // must find some.
             let most = if self.is_outrun { self.room.saturating_sub(2) } else { 0 };
             if self.ahead.is_none() && self.pending.len() > most {
                 return Attempt::Full;
@@ -283,7 +284,7 @@ impl Writing {
 fn room(offer: Offer, size: usize, others: usize) -> usize {
     let depth = offer.depth.clamp(1, DEEPEST) as usize;
     let room = quality::depth(size, others);
-    // Whoever subscribes later is sent all that are kept, so there are few.
+    // A late subscriber is sent all that are kept, so there are few.
     if offer.latched { room.min(depth.max(LATCHED)) } else { room }
 }
 

@@ -187,7 +187,7 @@ const LOOK: Duration = Duration::from_millis(20);
 /// The part of this process's environment that it gets.
 const ENVIRONMENT: [&str; 3] = ["PATH", "HOME", "LANG"];
 
-/// Whether somebody waits for a program. Whoever ends the waiting kills it, because a process that is ending may leave
+/// Whether somebody waits for a program. The caller that ends the wait kills it, because a process that is ending may leave
 /// no time for the thread that supervises it.
 #[derive(Debug, Default)]
 pub struct Wanted(Mutex<State>);

@@ -67,7 +67,7 @@ pub struct BatchPlace {
     pub transaction: Option<Hash>,
 }
 
-/// A record with its place, read in one transaction. Whoever compares the two takes them from here: read one after the
+/// A record with its place, read in one transaction. Code that compares the two takes them from here: read one after the
 /// other, an honest ledger contradicts itself whenever the watcher writes in between.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PlacedRecord {

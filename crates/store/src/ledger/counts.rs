@@ -321,7 +321,7 @@ pub struct CoverageQuery {
     /// Its name.
     pub topic: String,
     /// Only what these keys signed, as those of one robot, without losses: what is counted here was lost by this
-    /// site's own capture. `None` = whoever recorded it.
+    /// site's own capture. `None` = of any recorder.
     pub signers: Option<BTreeSet<SignerId>>,
     /// From this time; `None` = from its first record.
     pub since: Option<Timestamp>,

@@ -267,7 +267,7 @@ fn list(connection: &Connection, digest: Digest, taken: &TakenErased) -> Result<
     Ok(ToldErased::Listed)
 }
 
-/// Whoever accounted for the bytes before does so by the newer statement.
+/// Bytes accounted for before are accounted for by the newer statement.
 fn restate(connection: &Connection, digest: Digest, taken: &TakenErased) -> Result<ToldErased, StoreError> {
     if !kept(connection, digest)?.is_some_and(|kept| kept.taken) {
         return Ok(ToldErased::Unchanged);

@@ -58,7 +58,7 @@ pub struct Retained {
     pub deleted_at: Option<Timestamp>,
     /// Who had it erased, unless a rule did.
     pub erased: Option<Erasure>,
-    /// If it was erased before it came here: what its owner stated, to be checked by whoever relies on it.
+    /// If it was erased before it came here: what its owner stated, to be checked before anything relies on it.
     pub stated: Option<Vec<u8>>,
 }
 
@@ -190,7 +190,7 @@ impl Ledger {
                      WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
                     "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
-                    // Told from now on: whoever has read past the earlier number reads it again.
+                    // Listed from now on: a reader that is past the earlier number reads it again.
                     "REPLACE INTO erasures (record, statement, account, taken)
                      SELECT record, statement, account, taken FROM erasures
                      WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",

@@ -73,7 +73,7 @@ impl Log {
         subject: &'a str,
         deed: impl Future<Output = Result<T, Failure>> + Send + 'a,
     ) -> impl Future<Output = Result<T, Failure>> + Send + 'a {
-        // Some deeds are large futures; whoever waits for one holds a pointer.
+        // Some deeds are large futures; a caller that waits for one holds a pointer.
         let deed = Box::pin(deed);
         async move {
             self.write(profile, action, subject, "begun").await?;

@@ -114,7 +114,7 @@ impl Backup {
         Ok(Moment { folder, ledger, vault, chain })
     }
 
-    /// About so many bytes are to be written: the databases and a robot's ring are nearly all of a home.
+    /// Roughly how many bytes are to be written: the databases and a robot's ring are nearly all of a home.
     fn expected(&self, moment: &Moment) -> u64 {
         let vault = moment.vault.as_ref().map(|_| self.home.vault().join("vault.db"));
         let chain = moment.chain.then(|| moment.folder.path().join("chain.db"));
@@ -260,7 +260,7 @@ fn add(sealed: &mut impl Write, name: &str, path: &Path, view: &mut BackupView, 
     let length = file.metadata()?.len();
     let mut bytes = Told { file, run };
     if name.starts_with(RING) {
-        // A robot that is short of room takes half a record back: whoever opens the ring cuts these zeros off again.
+        // A robot that is short of room takes half a record back: the next opening of the ring cuts these zeros off again.
         archive::put(sealed, name, length, &mut bytes.chain(io::repeat(0)))?;
     } else {
         archive::put(sealed, name, length, &mut bytes)?;

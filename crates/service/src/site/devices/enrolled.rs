@@ -301,7 +301,7 @@ impl Devices {
         Ok(EnrolledView { name: enrolled.name, device: id, gateway: seat.noted().into(), file: SecretBytes::new(file) })
     }
 
-    /// One name is one robot: whoever recalls it by its name must not leave another one able to read.
+    /// One name is one robot: a recall by name must not leave another one able to read.
     fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
         if is_reserved(name) {
             return Err(input(format!("'{name}' is a name that sites give themselves; give the robot another one")));

@@ -247,7 +247,7 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
 
 /// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How often the gateway is told of a device before the loan is on its chain.
+/// How often a device is announced to the gateway before the loan is on its chain.
 const ATTEMPTS: u32 = 20;
 
 /// A place at a gateway.

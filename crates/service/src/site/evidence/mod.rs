@@ -138,7 +138,7 @@ impl Evidence {
                 Ok(ledger.list(&query)?)
             })
             .await?;
-            // Of an incident it is told what is left out because it is not stored yet.
+            // For an incident, the notes say what is left out because it is not stored yet.
             let is_awaited = |row: &RecordRow| wishes.incident.is_some() && is_early(row);
             rows.extend(page.rows.into_iter().filter(|row| is_stored(row) || is_awaited(row)));
             if rows.len() > MOST_RECORDS {

@@ -106,7 +106,7 @@ impl GatewayDesk {
             .map_err(Refusal::because(Code::Signature))?;
         let owners = network.directory.registered_as(signer_id(&statement.signer)) == Some(header.owner);
         if owners && !is_owners(network, header.owner, &statement.signer) {
-            // An earlier key of the owner, or one that is suspended: stated anew, it is told anew.
+            // An earlier key of the owner, or one that is suspended: when it states the erasure again, that is passed on again.
             return Ok(Judged::Left);
         }
         let anchors = &self.gateway.anchors;

@@ -276,7 +276,7 @@ type Keys = Option<(PublicKey, PublicKey)>;
 /// Entries that may wait for a slow reader; beyond that, the subscription waits for it.
 const AHEAD: usize = 64;
 
-/// How often it is looked whether the chain is fresh again.
+/// How often to check whether the chain is fresh again.
 const AGAIN: Duration = Duration::from_millis(500);
 
 /// One running subscription.

@@ -236,7 +236,7 @@ impl Reading {
             None => None,
         };
         if let Some(block) = block.filter(|block| row.block_hash == Some(block.hash)) {
-            // By the clock of those who seal the chain: whoever checks compares it with the chain's own.
+            // By the sealers' clock: a verifier compares it with the chain's own.
             anchor["block_time"] = serde_json::json!(Timestamp::from_seconds(block.timestamp));
         }
         let proof = serde_json::json!({

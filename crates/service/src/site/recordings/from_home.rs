@@ -10,7 +10,7 @@ use super::{Recordings, Run};
 use crate::chain::SEAL_ANEW;
 use crate::config::Config;
 use crate::crypto::OpenedRecord;
-use crate::model::{RecordKind, RecordState, Timestamp, clean};
+use crate::model::{RecordKind, RecordState, clean};
 use crate::paths::Home;
 use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
 use crate::pipeline::reader::{Definitions, Reader};
@@ -268,7 +268,7 @@ impl Moving<'_> {
             topic: Some(opened.head.topic.clone()),
             kind: Some(opened.header.kind),
             since: Some(time),
-            until: time.0.checked_add(1).filter(|end| i64::try_from(*end).is_ok()).map(Timestamp),
+            until: time.next(),
             limit: PAGE,
             ..RecordQuery::default()
         };

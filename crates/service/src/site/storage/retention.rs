@@ -148,7 +148,7 @@ impl Storage {
 const MOST: usize = 100_000;
 /// Records of one page.
 const PAGE: usize = 10_000;
-/// How often it is looked whether the bytes are gone, and how many times.
+/// How often to check whether the bytes are gone, and how many times.
 const ERASING_LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
 
 /// What erasing does not reach, said each time.

@@ -77,7 +77,7 @@ fn gather(folder: &Path, deeper: usize, found: &mut Found) -> std::io::Result<()
         if found.entries > MOST_ENTRIES {
             return Err(std::io::Error::other(format!("it has more than {MOST_ENTRIES} entries")));
         }
-        // What goes away while it is looked at is looked for again.
+        // A file that vanishes meanwhile is searched for again in the next round.
         let Ok(kind) = entry.file_type() else { continue };
         let path = entry.path();
         if kind.is_dir() && deeper > 0 {

@@ -121,7 +121,7 @@ enum Entry<'a> {
 }
 
 impl Recordings {
-    /// Seals what is recorded into a folder, until it is closed, this is ended, or whoever asked has gone.
+    /// Seals what is recorded into a folder, until it is closed, this is ended, or the client has gone.
     pub(super) async fn follow(
         self: &Arc<Self>,
         owner: &Arc<Owner>,

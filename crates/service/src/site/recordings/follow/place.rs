@@ -7,15 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::crypto::sm3::sm3;
 use crate::model::{Address, Digest, Timestamp};
+use crate::ros::mcap::MAGIC;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
 use crate::store::Ledger;
 
-/// So many bytes at its beginning make a file known. A recorder's first chunk, with its times, begins within them.
+/// A file is recognised by this many bytes at its beginning. A recorder's first chunk, with its times, begins within them.
 const LEAD: usize = 1024;
-
-/// The last bytes of a closed MCAP file.
-const MCAP_END: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// The most files that one place on the disk was used for, of which all began alike.
 const MOST_AGAIN: u32 = 64;
@@ -42,7 +40,7 @@ pub(super) struct Place {
     pub stored: u64,
     /// Records of messages up to this one may be stored, too: a crash came between.
     pub begun: u64,
-    /// So many bytes of it were read then.
+    /// How many of its bytes had been read by then.
     pub at: u64,
     /// SM3 of these bytes.
     pub digest: Option<Digest>,
@@ -86,9 +84,9 @@ pub(super) enum Known {
 
 /// Whether a file ends as a recorder ends it.
 fn is_closed(file: &File, length: u64) -> bool {
-    let mut end = [0; MCAP_END.len()];
-    let at = length.checked_sub(MCAP_END.len() as u64).filter(|at| *at > 0);
-    at.is_some_and(|at| file.read_exact_at(&mut end, at).is_ok()) && end == *MCAP_END
+    let mut end = [0; MAGIC.len()];
+    let at = length.checked_sub(MAGIC.len() as u64).filter(|at| *at > 0);
+    at.is_some_and(|at| file.read_exact_at(&mut end, at).is_ok()) && end == *MAGIC
 }
 
 /// Finds a file's place.
@@ -170,7 +168,7 @@ mod tests {
             }
         }
 
-        /// Keeps that so many bytes were read.
+        /// Stores how many bytes were read.
         fn keep(&self, key: &FileKey, at: u64) {
             let mut hashed = super::super::hashed::Hashed::default();
             hashed.advance(&self.file, at, Vec::new()).expect("read");
@@ -213,11 +211,11 @@ mod tests {
     #[test]
     fn a_short_file_is_waited_for_until_it_is_closed() {
         let mut case = Case::new();
-        case.write(MCAP_END);
+        case.write(MAGIC);
         assert!(case.is_too_short(), "its first bytes are its last ones too");
         case.write(&[1; 300]);
         assert!(case.is_too_short());
-        case.write(MCAP_END);
+        case.write(MAGIC);
         assert!(!case.is_too_short());
     }
 }

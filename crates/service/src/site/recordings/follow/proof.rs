@@ -201,8 +201,7 @@ fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>, Failur
         topic: Some(BESIDE.to_owned()),
         kind: Some(RecordKind::Attachment),
         since: Some(due.stated_at),
-        // The ledger's last moment has none after it.
-        until: due.stated_at.0.checked_add(1).filter(|end| i64::try_from(*end).is_ok()).map(Timestamp),
+        until: due.stated_at.next(),
         ..RecordQuery::default()
     };
     loop {
