@@ -96,9 +96,10 @@ async fn another_gateway_at_an_address_gets_nothing_and_says_why() {
     let mut scene = Scene::new().await;
     let other = Stage::known_by(0x24, Limits::default()).await;
     let second = Relay::to(other.server.address()).await;
-    let work = start(&scene, scene.forwarder_to(&at_both(&scene, &second)));
     let there = scene.stage.server.address();
+    // Before it starts: a connection that is open already would stay with the first gateway.
     scene.relay.lead_to(nowhere().await);
+    let work = start(&scene, scene.forwarder_to(&at_both(&scene, &second)));
     scene.capture(10, 100);
     scene.until("it is refused", |scene| scene.notes.with("not the pinned gateway") > 0).await;
     let told = matches!(&*work.link.borrow(), Link::Away(text) if text.contains(&second.address.to_string()));
