@@ -3,12 +3,11 @@
 //! signatures, as evidence.
 
 use crate::model::{Address, Digest, RecorderId, Signature, SignerId, Timestamp, TopicId};
+use crate::store::notes::Equivocations;
 use crate::store::{AuditEntry, AuditLog, NewRecord};
 
 use super::{PipelineError, Plant};
 
-/// The ledger's note of the cases reported for a recorder.
-const TOLD: &str = "equivocation:";
 /// At most this many cases per recorder are reported; more prove nothing more.
 const MOST: usize = 16;
 
@@ -49,11 +48,8 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
     let held = plant.ledger.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
     let Some(row) = plant.ledger.record(held)? else { return Ok(false) };
-    let name = format!("{TOLD}{}", claim.recorder);
     let Claim { owner, signer, recorder, topic, number, digest, signature } = claim;
-    let is_new = plant.ledger.change_setting(&name, |text| {
-        let known = text.and_then(|text| serde_json::from_str::<Vec<Digest>>(text).ok());
-        let mut known = known.unwrap_or_default();
+    let is_new = plant.ledger.notes.change(&Equivocations { recorder: *recorder }, |known| {
         let is_new = !known.contains(digest) && known.len() < MOST;
         if is_new {
             AuditLog::new(plant.ledger.clone()).append(AuditEntry {
@@ -65,7 +61,7 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
             })?;
             known.push(*digest);
         }
-        Ok::<_, PipelineError>((serde_json::to_string(&known).unwrap_or_default(), is_new))
+        Ok::<_, PipelineError>(is_new)
     })?;
     if !is_new {
         return Ok(true);

@@ -96,7 +96,7 @@ pub trait Observer: Send + Sync {
         None
     }
     /// An account of this home anchored something this home did not send.
-    fn foreign_anchors(&self, _found: &watcher::foreign::ForeignAnchors) {}
+    fn foreign_anchors(&self, _found: &store::notes::ForeignAnchors) {}
     /// The vault's present state.
     fn vault(&self, _condition: storer::Condition) {}
     /// Something an operator should know; `urgent` stays on screen.

@@ -16,7 +16,6 @@ use crate::gateway::{Entry, ErasedRecord, Fetched, Standing};
 use crate::model::{Address, Digest, Hash, Header, RecordState, Timestamp};
 use crate::reader::Reader;
 use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError, TakenErased};
-use crate::watcher::CURSOR;
 use crate::{Network, Owner, PipelineError, Plant, chain_proofs};
 
 /// Length of the tag at the end of a sealed body, bytes.
@@ -126,7 +125,7 @@ async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64,
 /// Waits until the watcher here has read a block's events, for so long at most: rights follow from them.
 async fn wait_for(plant: &Plant, block: u64, patience: Duration) -> Result<(), PipelineError> {
     let deadline = Instant::now() + patience;
-    while block_in_place(|| plant.ledger.cursor(CURSOR))?.is_none_or(|(read, _)| read < block) {
+    while block_in_place(|| plant.ledger.cursor())?.is_none_or(|(read, _)| read < block) {
         if Instant::now() > deadline {
             return Err(PipelineError::Unsteady);
         }

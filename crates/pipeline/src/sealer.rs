@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use crate::crypto::fault;
 use crate::model::{LossReason, Timestamp};
 use crate::store::StoreError;
+use crate::store::notes::StoredDefinition;
 
 use super::disk_ring::SharedRing;
 use super::losses::{GATHERED, InMemory, Losses, Lost};
@@ -21,7 +22,7 @@ use super::session::Sessions;
 use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant};
 
-use self::plan::{DefinitionId, Planner, Task};
+use self::plan::{Planner, Task};
 use self::sealing::{Ready, seal_all};
 
 /// The most messages sealed before they are acknowledged together.
@@ -166,9 +167,9 @@ impl Sealer {
     }
 
     /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
-    fn note_definitions(&mut self, definitions: Vec<DefinitionId>) {
+    fn note_definitions(&mut self, definitions: Vec<StoredDefinition>) {
         for definition in definitions {
-            match self.plant.ledger.put_setting(&definition.name(), "sent") {
+            match self.plant.ledger.notes.write(&definition, &()) {
                 Ok(()) => drop(self.planner.definitions.insert(definition)),
                 Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
             }
@@ -206,7 +207,7 @@ impl Sealer {
     }
 
     /// Seals and stores; the definitions that went with it.
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<DefinitionId>, PipelineError> {
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<StoredDefinition>, PipelineError> {
         let begun = Instant::now();
         let plan = self.planner.plan(&self.plant, items)?;
         let ready = seal_all(&self.plant, self.boot_id, &plan.tasks)?;

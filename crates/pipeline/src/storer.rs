@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use crate::crypto::fault;
 use crate::model::{Digest, RecordState, Timestamp};
 use crate::stages::Stage;
+use crate::store::notes::{VaultGone, VaultRuns};
 use crate::store::{AuditedRecord, RecordQuery, RecordRow, StoreError};
 use crate::{PipelineError, Plant};
 
@@ -20,10 +21,6 @@ const IDLE: Duration = Duration::from_millis(500);
 const PUT_BACK_AGAIN: Duration = Duration::from_secs(3);
 /// The pause between attempts to reach a vault that does not answer.
 const RETRY: Duration = Duration::from_secs(1);
-/// The ledger's note of the runs that hold everything.
-const RUNS: &str = "vault:runs";
-/// The ledger's note of how many verified records are missing.
-const GONE: &str = "vault:gone";
 
 /// The result of a pass over the sealed records.
 #[derive(Debug, Default)]
@@ -189,7 +186,7 @@ pub fn run(plant: &Plant, stopped: &dyn Fn() -> bool, wait: &dyn Fn(Duration), s
 
 /// What the previous run knew to be missing.
 fn known_gone(plant: &Plant) -> u64 {
-    plant.ledger.setting(GONE).ok().flatten().and_then(|text| text.parse().ok()).unwrap_or(0)
+    plant.ledger.notes.read(&VaultGone {}).ok().flatten().unwrap_or(0)
 }
 
 impl Storer<'_> {
@@ -237,7 +234,7 @@ impl Storer<'_> {
     /// The inner error is when to try again, and why.
     fn heal_now(&mut self, stopped: &dyn Fn() -> bool) -> Result<Result<(), (Duration, String)>, PipelineError> {
         let runs = self.plant.vault.runs()?;
-        let known = self.plant.ledger.setting(RUNS)?;
+        let known = self.plant.ledger.notes.read(&VaultRuns {})?;
         if known.as_ref() == Some(&runs) {
             return Ok(Ok(()));
         }
@@ -249,7 +246,7 @@ impl Storer<'_> {
         let missing = look_for_all(self.plant, stopped)?;
         self.tell_missing(&missing)?;
         if !stopped() {
-            self.plant.ledger.put_setting(RUNS, &runs)?;
+            self.plant.ledger.notes.write(&VaultRuns {}, &runs)?;
         }
         Ok(Ok(()))
     }
@@ -279,7 +276,7 @@ impl Storer<'_> {
         }
         if missing.gone != self.gone {
             self.gone = missing.gone;
-            self.plant.ledger.put_setting(GONE, &missing.gone.to_string())?;
+            self.plant.ledger.notes.write(&VaultGone {}, &missing.gone)?;
         }
         Ok(())
     }

@@ -14,7 +14,7 @@ use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
 use crate::store::vault::{self, Gravity};
-use crate::store::{SiteLock, files, snapshot};
+use crate::store::{Glance, SiteLock, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
 /// none runs.
@@ -310,9 +310,18 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// Whether the ledger is well-formed.
+/// What to do about a damaged file.
+const DAMAGED: &str = "keep a copy of the home, then restore the last backup: authros restore FILE";
+
+/// Whether the ledger is well-formed, and what is noted in it can be read.
 fn ledger(home: &Home, sheet: &mut Sheet) {
     database("ledger", &home.ledger(), sheet);
+    if home.ledger().exists() {
+        match Glance::at(&home.ledger()).and_then(|ledger| ledger.check_notes()) {
+            Ok(count) => sheet.ok("notes", &format!("{count} notes in the ledger can be read")),
+            Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
+        }
+    }
 }
 
 /// Whether a database is well-formed.
@@ -322,10 +331,7 @@ fn database(name: &str, path: &Path, sheet: &mut Sheet) {
     }
     match snapshot::examine(path) {
         Ok(bytes) => sheet.ok(name, &format!("{} is well-formed, {bytes} bytes", path.display())),
-        Err(error) => {
-            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
-            sheet.fail(name, &error.to_string(), advice);
-        }
+        Err(error) => sheet.fail(name, &error.to_string(), DAMAGED),
     }
 }
 

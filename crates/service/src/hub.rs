@@ -14,7 +14,8 @@ use crate::pipeline::Observer;
 use crate::pipeline::session::Sessions;
 use crate::pipeline::stages::Stages;
 use crate::pipeline::storer::Condition;
-use crate::pipeline::watcher::foreign::ForeignAnchors;
+use crate::pipeline::watcher::foreign;
+use crate::store::notes::ForeignAnchors;
 
 /// Shortest time between two notes about the same part.
 const PACE: Duration = Duration::from_millis(250);
@@ -172,7 +173,7 @@ impl Observer for Hub {
         self.changed(Part::Health);
         // The first at once, then one now and then: the account's health keeps the count.
         if found.count.is_power_of_two() {
-            self.notice_about(ACCOUNT, NoticeLevel::Error, &found.text());
+            self.notice_about(ACCOUNT, NoticeLevel::Error, &foreign::text(found));
         }
     }
 

@@ -41,6 +41,12 @@ pub enum StoreError {
     /// A database file is damaged or not a database.
     #[error("{} is damaged ({detail}); keep a copy of it and restore the last backup", file.display())]
     Corrupt { file: PathBuf, detail: String },
+    /// A note of the home is not what it should be.
+    #[error(
+        "the note about {what}{about} in {} is damaged ({detail}); keep a copy of the home and restore the last backup",
+        file.display()
+    )]
+    Note { file: PathBuf, what: &'static str, about: String, detail: String },
     /// A database was written by a later version of this program.
     #[error("{} has schema {found}, but this program supports only {known}; use a newer authros", file.display())]
     Newer { file: PathBuf, found: i64, known: i64 },
@@ -123,7 +129,7 @@ impl StoreError {
             | Self::Ambiguous(_)
             | Self::Cursor(_)
             | Self::VaultUrl { .. } => ErrorKind::Input,
-            Self::Corrupt { .. } => ErrorKind::Tampered,
+            Self::Corrupt { .. } | Self::Note { .. } => ErrorKind::Tampered,
             Self::Unreachable { .. } => ErrorKind::Unreachable,
             Self::Bound { .. }
             | Self::Policy { .. }
@@ -166,7 +172,10 @@ impl StoreError {
     /// Names the database file in an error from SQLite that lacks one.
     pub(super) fn in_file(mut self, path: &Path) -> Self {
         match &mut self {
-            Self::DiskFull { file } | Self::Corrupt { file, .. } | Self::Database { file, .. }
+            Self::DiskFull { file }
+            | Self::Corrupt { file, .. }
+            | Self::Note { file, .. }
+            | Self::Database { file, .. }
                 if file.as_os_str().is_empty() =>
             {
                 path.clone_into(file);

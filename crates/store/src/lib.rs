@@ -10,6 +10,7 @@ mod disk_ring;
 mod error;
 pub mod files;
 pub mod ledger;
+pub mod notes;
 mod reserve;
 pub mod snapshot;
 pub mod vault;
@@ -33,5 +34,6 @@ pub use crate::ledger::{
     TopicCounts, TransactionOutcome, TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch,
     WaitingSigner,
 };
+pub use crate::notes::{Note, Notes};
 pub use crate::reserve::{RESERVE_BYTES, Reserve, Waiting, WaitingFile};
 pub use crate::vault::{Stored, Usage, Vault, open_vault};

@@ -75,20 +75,28 @@ impl Told {
     }
 
     /// From a row; without its envelope.
-    pub(crate) fn from_row(row: &KeptRight) -> Option<Self> {
-        let Written { transaction, proven, event } = serde_json::from_str(&row.event).ok()?;
-        Some(Self { block: row.block, place: row.place, transaction, event, proven })
+    ///
+    /// # Errors
+    /// [`StoreError::Corrupt`] if it cannot be read.
+    pub(crate) fn from_row(ledger: &Ledger, row: &KeptRight) -> Result<Self, StoreError> {
+        let Written { transaction, proven, event } = serde_json::from_str(&row.event).map_err(|_| {
+            let detail = format!("the event {} of block {} cannot be read", row.place, row.block);
+            StoreError::Corrupt { file: ledger.path().to_owned(), detail }
+        })?;
+        Ok(Self { block: row.block, place: row.place, transaction, event, proven })
     }
 }
 
-/// Fills an empty directory from the ledger; `false` if nothing is stored, or it cannot be read.
+/// Fills an empty directory from the ledger; `false` if nothing is stored.
 ///
 /// # Errors
-/// Errors of the ledger.
+/// Errors of the ledger; [`StoreError::Corrupt`] if what is stored cannot be read, and the directory is then empty.
 pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreError> {
     let standing = ledger.standing_rights()?;
-    let told: Option<Vec<Told>> = standing.events.iter().map(Told::from_row).collect();
-    let Some(told) = told.filter(|_| standing.last.is_some()) else { return Ok(false) };
+    let told: Vec<Told> = standing.events.iter().map(|row| Told::from_row(ledger, row)).collect::<Result<_, _>>()?;
+    if standing.last.is_none() {
+        return Ok(false);
+    }
     for told in &told {
         directory.take(told);
     }
@@ -109,12 +117,14 @@ pub fn keep(ledger: &Ledger, told: &[Told]) -> Result<(), StoreError> {
 /// # Errors
 /// Errors of the ledger.
 pub fn identity(ledger: &Ledger, account: Address, version: u64) -> Result<Option<Identity>, StoreError> {
-    let registered = |row: &KeptRight| match Told::from_row(row)?.event {
-        Event::Registered { identity, .. } if version == 1 => Some(identity),
-        Event::KeysRotated { keys, identity, .. } if keys == version => Some(identity),
-        _ => None,
-    };
-    Ok(ledger.other_rights(account)?.iter().find_map(registered))
+    for row in ledger.other_rights(account)? {
+        match Told::from_row(ledger, &row)?.event {
+            Event::Registered { identity, .. } if version == 1 => return Ok(Some(identity)),
+            Event::KeysRotated { keys, identity, .. } if keys == version => return Ok(Some(identity)),
+            _ => {}
+        }
+    }
+    Ok(None)
 }
 
 /// The grants that an account gave or received, including revoked ones, oldest first.
@@ -124,7 +134,8 @@ pub fn identity(ledger: &Ledger, account: Address, version: u64) -> Result<Optio
 pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
     let mut revoked: BTreeMap<(Address, Address, u64), Granted> = BTreeMap::new();
     for row in ledger.revoked_grants(account)? {
-        let (Some(told), Some(epoch)) = (Told::from_row(&row), row.revoked) else { continue };
+        let Some(epoch) = row.revoked else { continue };
+        let told = Told::from_row(ledger, &row)?;
         match &told.event {
             // What it renewed was the same grant.
             Event::Granted { terms, .. } => {
@@ -173,7 +184,8 @@ pub fn envelopes(ledger: &Ledger, grant: &Granted) -> Result<Vec<KeptEnvelope>, 
 /// Errors of the ledger.
 pub fn handed_over(ledger: &Ledger, account: Address) -> Result<Vec<(Identity, Vec<u8>)>, StoreError> {
     let mut found = Vec::new();
-    for told in ledger.other_rights(account)?.iter().filter_map(Told::from_row) {
+    for row in ledger.other_rights(account)? {
+        let told = Told::from_row(ledger, &row)?;
         let Event::KeysRotated { identity, .. } = &told.event else { continue };
         if let Some(envelope) = ledger.envelope_at(told.block, told.place)? {
             found.push((*identity, envelope));

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::crypto::{ProviderName, SmKeyPair, prove, provider};
 use crate::model::{Hash, Scope, Signature};
-use crate::store::Ledger;
+use crate::store::{Ledger, RightEvent, RightKind};
 
 const DOMAIN: Domain = Domain([9; 32]);
 const EVERYBODY: [u8; 3] = [1, 2, 3];
@@ -369,4 +369,31 @@ fn granted(owner: u8, grantee: u8, epoch: u64) -> Event {
     let (owner, grantee) = (address(owner), address(grantee));
     let terms = GrantTerms { owner, grantee, epoch, expiry: None, scope: Scope::All };
     Event::Granted { terms, envelope: vec![1; 1_300] }
+}
+
+#[test]
+fn what_is_damaged_among_the_rights_is_an_error_and_not_nothing() {
+    let home = tempfile::tempdir().expect("a folder");
+    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
+    let row = |place, kind| RightEvent {
+        block: 5,
+        place,
+        kind,
+        owner: Some(address(1)),
+        grantee: None,
+        epoch: None,
+        token: None,
+        event: "{\"transaction\":".to_owned(),
+        envelope: None,
+    };
+    ledger.keep_rights(vec![row(0, RightKind::Other)]).expect("kept");
+    let damaged = [
+        kept::read_back(&ledger, &blank()).map(drop),
+        kept::identity(&ledger, address(1), 1).map(drop),
+        kept::handed_over(&ledger, address(1)).map(drop),
+    ];
+    for found in damaged {
+        let error = found.expect_err("damaged").to_string();
+        assert!(error.contains("ledger.db") && error.contains("the event 0 of block 5"), "{error}");
+    }
 }

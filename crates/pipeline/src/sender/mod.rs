@@ -21,7 +21,6 @@ use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
 use crate::store::{Anchors, Ledger, NewTransaction, TransactionRow, TransactionState};
-use crate::watcher::CURSOR;
 use crate::{Observer, PipelineError};
 
 /// Transactions of one account that may wait for a block.
@@ -272,7 +271,7 @@ impl Sender {
     /// Why the account cannot pay so much. A node that is behind its own earlier head does not know what it holds.
     async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason, PipelineError> {
         // Before the head is asked for; where the chain became shorter, the watcher goes back itself.
-        let read = block_in_place(|| self.ledger.cursor(CURSOR))?.map(|(block, _)| block);
+        let read = block_in_place(|| self.ledger.cursor())?.map(|(block, _)| block);
         let block = chain.head().await?.number;
         let seen = self.see_head(block).max(read.filter(|read| *read > block));
         if let Some(highest) = seen {

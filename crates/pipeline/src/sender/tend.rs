@@ -9,7 +9,6 @@ use crate::chain::{Chain, Offered, Priced, Receipt, Wait, is_same_call, offered}
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
 use crate::pipeline::PipelineError;
-use crate::pipeline::watcher::CURSOR;
 use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
 use crate::watcher;
 
@@ -160,7 +159,7 @@ impl Sender {
         eoa: &EoaSecret,
         used: Vec<OpenTransaction>,
     ) -> Result<Vec<String>, PipelineError> {
-        let Some((seen, hash)) = block_in_place(|| self.ledger.cursor(CURSOR))? else { return Ok(Vec::new()) };
+        let Some((seen, hash)) = block_in_place(|| self.ledger.cursor())? else { return Ok(Vec::new()) };
         let mut found = Vec::with_capacity(used.len());
         for row in used {
             let decided = self.look_up(chain, eoa.address(), &row).await?;
@@ -221,7 +220,7 @@ impl Sender {
     /// The watcher has read the receipt's block: what the receipt says happened there must be known by now.
     fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<(), PipelineError> {
         if !watcher::of(&self.ledger, &receipt.events)?.is_empty() {
-            watcher::note(&self.ledger, receipt.block)?;
+            watcher::note(&self.ledger.notes, receipt.block)?;
         }
         Ok(())
     }

@@ -3,48 +3,25 @@
 
 use std::collections::HashMap;
 
-use serde::{Deserialize, Serialize};
-
 use crate::chain::{Event, EventAt};
 use crate::model::{Address, Digest, Hash, Timestamp};
 use crate::pipeline::{PipelineError, Plant};
-use crate::store::ledger::HISTORY;
+use crate::store::notes::{ForeignAnchors, ForeignHistory, SeenForeign};
 use crate::store::{AuditEntry, AuditLog};
 
-/// The ledger's note of what was seen.
-const SEEN: &str = "foreign:anchors";
 /// How long it is part of `status` after the last one; nanoseconds.
 const RECENT: u64 = 24 * 3600 * 1_000_000_000;
 /// The shortest time between two lines in the audit log; nanoseconds.
 const LINES_EVERY: u64 = 3600 * 1_000_000_000;
 
-/// What was seen of such anchors.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ForeignAnchors {
-    /// The account, one of this home's.
-    pub account: Address,
-    /// How many transactions elsewhere anchored for it.
-    pub count: u64,
-    /// The block of the last one.
-    pub block: u64,
-    /// Its transaction.
-    pub transaction: Hash,
-    /// When it was seen here.
-    pub seen: Timestamp,
-    /// When it was last written to the audit log.
-    pub noted: Timestamp,
-}
-
-impl ForeignAnchors {
-    /// In words, with the likely cause and what to do.
-    pub fn text(&self) -> String {
-        format!(
-            "{} anchored {} times without this home sending it, last in block {}: a copy of this home is running \
-             elsewhere, or its key was stolen; stop the copy, or have the administrator propose a new account \
-             (`authros chain succession propose LOST SUCCESSOR`)",
-            self.account, self.count, self.block
-        )
-    }
+/// What was seen, in words, with the likely cause and what to do.
+pub fn text(found: &ForeignAnchors) -> String {
+    let ForeignAnchors { account, count, block, .. } = found;
+    format!(
+        "{account} anchored {count} times without this home sending it, last in block {block}: a copy of this home is \
+         running elsewhere, or its key was stolen; stop the copy, or have the administrator propose a new account \
+         (`authros chain succession propose LOST SUCCESSOR`)"
+    )
 }
 
 /// Those seen within the last day.
@@ -53,11 +30,8 @@ impl ForeignAnchors {
 /// Errors of the ledger.
 pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
     let now = Timestamp::now().0;
-    Ok(seen(plant)?.filter(|found| now.abs_diff(found.seen.0) < RECENT))
-}
-
-fn seen(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
-    Ok(plant.ledger.setting(SEEN)?.and_then(|text| serde_json::from_str(&text).ok()))
+    let seen = plant.ledger.notes.read(&SeenForeign {})?;
+    Ok(seen.filter(|found| now.abs_diff(found.seen.0) < RECENT))
 }
 
 /// Searches events of blocks up to `head` for anchors that this home does not know.
@@ -85,10 +59,10 @@ fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
     if plant.ledger.copied_at()?.is_none() {
         return Ok(0);
     }
-    if let Some(history) = plant.ledger.setting(HISTORY)?.and_then(|text| text.parse().ok()) {
+    if let Some(history) = plant.ledger.notes.read(&ForeignHistory {})? {
         return Ok(history);
     }
-    plant.ledger.put_setting(HISTORY, &head.to_string())?;
+    plant.ledger.notes.write(&ForeignHistory {}, &head)?;
     Ok(head)
 }
 
@@ -111,7 +85,8 @@ fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a
 }
 
 fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineError> {
-    let (now, before) = (Timestamp::now(), seen(plant)?.filter(|before| before.account == account));
+    let (now, before) = (Timestamp::now(), plant.ledger.notes.read(&SeenForeign {})?);
+    let before = before.filter(|before| before.account == account);
     // A chunk of events may be read twice.
     if before.as_ref().is_some_and(|before| (before.block, before.transaction) == (at.block, at.transaction)) {
         return Ok(());
@@ -120,8 +95,7 @@ fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineErr
     let count = before.map_or(0, |before| before.count) + 1;
     let (block, transaction) = (at.block, at.transaction);
     let found = ForeignAnchors { account, count, block, transaction, seen: now, noted: noted.unwrap_or(now) };
-    let text = serde_json::to_string(&found).unwrap_or_default();
-    plant.ledger.put_setting(SEEN, &text)?;
+    plant.ledger.notes.write(&SeenForeign {}, &found)?;
     if noted.is_none() {
         AuditLog::new(plant.ledger.clone()).append(AuditEntry {
             at: now,

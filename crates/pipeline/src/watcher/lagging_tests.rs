@@ -204,11 +204,11 @@ async fn a_node_that_names_an_older_head_is_waited_for_and_nothing_is_undone() {
     process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == 2).await;
     let reader = newcomer(&chain).await;
     watch_round(&process.plant, &process.network).await.expect("reads");
-    let cursor = process.plant.ledger.cursor(CURSOR).expect("read");
+    let cursor = process.plant.ledger.cursor().expect("read");
     lag.blocks.store(2, SeqCst);
     let error = watch_round(&process.plant, &process.network).await.expect_err("it is behind");
     assert!(matches!(error, PipelineError::NodeBehind { .. }), "{error}");
-    assert_eq!(process.plant.ledger.cursor(CURSOR).expect("read"), cursor);
+    assert_eq!(process.plant.ledger.cursor().expect("read"), cursor);
     assert_eq!(process.count(RecordState::Confirmed), 2);
     assert!(process.network.directory.identity(reader.address()).is_ok(), "registered all the same");
     assert_eq!(process.notes.with("replaced its last"), 0);

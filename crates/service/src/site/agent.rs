@@ -122,7 +122,7 @@ impl Agent {
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
-        let mut policy = block_in_place(|| AgentPolicy::open(&site.plant.ledger, enrolment))?;
+        let mut policy = block_in_place(|| AgentPolicy::open(&site.plant.ledger.notes, enrolment))?;
         policy.rule(site, &wishes);
         let ring = policy.ring(&site.parts.config);
         let topics = match policy.watched() {

@@ -52,7 +52,6 @@ pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
-pub(crate) use contacts::BOOK;
 pub use evidence::definition_of;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;

@@ -17,6 +17,7 @@ use crate::service::hub::lacking;
 use crate::service::reply::{
     ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, SiteView, WaitingView,
 };
+use crate::site::chain::administration::Administering;
 use crate::store::StateCounts;
 
 /// The most transactions used for the gas per record.
@@ -129,7 +130,7 @@ impl Site {
         let found = foreign::recent(&self.plant)?;
         Ok(found.map(|found| PartHealth {
             since: Some(found.noted),
-            ..part("account", HealthLevel::Failed, &found.text())
+            ..part("account", HealthLevel::Failed, &foreign::text(&found))
         }))
     }
 
@@ -208,6 +209,7 @@ impl Site {
         };
         // What is in a block already but not looked at yet does not wait any more.
         let open = address.map(|address| block_in_place(|| self.plant.ledger.open_lane(address))).transpose()?;
+        let names = self.contacts.names()?;
         let next = status.nonce.unwrap_or(0);
         let pending = open.iter().flatten().filter(|row| row.nonce >= next).count() as u64;
         Ok(ChainView {
@@ -234,7 +236,7 @@ impl Site {
                 .parts
                 .link
                 .network_now()
-                .map(|network| self.administering.view(&network, address))
+                .map(|network| Administering::view(&network, address, &names))
                 .unwrap_or_default(),
             sealing: chain.sealing().await?,
         })

@@ -1,5 +1,7 @@
 //! What the chain proves of anchored batches, kept beside them: which batches still lack it, and the nodes per block.
 
+use std::path::PathBuf;
+
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::Ledger;
@@ -162,7 +164,12 @@ impl Ledger {
                 })?;
             let Some((hash, keys)) = found else { return Ok(None) };
             let mut find = connection.prepare_cached("SELECT node FROM chain_nodes WHERE key = ?1")?;
-            let keys = keys.chunks_exact(8).filter_map(|key| key.try_into().ok().map(i64::from_be_bytes));
+            let (keys, rest) = keys.as_chunks::<8>();
+            if !rest.is_empty() {
+                let detail = format!("the proof kept for block {block} is cut short");
+                return Err(StoreError::Corrupt { file: PathBuf::new(), detail });
+            }
+            let keys = keys.iter().map(|key| i64::from_be_bytes(*key));
             let nodes = keys.map(|key| find.query_row([key], |row| row.get(0))).collect::<Result<_, _>>()?;
             Ok(Some(KeptProof { hash: Hash(hash), nodes }))
         })

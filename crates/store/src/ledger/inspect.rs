@@ -12,9 +12,8 @@ use crate::StoreError;
 use crate::chain::merkle::Inclusion;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
+use crate::notes::CopiedAt;
 
-/// The setting that records the state of a restored ledger's backup.
-pub(super) const COPIED_AT: &str = "copied-at";
 /// Columns of a record, in the order of [`rows::record`].
 const RECORD_COLUMNS: usize = 14;
 
@@ -221,7 +220,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn copied_at(&self) -> Result<Option<u64>, StoreError> {
-        Ok(self.setting(COPIED_AT)?.and_then(|text| text.parse().ok()))
+        self.notes.read(&CopiedAt {})
     }
 
     /// All records, of any kind and state.
@@ -443,7 +442,7 @@ const RULES: [(&str, &str); 5] = [
 impl Ledger {
     /// Whether the previous process closed it. If not, the file's structure was checked on opening.
     pub fn ended_cleanly(&self) -> bool {
-        self.shared.clean
+        self.database.shared.clean
     }
 
     /// Contradictions in its tables, in words; takes about a second per million records.
@@ -515,7 +514,7 @@ mod integrity_tests {
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
         assert!(ledger.ended_cleanly());
-        ledger.put_setting("a", "b").expect("written");
+        ledger.notes.write(&CopiedAt {}, &7).expect("written");
         drop(ledger);
         let ledger = Ledger::open(&path).expect("opens");
         assert!(!ledger.ended_cleanly(), "the first change marked it as open");

@@ -10,6 +10,7 @@ use super::{Ledger, NewRecord};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
+use crate::notes::{self, LossesCounted};
 
 /// Nanoseconds in a minute.
 const MINUTE: i64 = 60_000_000_000;
@@ -456,9 +457,6 @@ pub struct GapRow {
     pub report: Option<Digest>,
 }
 
-/// The setting with the number of a text of losses.
-const COUNTED: &str = "waiting:counted";
-
 const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
 
@@ -478,9 +476,7 @@ impl Ledger {
     pub fn count_losses_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
         self.write(move |session| {
             losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
-            let values = [COUNTED.to_owned(), number.to_string()];
-            session.connection.run("REPLACE INTO settings VALUES (?1, ?2)", values)?;
-            Ok(())
+            notes::write_in(session.connection, &LossesCounted {}, &number)
         })
     }
 
@@ -489,7 +485,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn losses_counted(&self) -> Result<u64, StoreError> {
-        Ok(self.setting(COUNTED)?.and_then(|text| text.parse().ok()).unwrap_or(0))
+        Ok(self.notes.read(&LossesCounted {})?.unwrap_or(0))
     }
 
     /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.

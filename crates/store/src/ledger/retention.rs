@@ -2,6 +2,7 @@
 //! signature, place in the batch and public header stay.
 
 use std::collections::HashSet;
+use std::path::PathBuf;
 
 use rusqlite::{Connection, params};
 
@@ -11,6 +12,7 @@ use super::{Erasure, Ledger, NewRecord, database::whole};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
+use crate::notes::{self, Erased};
 
 /// A topic considered for retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -209,26 +211,30 @@ impl Ledger {
     pub fn retained(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.read(|connection| {
             let found = connection.find("SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
-                     (SELECT value FROM settings WHERE key = 'erased:' || lower(hex(report))), told.n IS NOT NULL,
+                     told.n IS NOT NULL,
                      (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
                      JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1", params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
-                    let erased = row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text));
-                    let (told, stated): (bool, Option<Vec<u8>>) = (row.get(5)?, row.get(6)?);
-                    // Its own erasures a ledger knows without a statement.
-                    let stated = stated.filter(|_| erased.is_none());
-                    if !told && stated.is_none() {
-                        return Ok(None);
-                    }
-                    Ok(Some(Retained {
+                    let retained = Retained {
                         report: Digest(row.get(0)?),
-                        anchored: row.get::<_, bool>(1)? && stated.is_none(),
+                        anchored: row.get(1)?,
                         header: row.get(2)?,
                         deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
-                        erased: erased.or_else(|| stated.as_deref().and_then(Erasure::stated)),
-                        stated,
-                    }))
+                        erased: None,
+                        stated: row.get(5)?,
+                    };
+                    Ok((retained, row.get::<_, bool>(4)?))
                 })?;
-            Ok(found.flatten())
+            let Some((mut retained, told)) = found else { return Ok(None) };
+            retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;
+            // Its own erasures a ledger knows without a statement.
+            retained.stated = retained.stated.filter(|_| retained.erased.is_none());
+            let Some(stated) = &retained.stated else { return Ok(told.then_some(retained)) };
+            let erased = Erasure::stated(stated).ok_or_else(|| {
+                let detail = format!("what its owner states of the erased record {digest} cannot be read");
+                StoreError::Corrupt { file: PathBuf::new(), detail }
+            })?;
+            (retained.anchored, retained.erased) = (false, Some(erased));
+            Ok(Some(retained))
         })
     }
 

@@ -20,6 +20,7 @@ use crate::model::header::TAG_LENGTH;
 use crate::model::{
     Address, Digest, FilterId, Hash, Head, RecordKind, RecorderId, Signature, SignerId, Timestamp, TopicId, clean,
 };
+use crate::notes::LastPlace;
 use crate::{StoreError, snapshot};
 
 /// Characters of a record id: the first 16 hex characters of its digest.
@@ -471,8 +472,6 @@ fn bounds(id: &str) -> Option<(Digest, Digest)> {
 // Where a ledger is stored: a copy opened elsewhere becomes a ledger of its own, like a restored one, so that no
 // number is ever used twice.
 
-/// The setting that records where the ledger was last opened.
-pub(super) const PLACE: &str = "home:place";
 /// Identifies the machine (machine-id(5)).
 const MACHINE: &str = "/etc/machine-id";
 
@@ -485,18 +484,18 @@ impl Ledger {
     pub fn open_in_place(path: &Path) -> Result<(Self, bool), StoreError> {
         let ledger = Self::open(path)?;
         let here = place(path)?;
-        let copied = match ledger.setting(PLACE)? {
+        let copied = match ledger.notes.read(&LastPlace {})? {
             Some(there) if there == here => return Ok((ledger, false)),
             there => there.is_some(),
         };
         if !copied {
-            ledger.put_setting(PLACE, &here)?;
+            ledger.notes.write(&LastPlace {}, &here)?;
             return Ok((ledger, false));
         }
         ledger.close()?;
         snapshot::renew_ledger(path)?;
         let ledger = Self::open(path)?;
-        ledger.put_setting(PLACE, &here)?;
+        ledger.notes.write(&LastPlace {}, &here)?;
         Ok((ledger, true))
     }
 }

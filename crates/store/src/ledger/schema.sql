@@ -124,7 +124,7 @@ CREATE TABLE chain_proofs (block INTEGER PRIMARY KEY, hash BLOB NOT NULL, nodes 
 CREATE TABLE chain_headers (block INTEGER PRIMARY KEY, header BLOB NOT NULL);
 
 -- How far the watcher has read, and the blocks that it has seen.
-CREATE TABLE cursors (name TEXT PRIMARY KEY, block INTEGER NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE cursor (one INTEGER PRIMARY KEY CHECK (one = 1), block INTEGER NOT NULL, hash BLOB NOT NULL);
 CREATE TABLE trail (block INTEGER PRIMARY KEY, hash BLOB NOT NULL);
 
 -- The contract that this ledger is bound to, with the block and the place in it of the last event read.
@@ -150,7 +150,8 @@ CREATE TABLE envelopes (
     block INTEGER NOT NULL, place INTEGER NOT NULL, envelope BLOB NOT NULL, PRIMARY KEY (block, place)
 ) WITHOUT ROWID;
 
-CREATE TABLE settings (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+-- Small values, each of one type: the list of kinds is in notes.rs. `value` is JSON, a list of one.
+CREATE TABLE notes (kind TEXT, about TEXT, value TEXT NOT NULL, PRIMARY KEY (kind, about)) WITHOUT ROWID;
 
 -- The audit log: `hash` covers the line and the hash of the line before.
 CREATE TABLE audit (

@@ -31,6 +31,7 @@ use crate::model::{
     Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
     SignerId, Timestamp, TopicId,
 };
+use crate::notes::Revoking;
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
 pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
@@ -195,7 +196,7 @@ fn records_are_held_back_while_the_space_is_for_something_else() {
     let (one, other) = (ledger.hold_records(), ledger.hold_records());
     drop(one);
     assert!(matches!(ledger.append(vec![record(1, 1, 1)]), Err(StoreError::DiskFull { .. })));
-    ledger.put_setting("revoking", "x").expect("everything else is written");
+    ledger.notes.write(&CopiedAt {}, &1).expect("everything else is written");
     drop(other);
     ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
 }
@@ -358,41 +359,47 @@ fn ids_are_prefixes_of_digests() {
 }
 
 #[test]
-fn of_changes_of_a_setting_at_once_none_is_lost() {
+fn of_changes_of_a_note_at_once_none_is_lost() {
     let (_home, ledger) = open();
+    let (note, notes) = (Revoking { owner: Address([1; 20]) }, &ledger.notes);
     let add = |name: u8| {
-        ledger.change_setting("list", |text| {
-            let text = format!("{}{}", text.unwrap_or_default(), char::from(name));
-            Ok::<_, StoreError>((text, ()))
+        notes.change(&note, |owed| {
+            owed.push(Address([name; 20]));
+            Ok::<_, StoreError>(())
         })
     };
     std::thread::scope(|scope| {
-        for name in b'a'..=b'h' {
+        for name in 1..=8 {
             scope.spawn(move || (0..5).for_each(|_| add(name).expect("changed")));
         }
     });
-    let text = ledger.setting("list").expect("read").expect("there");
-    for name in b'a'..=b'h' {
-        assert_eq!(text.bytes().filter(|other| *other == name).count(), 5, "{text}");
+    let owed = notes.read(&note).expect("read").expect("there");
+    for name in 1..=8 {
+        assert_eq!(owed.iter().filter(|other| **other == Address([name; 20])).count(), 5, "{owed:?}");
     }
-    let refused = ledger.change_setting("list", |_| Err::<(String, ()), _>(StoreError::Closed));
+    let refused = notes.change(&note, |owed| {
+        owed.clear();
+        Err::<(), _>(StoreError::Closed)
+    });
     assert_eq!(refused, Err(StoreError::Closed));
-    assert_eq!(ledger.setting("list"), Ok(Some(text)));
+    assert_eq!(notes.read(&note), Ok(Some(owed)));
 }
 
 #[test]
 fn small_state_is_kept() {
     let (home, ledger) = open();
-    ledger.put_setting("watched/a", "[1]").expect("kept");
-    ledger.put_setting("watched/a", "[2]").expect("kept");
-    ledger.set_cursor("watcher", 7, Hash([7; 32])).expect("kept");
+    ledger.notes.write(&CopiedAt {}, &1).expect("kept");
+    ledger.notes.write(&CopiedAt {}, &2).expect("kept");
+    ledger.set_cursor(7, Hash([7; 32])).expect("kept");
     ledger.count_losses(vec![loss(LossReason::Memory, 3), loss(LossReason::Transport, 2)]).expect("kept");
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-    assert_eq!(ledger.setting("watched/a"), Ok(Some("[2]".to_owned())));
-    assert_eq!(ledger.setting("none"), Ok(None));
-    assert_eq!(ledger.cursor("watcher"), Ok(Some((7, Hash([7; 32])))));
-    assert_eq!(ledger.cursor("none"), Ok(None));
+    assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(Some(2)));
+    ledger.notes.forget(&CopiedAt {}, &1).expect("asked");
+    assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(Some(2)), "it says something else");
+    ledger.notes.forget(&CopiedAt {}, &2).expect("dropped");
+    assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(None));
+    assert_eq!(ledger.cursor(), Ok(Some((7, Hash([7; 32])))));
     let counts = ledger.counts(None).expect("counts");
     assert_eq!((counts.captured(), counts.data_in(RecordState::Dropped), counts.pending()), (3, 3, 0));
     assert_eq!((counts.topics[0].dropped, counts.topics[0].missed, counts.topics[0].captured), (3, 2, 3));

@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 
 use super::GatewayDesk;
 use super::admissions::Standing as Access;
-use super::reading::{LONGEST_SILENCE, Watch, announced_key};
+use super::reading::{LONGEST_SILENCE, Watch};
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
@@ -27,6 +27,7 @@ use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
+use crate::store::notes::AnnouncedRevoke;
 use crate::store::{KeptBinding, NewRecord, StoreError};
 
 impl GatewayDesk {
@@ -265,9 +266,9 @@ impl Desk for GatewayDesk {
     }
 
     async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
-        let (key, epoch) = (announced_key(&caller.account, &notice.grantee), notice.epoch.to_string());
+        let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
         self.blocking(move |desk| {
-            desk.gateway.plant.ledger.put_setting(&key, &epoch).map_err(Refusal::because(Code::Internal))
+            desk.gateway.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::because(Code::Internal))
         })
         .await?;
         self.gateway.hub.authority.send_modify(|count| *count += 1);

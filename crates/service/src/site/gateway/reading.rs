@@ -17,16 +17,12 @@ use crate::pipeline::authority::{
 };
 use crate::pipeline::chain_proofs::anchor_proof;
 use crate::site::chain::link::GRACE;
+use crate::store::notes::AnnouncedRevoke;
 use crate::store::{RecordQuery, RecordRow};
 
 /// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
 /// [`GatewayDesk::fresh_network`].
 pub(super) const LONGEST_SILENCE: Duration = Duration::from_secs(30);
-
-/// The setting for a revoke that is announced and not on the chain yet: the epoch that it begins.
-pub(super) fn announced_key(owner: &Address, grantee: &Address) -> String {
-    format!("announced revoke:{owner}:{grantee}")
-}
 
 fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
     Refusal::new(Code::NotAuthorised, format_args!("{reader} has no grant of {owner}"))
@@ -100,10 +96,8 @@ impl GatewayDesk {
     }
 
     fn is_revoke_announced(&self, network: &Network, owner: &Address, reader: &Address) -> Result<bool, Refusal> {
-        let ledger = &self.gateway.plant.ledger;
-        let internal = Refusal::because(Code::Internal);
-        let announced = ledger.setting(&announced_key(owner, reader)).map_err(&internal)?;
-        let epoch: Option<u64> = announced.and_then(|text| text.parse().ok());
+        let announced = AnnouncedRevoke { owner: *owner, reader: *reader };
+        let epoch = self.gateway.plant.ledger.notes.read(&announced).map_err(Refusal::because(Code::Internal))?;
         // The chain has caught up: its own state decides again.
         if epoch.is_some_and(|epoch| network.directory.epoch(*owner) < epoch) {
             return Ok(true);

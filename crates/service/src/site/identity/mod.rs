@@ -194,7 +194,10 @@ impl Profiles {
         self.pins.introduce(&owner);
         self.owners.insert(&owner);
         self.seal_as_before(&owner);
-        self.watches.restore(&owner);
+        if let Err(failure) = self.watches.restore(&owner) {
+            let text = format!("what '{}' watches is not captured: {}", owner.profile, failure.message);
+            self.hub.notice(NoticeLevel::Error, &text);
+        }
         self.hub.changed(Part::Identity);
         owner
     }

@@ -16,7 +16,8 @@ use crate::model::{Address, Hash, Timestamp};
 use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::Mirror;
 use crate::reply::Failure;
-use crate::store::Ledger;
+use crate::store::Notes;
+use crate::store::notes::{Listed, ListedUntil};
 
 /// Entries per page.
 const PAGE: u16 = 500;
@@ -27,65 +28,48 @@ const LATE: u64 = 24 * 3600;
 /// How often a listing starts from the very beginning.
 const WHOLE: u64 = 24 * 3600;
 
-/// The position of an owner's mirror: capture times in seconds.
+/// How far an owner's records were listed for one grant.
 struct Place {
-    name: String,
-    /// Of the newest record that was listed.
-    newest: u64,
-    /// When a listing that began at the very beginning was done.
-    whole: u64,
-    /// The beginning of the hash of the grant's transaction.
-    grant: u64,
+    note: Listed,
+    until: ListedUntil,
 }
 
 impl Place {
-    /// The one of this grant, zero for the reader's own records.
+    /// The one of this grant, zero for the reader's own records. Another grant than the one that was listed for begins
+    /// anew: it may cover more topics and earlier epochs.
     ///
     /// # Errors
     /// Errors of the ledger.
-    fn load(ledger: &Ledger, mirror: &Mirror<'_>, (source, grant): (Address, &Hash)) -> Result<Self, Failure> {
-        let (domain, me, keeper) = (mirror.network.domain, mirror.reader.address, mirror.keeper);
-        let name = format!("mirror:{domain}:{keeper}:{me}:{source}");
-        let text = block_in_place(|| ledger.setting(&name))?.unwrap_or_default();
+    fn load(notes: &Notes, mirror: &Mirror<'_>, (source, grant): (Address, &Hash)) -> Result<Self, Failure> {
+        let (domain, reader, keeper) = (mirror.network.domain, mirror.reader.address, mirror.keeper);
+        let note = Listed { domain, keeper, reader, source };
         let grant = grant.0.first_chunk().map_or(0, |first| u64::from_be_bytes(*first));
-        Ok(Self::read(name, &text, grant))
-    }
-
-    /// Another grant than the one that was listed for begins anew: it may cover more topics and earlier epochs.
-    fn read(name: String, text: &str, grant: u64) -> Self {
-        let mut numbers = text.split(' ').map(|text| text.parse().unwrap_or(0));
-        let mut next = || numbers.next().unwrap_or(0);
-        let (newest, whole, listed) = (next(), next(), next());
-        let (newest, whole) = if listed == grant { (newest, whole) } else { (0, 0) };
-        Self { name, newest, whole, grant }
-    }
-
-    fn text(&self) -> String {
-        format!("{} {} {}", self.newest, self.whole, self.grant)
-    }
-
-    /// Where the next listing begins: a day before the newest record seen, and now and then at the beginning.
-    fn begin(&self, now: Timestamp) -> u64 {
-        let due = now.seconds().saturating_sub(self.whole) >= WHOLE;
-        if due { 0 } else { self.newest.saturating_sub(LATE) }
-    }
-
-    /// A listing from there was done; a record from the future does not move the place beyond now.
-    fn listed(mut self, begin: u64, now: Timestamp) -> Self {
-        self.newest = self.newest.min(now.seconds());
-        if begin == 0 {
-            self.whole = now.seconds();
-        }
-        self
+        let known = block_in_place(|| notes.read(&note))?.filter(|known| known.grant == grant);
+        Ok(Self { note, until: known.unwrap_or(ListedUntil { grant, ..ListedUntil::default() }) })
     }
 
     /// Stores it.
     ///
     /// # Errors
     /// Errors of the ledger.
-    fn save(&self, ledger: &Ledger) -> Result<(), Failure> {
-        Ok(block_in_place(|| ledger.put_setting(&self.name, &self.text()))?)
+    fn save(&self, notes: &Notes) -> Result<(), Failure> {
+        Ok(block_in_place(|| notes.write(&self.note, &self.until))?)
     }
+}
+
+/// Where the next listing begins: a day before the newest record seen, and now and then at the beginning.
+fn begin(until: &ListedUntil, now: Timestamp) -> u64 {
+    let due = now.seconds().saturating_sub(until.whole) >= WHOLE;
+    if due { 0 } else { until.newest.saturating_sub(LATE) }
+}
+
+/// A listing from there was done; a record from the future does not move the place beyond now.
+fn listed(mut until: ListedUntil, begin: u64, now: Timestamp) -> ListedUntil {
+    until.newest = until.newest.min(now.seconds());
+    if begin == 0 {
+        until.whole = now.seconds();
+    }
+    until
 }
 
 impl Joined {
@@ -98,8 +82,8 @@ impl Joined {
         missed: &mut Missed,
     ) -> Result<(), Broken> {
         let source = *source;
-        let mut place = Place::load(&self.plant.ledger, mirror, (source, grant))?;
-        let begin = place.begin(Timestamp::now());
+        let mut place = Place::load(&self.plant.ledger.notes, mirror, (source, grant))?;
+        let begin = begin(&place.until, Timestamp::now());
         let from = Timestamp::from_seconds(begin);
         let selection = Selection::all(source);
         let mut query = Query { selection, from, until: Timestamp(u64::MAX), cursor: 0, limit: PAGE };
@@ -112,7 +96,7 @@ impl Joined {
             };
             let mut new = false;
             for entry in &page.entries {
-                place.newest = place.newest.max(entry.captured_at.seconds());
+                place.until.newest = place.until.newest.max(entry.captured_at.seconds());
                 if mirror.wants(entry)? {
                     // What cannot be taken in is nothing new, however often it is handed over.
                     let was_here = self.has(entry)?;
@@ -126,7 +110,8 @@ impl Joined {
                 tokio::time::sleep(pause).await;
             }
         }
-        Ok(place.listed(begin, Timestamp::now()).save(&self.plant.ledger)?)
+        place.until = listed(place.until, begin, Timestamp::now());
+        Ok(place.save(&self.plant.ledger.notes)?)
     }
 
     pub(super) async fn fetch(
@@ -318,20 +303,14 @@ mod tests {
 
     const NOW: u64 = 2_000_000_000;
 
-    fn begin(text: &str, grant: u64) -> u64 {
-        Place::read("mirror".to_owned(), text, grant).begin(Timestamp::from_seconds(NOW))
-    }
-
     #[test]
-    fn a_listing_goes_on_a_day_before_its_end_and_begins_anew_each_day_and_for_another_grant() {
-        let place = Place { name: "mirror".to_owned(), newest: NOW + 60, whole: 0, grant: 7 };
-        let listed = place.listed(0, Timestamp::from_seconds(NOW - 60)).text();
-        assert_eq!(begin(&listed, 7), NOW - 60 - LATE);
-        assert_eq!(begin(&listed, 8), 0, "it may cover what the earlier one did not");
-        assert_eq!(begin(&format!("{} {} 7", NOW - 60, NOW - WHOLE), 7), 0);
-        for unknown in ["", "x", "1 2 3 4", "-1 99999999999999999999 7"] {
-            assert_eq!(begin(unknown, 7), 0);
-        }
+    fn a_listing_goes_on_a_day_before_its_end_and_begins_anew_each_day() {
+        let now = Timestamp::from_seconds(NOW);
+        assert_eq!(begin(&ListedUntil::default(), now), 0);
+        let until = ListedUntil { newest: NOW + 60, whole: 0, grant: 7 };
+        let until = listed(until, 0, Timestamp::from_seconds(NOW - 60));
+        assert_eq!(begin(&until, now), NOW - 60 - LATE);
+        assert_eq!(begin(&ListedUntil { whole: NOW - WHOLE, ..until }, now), 0);
     }
 }
 

@@ -15,7 +15,7 @@ use super::blocking;
 use super::chain::connection::pin_of;
 use super::chain::link::Link;
 use super::contacts::Contacts;
-use super::devices::enrolled::{self, Enrolled};
+use super::devices::enrolled;
 use super::identity::Owners;
 use super::parts::Parts;
 use crate::config::Config;
@@ -30,6 +30,7 @@ use crate::pipeline::{Network, Plant};
 use crate::reply::{CoveragePart, CoverageView, Failure};
 use crate::ros::recording::{Beside, BesideContent};
 use crate::store::CoverageQuery;
+use crate::store::notes::Enrolled;
 
 /// Records as people read them.
 pub(in crate::site) struct Reading {
@@ -106,7 +107,7 @@ impl Reading {
         self.learn_own_names(profile).await?;
         let (name, asked) = (topic.to_string(), robot.clone());
         let (found, robots) = blocking(self, move |reading| {
-            let enrolled = enrolled::of_account(&reading.plant.ledger, owner)?;
+            let enrolled = enrolled::of_account(&reading.plant.ledger.notes, owner)?;
             let signers = asked.map(|robot| devices_of(&enrolled, &robot)).transpose()?;
             let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
             let found = reading.plant.ledger.coverage(&query)?;

@@ -60,7 +60,7 @@ impl Reading {
         .await?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
         self.note_erased(&mut page.records)?;
-        let names = self.contacts.names();
+        let names = self.contacts.names()?;
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
         }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use super::choosing::Choosing;
 use super::sealed_before::SealedBefore;
-use super::standings::{Parts, Standing};
+use super::standings::Parts;
 use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
 use crate::model::{Digest, ErrorKind, clean};
@@ -24,6 +24,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
 use crate::site::blocking;
+use crate::store::notes::Standing;
 
 /// The most tags that a person may give: with the importer's own they stay far below the limit of a head.
 pub(super) const MOST_TAGS: usize = 24;

@@ -3,6 +3,8 @@
 
 use std::collections::HashSet;
 
+use rusqlite::params;
+
 use super::*;
 
 const OWNER: Address = Address([1; 20]);

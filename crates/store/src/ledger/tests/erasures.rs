@@ -1,5 +1,7 @@
 //! What owners state of erased records: told in an order that passes nothing over, and taken at a gateway.
 
+use rusqlite::params;
+
 use super::*;
 use crate::chain::merkle::{Inclusion, Leaf, Tree};
 use crate::crypto::ErasedStatement;
@@ -34,7 +36,7 @@ fn move_to(ledger: &Ledger, record: &NewRecord, state: RecordState) {
 
 /// Takes a record as its owner told of it, anchored alone in block 10.
 fn take(ledger: &Ledger, record: &NewRecord, statement: Vec<u8>) -> Result<ToldErased, StoreError> {
-    ledger.walk_to("watcher", (10, Hash([60; 32])), Vec::new()).expect("walked");
+    ledger.walk_to((10, Hash([60; 32])), Vec::new()).expect("walked");
     let NewRecord { owner, signer, topic_id, seq, digest, .. } = *record;
     let leaf = Leaf { owner, signer, recorder: THERE, topic_id, seq, digest };
     let tree = Tree::new(Leaf::hashes(&[leaf])).expect("a leaf");

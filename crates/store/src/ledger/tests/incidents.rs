@@ -1,5 +1,7 @@
 //! Incidents: their scope, what they exempt from retention, and that each belongs to one owner alone.
 
+use rusqlite::params;
+
 use super::*;
 
 const OWNER: Address = Address([1; 20]);

@@ -33,7 +33,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{AGAIN, input, refused};
 use crate::service::reply::{Failure, FollowView, FollowedFile};
 use crate::site::blocking;
-use crate::store::Ledger;
+use crate::store::Notes;
 
 /// Between two looks at the folder.
 const LOOK: Duration = Duration::from_millis(250);
@@ -71,9 +71,9 @@ impl Drop for Claim {
 }
 
 /// What the tag of a file's records says if it was followed, to its end or not; `None` if it was not.
-pub(super) fn followed_as(ledger: &Ledger, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
+pub(super) fn followed_as(notes: &Notes, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
     let file = File::open(path).map_err(|error| input(format!("{} cannot be read: {error}", path.display())))?;
-    Ok(match place::known(ledger, owner, &file, true)? {
+    Ok(match place::known(notes, owner, &file, true)? {
         Known::Here(key, place, _) if place.begun > 0 => Some(key.tag),
         Known::Here(..) | Known::TooShort | Known::Shrank(_) => None,
     })

@@ -3,14 +3,13 @@
 use std::fs::File;
 use std::os::unix::fs::{FileExt, MetadataExt};
 
-use serde::{Deserialize, Serialize};
-
 use crate::crypto::sm3::sm3;
-use crate::model::{Address, Digest, Timestamp};
+use crate::model::{Address, Digest};
 use crate::ros::mcap::MAGIC;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
-use crate::store::Ledger;
+use crate::store::Notes;
+use crate::store::notes::{FilePlace, Followed};
 
 /// A file is recognised by this many bytes at its beginning. A recorder's first chunk, with its times, begins within them.
 const LEAD: usize = 1024;
@@ -18,58 +17,18 @@ const LEAD: usize = 1024;
 /// The most files that one place on the disk was used for, of which all began alike.
 const MOST_AGAIN: u32 = 64;
 
-/// What becomes of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Standing {
-    /// More may come.
-    #[default]
-    Open,
-    /// All of it is sealed, and the statement of its digests.
-    Stated,
-    /// Its proof is written.
-    Proven,
-}
-
-/// How far a file is sealed.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub(super) struct Place {
-    /// The name it had.
-    pub name: String,
-    /// So many of its messages, in file order, are done with: their records are stored, or they were not wanted.
-    pub stored: u64,
-    /// Records of messages up to this one may be stored, too: a crash came between.
-    pub begun: u64,
-    /// How many of its bytes had been read by then.
-    pub at: u64,
-    /// SM3 of these bytes.
-    pub digest: Option<Digest>,
-    /// Chunks among them.
-    pub chunks: u64,
-    /// Whether its recorder closed it.
-    pub closed: bool,
-    /// What becomes of it.
-    pub standing: Standing,
-    /// When what the statement is about ended: the time of its record.
-    pub stated_at: Option<Timestamp>,
-    /// SM3 of the statement.
-    pub statement: Option<Digest>,
-    /// Whether a run chose among its topics: what is done with need not be sealed then.
-    pub chosen: bool,
-}
-
 /// The key of a file in the ledger, and the tag of its records.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct FileKey {
-    pub key: String,
+    pub note: Followed,
     pub tag: String,
 }
 
 /// By its inode and its first bytes. The number of its device is not in it: the same disk may have another one after
 /// the machine was started again.
 fn key_of(owner: Address, inode: u64, lead: &[u8], again: u32) -> FileKey {
-    let digest = Digest(sm3(&[&inode.to_be_bytes(), &again.to_be_bytes(), lead])).to_hex();
-    FileKey { key: format!("follow:{owner}:{digest}"), tag: digest.chars().take(16).collect() }
+    let file = Digest(sm3(&[&inode.to_be_bytes(), &again.to_be_bytes(), lead]));
+    FileKey { note: Followed { owner, file }, tag: file.to_hex().chars().take(16).collect() }
 }
 
 /// What is known of a file that is there.
@@ -77,9 +36,9 @@ pub(super) enum Known {
     /// It is too short to be told from others, and may grow.
     TooShort,
     /// It is new, or goes on where it was; `true` if another file that began alike was here before.
-    Here(FileKey, Box<Place>, bool),
+    Here(FileKey, Box<FilePlace>, bool),
     /// It is shorter than what was sealed of it.
-    Shrank(Box<Place>),
+    Shrank(Box<FilePlace>),
 }
 
 /// Whether a file ends as a recorder ends it.
@@ -90,7 +49,7 @@ fn is_closed(file: &File, length: u64) -> bool {
 }
 
 /// Finds a file's place.
-pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool) -> Result<Known, Failure> {
+pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) -> Result<Known, Failure> {
     let unreadable = |error: std::io::Error| internal(format!("it cannot be read: {error}"));
     let metadata = file.metadata().map_err(unreadable)?;
     if metadata.len() < LEAD as u64 && !is_whole && !is_closed(file, metadata.len()) {
@@ -100,7 +59,7 @@ pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool
     file.read_exact_at(&mut lead, 0).map_err(unreadable)?;
     for again in 0..MOST_AGAIN {
         let key = key_of(owner, metadata.ino(), &lead, again);
-        let Some(place) = get(ledger, &key)? else {
+        let Some(place) = notes.read(&key.note)? else {
             return Ok(Known::Here(key, Box::default(), again > 0));
         };
         if metadata.len() < place.at {
@@ -115,24 +74,12 @@ pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool
     Err(internal("too many files that begin alike were in its place"))
 }
 
-/// What the ledger has of a file.
-fn get(ledger: &Ledger, key: &FileKey) -> Result<Option<Place>, Failure> {
-    let Some(text) = ledger.setting(&key.key)? else { return Ok(None) };
-    let unreadable = |error: serde_json::Error| internal(format!("what the ledger has of it cannot be read: {error}"));
-    serde_json::from_str(&text).map(Some).map_err(unreadable)
-}
-
-/// Keeps how far a file is.
-pub(super) fn put(ledger: &Ledger, key: &FileKey, place: &Place) -> Result<(), Failure> {
-    let text = serde_json::to_string(place).map_err(|error| internal(error.to_string()))?;
-    Ok(ledger.put_setting(&key.key, &text)?)
-}
-
 #[cfg(test)]
 mod tests {
     use std::io::{Seek, SeekFrom, Write};
 
     use super::*;
+    use crate::store::Ledger;
 
     struct Case {
         _home: tempfile::TempDir,
@@ -154,15 +101,15 @@ mod tests {
         fn is_too_short(&self) -> bool {
             let length = self.file.metadata().expect("there").len();
             assert!(length < LEAD as u64, "{length}");
-            matches!(known(&self.ledger, OWNER, &self.file, false), Ok(Known::TooShort))
+            matches!(known(&self.ledger.notes, OWNER, &self.file, false), Ok(Known::TooShort))
         }
 
         fn write(&mut self, bytes: &[u8]) {
             self.file.seek(SeekFrom::End(0)).and_then(|_| self.file.write_all(bytes)).expect("written");
         }
 
-        fn here(&self) -> (FileKey, Box<Place>, bool) {
-            match known(&self.ledger, OWNER, &self.file, false).expect("known") {
+        fn here(&self) -> (FileKey, Box<FilePlace>, bool) {
+            match known(&self.ledger.notes, OWNER, &self.file, false).expect("known") {
                 Known::Here(key, place, is_another) => (key, place, is_another),
                 Known::TooShort | Known::Shrank(_) => panic!("it is not here"),
             }
@@ -172,8 +119,8 @@ mod tests {
         fn keep(&self, key: &FileKey, at: u64) {
             let mut hashed = super::super::hashed::Hashed::default();
             hashed.advance(&self.file, at, Vec::new()).expect("read");
-            let place = Place { at, stored: 5, begun: 9, digest: Some(hashed.digest()), ..Place::default() };
-            put(&self.ledger, key, &place).expect("kept");
+            let place = FilePlace { at, stored: 5, begun: 9, digest: Some(hashed.digest()), ..FilePlace::default() };
+            self.ledger.notes.write(&key.note, &place).expect("kept");
         }
     }
 
@@ -181,8 +128,11 @@ mod tests {
     fn a_file_goes_on_where_it_was_also_when_it_has_grown() {
         let mut case = Case::new();
         case.write(&[1; 1000]);
-        assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::TooShort)));
-        assert!(matches!(known(&case.ledger, OWNER, &case.file, true), Ok(Known::Here(..))), "it is all there is");
+        assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::TooShort)));
+        assert!(
+            matches!(known(&case.ledger.notes, OWNER, &case.file, true), Ok(Known::Here(..))),
+            "it is all there is"
+        );
         case.write(&[2; 9000]);
         let (key, place, is_another) = case.here();
         assert_eq!((place.stored, is_another, key.tag.len()), (0, false, 16));
@@ -205,7 +155,9 @@ mod tests {
         case.file.write_all_at(&[1], 7999).expect("as it was");
         assert_eq!(case.here().0, key);
         case.file.set_len(7000).expect("shorter");
-        assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000));
+        assert!(
+            matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000)
+        );
     }
 
     #[test]

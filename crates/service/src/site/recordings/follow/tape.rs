@@ -13,9 +13,8 @@ use authros_evidence::recorded::{RecordedFile, TAG};
 use super::super::choosing::Choosing;
 use super::super::import::RECORDING;
 use super::super::sealed_before::SealedBefore;
-use super::super::standings::{Standing as Imported, Standings};
 use super::hashed::Hashed;
-use super::place::{self, FileKey, Known, Place, Standing};
+use super::place::{self, FileKey, Known};
 use super::{Due, Follower, folder, proof};
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, Timestamp, clean};
@@ -24,6 +23,7 @@ use crate::ros::mcap::McapReader;
 use crate::ros::recording::{BESIDE, Beside, RecordedMessage};
 use crate::service::failure::input;
 use crate::service::reply::{Failure, FollowedFile};
+use crate::store::notes::{FilePlace, FileStanding, Standing, Standings};
 
 /// The most messages, and about the most bytes of them, that are sealed before it is kept that they are.
 const MOST_MESSAGES: usize = 4_000;
@@ -69,7 +69,7 @@ pub(super) struct Tape<'a> {
     file: File,
     reader: McapReader<BufReader<File>>,
     hashed: Hashed,
-    place: Place,
+    place: FilePlace,
     is_kept: bool,
     choosing: Choosing,
     importer: Importer<'a>,
@@ -102,7 +102,7 @@ impl<'a> Tape<'a> {
         let name = follower.name_of(path);
         let mut view = FollowedFile { file: name.clone(), ..FollowedFile::default() };
         let is_whole = length >= 8 && folder::is_followed_by(path, files);
-        let (key, place) = match place::known(ledger, follower.owner.address, &file, is_whole)? {
+        let (key, place) = match place::known(&ledger.notes, follower.owner.address, &file, is_whole)? {
             Known::TooShort => return Ok(Opened::NotYet),
             Known::Shrank(place) => {
                 view.is_altered = true;
@@ -122,9 +122,9 @@ impl<'a> Tape<'a> {
                 (key, *place)
             }
         };
-        if place.standing != Standing::Open {
+        if place.standing != FileStanding::Open {
             let (proof, copy) = (proof::beside(path), proof::copy_of(path));
-            let is_missing = place.standing == Standing::Stated || follower.wishes.attach && !copy.exists();
+            let is_missing = place.standing == FileStanding::Stated || follower.wishes.attach && !copy.exists();
             view.settled(&place, length);
             if !is_missing {
                 let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
@@ -158,7 +158,7 @@ impl<'a> Tape<'a> {
             length,
             grew: Instant::now(),
             view,
-            place: Place { name, chosen: place.chosen || !follower.wishes.topics.is_empty(), ..place },
+            place: FilePlace { name, chosen: place.chosen || !follower.wishes.topics.is_empty(), ..place },
             key,
         };
         tape.find_import(length)?;
@@ -206,7 +206,7 @@ impl<'a> Tape<'a> {
         }
         if self.reader.is_finished() {
             self.state()?;
-            return Ok(if self.place.standing == Standing::Open { Round::Idle } else { Round::Ended });
+            return Ok(if self.place.standing == FileStanding::Open { Round::Idle } else { Round::Ended });
         }
         if self.place.at != self.hashed.at() || !self.is_kept {
             self.keep()?;
@@ -266,7 +266,7 @@ impl<'a> Tape<'a> {
             (self.place.at, self.place.digest) = (self.hashed.at(), Some(self.hashed.digest()));
             self.place.chunks = self.hashed.chunks().len() as u64;
         }
-        place::put(&self.follower.recordings.plant.ledger, &self.key, &self.place)?;
+        self.follower.recordings.plant.ledger.notes.write(&self.key.note, &self.place)?;
         self.is_kept = true;
         Ok(())
     }
@@ -280,9 +280,9 @@ impl<'a> Tape<'a> {
             let number = self.met - self.batch.len() as u64 + 1;
             let known = match topic {
                 Some(topic) => match self.imported.topics.get(&**topic) {
-                    Some(Imported::Whole) => true,
+                    Some(Standing::Whole) => true,
                     None if number > self.doubt => false,
-                    Some(Imported::Begun) | None => self.sealed_before.take(topic, message, &self.imported.tags)?,
+                    Some(Standing::Begun) | None => self.sealed_before.take(topic, message, &self.imported.tags)?,
                 },
                 None => false,
             };
@@ -347,7 +347,7 @@ impl<'a> Tape<'a> {
             }
         }
         (self.place.stored, self.place.statement) = (self.met + 1, Some(statement));
-        self.place.standing = Standing::Stated;
+        self.place.standing = FileStanding::Stated;
         self.keep()?;
         self.note_as_imported(stated.digest)
     }
@@ -355,7 +355,7 @@ impl<'a> Tape<'a> {
     /// An import of the same file, or of its folder, has then nothing left to seal.
     fn note_as_imported(&self, digest: Digest) -> Result<(), Failure> {
         let is_whole = !self.place.chosen && self.importer.lost() == 0;
-        let standing = if is_whole { Imported::Whole } else { Imported::Begun };
+        let standing = if is_whole { Standing::Whole } else { Standing::Begun };
         let (file, tag) = ((self.follower.owner.address, digest), Some(self.key.tag.as_str()));
         self.follower.recordings.add_standings(file, tag, self.topics.iter().cloned(), standing)
     }
@@ -389,7 +389,7 @@ impl<'a> Tape<'a> {
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;
         view.chunks = self.hashed.chunks().len() as u64;
-        let has_ended = self.place.standing != Standing::Open;
+        let has_ended = self.place.standing != FileStanding::Open;
         view.digest = self.place.digest.filter(|_| has_ended);
         view.is_closed = has_ended && self.place.closed;
         view
@@ -398,7 +398,7 @@ impl<'a> Tape<'a> {
 
 impl FollowedFile {
     /// A file that an earlier run is done with.
-    fn settled(&mut self, place: &Place, length: u64) {
+    fn settled(&mut self, place: &FilePlace, length: u64) {
         let messages = place.stored.saturating_sub(1);
         (self.bytes, self.found, self.already) = (place.at, messages, messages);
         (self.chunks, self.digest, self.is_closed) = (place.chunks, place.digest, place.closed);
