@@ -46,6 +46,7 @@ mod new_home;
 mod newer_home;
 mod node_behind_tls;
 mod node_forging;
+mod older_copy;
 mod operators;
 mod packages;
 mod places;

@@ -72,6 +72,7 @@ pub use recorder::Recorder;
 pub use sender::{Outgoing, Sender};
 pub use session::CaptureSession;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use crate::chain::{Chain, Pin};
@@ -133,6 +134,27 @@ pub struct Network {
     pub times: Arc<BlockTimes>,
     /// Why the chain cannot be asked, if it cannot: then this is what the home kept of it.
     pub absent: Option<Arc<str>>,
+}
+
+/// The chain and contract that a home's ledger is bound to; `None` = none yet.
+///
+/// # Errors
+/// [`StoreError::Corrupt`] if it cannot be understood, or errors of the ledger.
+pub fn network_pin(ledger: &Ledger) -> Result<Option<Pin>, StoreError> {
+    ledger.contract_pin()?.map(|text| read_pin(&text, ledger.path())).transpose()
+}
+
+/// The same of a home whose ledger is not open here.
+///
+/// # Errors
+/// See [`network_pin`].
+pub fn network_pin_in(path: &Path) -> Result<Option<Pin>, StoreError> {
+    Ledger::contract_pin_in(path)?.map(|text| read_pin(&text, path)).transpose()
+}
+
+fn read_pin(text: &str, path: &Path) -> Result<Pin, StoreError> {
+    let detail = |_| "the row of its contract cannot be read".to_owned();
+    serde_json::from_str(text).map_err(detail).map_err(|detail| StoreError::Corrupt { file: path.to_owned(), detail })
 }
 
 impl Network {

@@ -5,11 +5,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
+use crate::chain::{Chain, ChainOptions, Endpoint, SealedBy};
 use crate::config::Config;
 use crate::crypto::read_public;
 use crate::model::{Timestamp, clean, without_secrets};
 use crate::paths::Home;
+use crate::pipeline::network_pin_in;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
@@ -133,9 +134,12 @@ const FAR_AHEAD: u64 = 120;
 
 /// Checks it.
 async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
-    let pinned = match pin(home) {
+    let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
         Ok(pinned) => pinned,
-        Err(reason) => return sheet.fail("chain", &reason, "restore chain-pin.json from a backup"),
+        Err(error) => {
+            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
+            return sheet.fail("chain", &error.to_string(), advice);
+        }
     };
     if let Some(site) = &config.site {
         return remote(&site.addresses, sheet).await;
@@ -239,14 +243,6 @@ async fn remote(addresses: &[String], sheet: &mut Sheet) {
     sheet.fail("chain", &silent.join("; "), "start it or correct site.address");
 }
 
-fn pin(home: &Home) -> Result<Option<Pin>, String> {
-    match std::fs::read(home.pin()) {
-        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| "chain-pin.json is damaged".to_owned()),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(format!("chain-pin.json cannot be read: {error}")),
-    }
-}
-
 /// Free space below which a site soon stops acknowledging, bytes.
 const TIGHT: u64 = 1 << 30;
 /// Free space below which it cannot work, bytes.
@@ -296,6 +292,10 @@ fn is_secret(path: &Path) -> bool {
 /// Every profile's keyring.
 fn keys(home: &Home, sheet: &mut Sheet) {
     let profiles = home.profiles();
+    for lost in home.profiles_without_keyring() {
+        let text = format!("the keyring of profile '{lost}' is gone, and with it the keys of its account and records");
+        sheet.fail(&format!("keys {lost}"), &text, "restore it: authros restore FILE, or a copy of the file keyring");
+    }
     if profiles.is_empty() {
         return sheet.warn("keys", "no profile has keys yet", "authros identity create");
     }
@@ -315,6 +315,11 @@ const DAMAGED: &str = "keep a copy of the home, then restore the last backup: au
 
 /// Whether the ledger is well-formed, and what is noted in it can be read.
 fn ledger(home: &Home, sheet: &mut Sheet) {
+    if !home.ledger().exists() && home.chain().join("chain.db").exists() {
+        let text = format!("{} is gone, and the embedded chain of this home is there", home.ledger().display());
+        let advice = "restore the last backup: authros restore FILE; without one, name the contract with --contract";
+        return sheet.fail("ledger", &text, advice);
+    }
     database("ledger", &home.ledger(), sheet);
     if home.ledger().exists() {
         match Glance::at(&home.ledger()).and_then(|ledger| ledger.check_notes()) {

@@ -145,14 +145,14 @@ mod tests {
         for name in ["vault", "chain", "profiles/alice", "ring", "back-ups"] {
             fs::create_dir_all(home.root().join(name)).expect("made");
         }
-        let files = ["ledger.db", "ledger.db-wal", "ledger.db-shm", "chain-pin.json", "reserve", "vault/vault.db"];
+        let files = ["ledger.db", "ledger.db-wal", "ledger.db-shm", "reserve", "vault/vault.db"];
         for name in files.into_iter().chain(["chain/chain.db", "profiles/alice/keyring", "profiles/alice/passphrase"]) {
             crate::store::atomic_write(&home.root().join(name), name.as_bytes()).expect("written");
         }
         assert!(!is_read_only(&home), "it can be written");
         let copy = working_copy(&home).expect("copied").expect("free");
         let is_there = |name: &str| fs::read(copy.root().join(name)).is_ok_and(|bytes| bytes == name.as_bytes());
-        let kept = ["ledger.db", "ledger.db-wal", "chain-pin.json", "vault/vault.db", "chain/chain.db"];
+        let kept = ["ledger.db", "ledger.db-wal", "vault/vault.db", "chain/chain.db"];
         assert!(kept.into_iter().chain(["profiles/alice/keyring"]).all(is_there));
         assert!(!["ledger.db-shm", "reserve", "profiles/alice/passphrase"].into_iter().any(is_there));
         let is_link = |name: &str| fs::symlink_metadata(copy.root().join(name)).expect("there").is_symlink();

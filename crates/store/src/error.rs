@@ -53,7 +53,7 @@ pub enum StoreError {
     /// The ledger belongs to another chain or contract.
     #[error(
         "the ledger is bound to domain {bound}, but the chain and contract in use have domain {domain}; a home keeps its \
-         chain: restore `chain-pin.json` of this home, or begin a new home for the other chain"
+         chain: set `chain.url` and `chain.contract` to those of this home, or begin a new home for the other chain"
     )]
     Bound { bound: Domain, domain: Domain },
     /// Any other failure of SQLite.

@@ -76,7 +76,8 @@ fn keyring(paths: &authros::paths::Home, name: &str) -> Keyring {
 }
 
 async fn events(paths: &authros::paths::Home, node: Option<&Anvil>) -> (Pin, Vec<EventAt>) {
-    let pin: Pin = serde_json::from_slice(&std::fs::read(paths.pin()).expect("a pin")).expect("JSON");
+    let text = Ledger::contract_pin_in(&paths.ledger()).expect("a ledger").expect("a pin");
+    let pin: Pin = serde_json::from_str(&text).expect("JSON");
     let endpoint = match node {
         Some(node) => Endpoint::Node { url: node.http(), roots: None },
         None => Endpoint::Embedded { directory: paths.chain(), consensus: None },

@@ -211,7 +211,7 @@ impl Pair {
     fn new() -> Self {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
-        ledger.bind_contract(DOMAIN).expect("bound");
+        ledger.bind_contract(DOMAIN, "{}").expect("bound");
         let mut pair = Self { story: Story::default(), directory: blank(), ledger, _home: home };
         let provider = provider(ProviderName::RustCrypto);
         let [keys, sealing] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("a pair"));

@@ -14,7 +14,7 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use self::reorg::Standing;
-use crate::chain::{AT_ONCE, BlockEvents, BlockRef, Completeness, Event, EventAt};
+use crate::chain::{AT_ONCE, BlockEvents, BlockRef, ChainError, Completeness, Event, EventAt};
 use crate::crypto::fault;
 use crate::directory::{Told, kept};
 use crate::model::Hash;
@@ -46,7 +46,8 @@ enum Reached {
 /// # Errors
 /// Errors of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
-    plant.ledger.bind_contract(network.domain)?;
+    let pin = network.chain.pin().ok_or(ChainError::NoContract)?;
+    plant.ledger.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
     read_back(plant, network, &network.directory)
 }
 

@@ -50,6 +50,7 @@ use tokio::sync::{broadcast, mpsc};
 pub use self::devices::enrolled::EnrolWishes;
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
+pub use chain::connection::is_bound;
 pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
 pub use evidence::definition_of;

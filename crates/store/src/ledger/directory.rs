@@ -2,6 +2,8 @@
 //! count are marked: the current ones are found without the others, the others are history, and a replaced block can be
 //! undone.
 
+use std::path::Path;
+
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
 use super::Ledger;
@@ -10,7 +12,7 @@ use super::rows::{self, By, may, unsigned};
 use super::writer::Session;
 use crate::StoreError;
 use crate::chain::merkle::Leaf;
-use crate::database::{Statements as _, whole};
+use crate::database::{Statements as _, open_reader, whole};
 use crate::model::{Address, Digest, Domain, RecordState, RecorderId, SignerId, Token, TopicId};
 
 /// The subject of an event, as far as it matters here.
@@ -100,20 +102,44 @@ pub(super) const ENDING: [&str; 3] = [
 /// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
 /// Notes the last event.
+const PIN: &str = "SELECT pin FROM contract";
 const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
 
 impl Ledger {
-    /// Binds the ledger to one contract for good.
+    /// Binds the ledger to one contract for good; `pin` says how it is found again.
     ///
     /// # Errors
     /// [`StoreError::Bound`] if it belongs to another one.
-    pub fn bind_contract(&self, domain: Domain) -> Result<(), StoreError> {
+    pub fn bind_contract(&self, domain: Domain, pin: &str) -> Result<(), StoreError> {
+        let pin = pin.to_owned();
         self.write(move |session| {
             let connection = session.connection;
-            connection.run("INSERT INTO contract VALUES (1, ?1, 0, -1) ON CONFLICT DO NOTHING", [domain.0])?;
+            let sql = "INSERT INTO contract VALUES (1, ?1, ?2, 0, -1) ON CONFLICT DO UPDATE SET pin = excluded.pin \
+                       WHERE domain = excluded.domain AND pin <> excluded.pin";
+            connection.run(sql, params![domain.0, pin])?;
             let bound = connection.query_row("SELECT domain FROM contract", [], |row| row.get(0).map(Domain))?;
             if bound == domain { Ok(()) } else { Err(StoreError::Bound { bound, domain }) }
         })
+    }
+
+    /// The pin of the contract that the ledger is bound to; `None` if it is bound to none yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
+        self.read(|connection| Ok(connection.find(PIN, [], |row| row.get(0))?))
+    }
+
+    /// The same of a ledger that is not opened, because it may be in use or damaged; nothing is written.
+    ///
+    /// # Errors
+    /// [`StoreError::Corrupt`] and the like.
+    pub fn contract_pin_in(path: &Path) -> Result<Option<String>, StoreError> {
+        if !path.exists() {
+            return Ok(None);
+        }
+        let connection = open_reader(path)?;
+        connection.find(PIN, [], |row| row.get(0)).map_err(|error| StoreError::from(error).in_file(path))
     }
 
     /// Stores events in the chain's order, all in one commit; those already there are skipped.

@@ -184,14 +184,14 @@ impl Ledger {
         })
     }
 
-    /// When the newest record was captured, by its recorder's clock.
+    /// When the newest record was acknowledged, by this machine's clock.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn newest_capture(&self) -> Result<Option<Timestamp>, StoreError> {
+    pub fn newest_acknowledgement(&self) -> Result<Option<Timestamp>, StoreError> {
+        let sql = "SELECT acknowledged_at FROM records ORDER BY n DESC LIMIT 1";
         self.read(|connection| {
-            let newest: Option<i64> =
-                connection.query_row("SELECT max(captured_at) FROM records", [], |row| row.get(0))?;
+            let newest: Option<i64> = connection.find(sql, [], |row| row.get(0))?;
             Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
         })
     }

@@ -127,9 +127,11 @@ CREATE TABLE chain_headers (block INTEGER PRIMARY KEY, header BLOB NOT NULL);
 CREATE TABLE cursor (one INTEGER PRIMARY KEY CHECK (one = 1), block INTEGER NOT NULL, hash BLOB NOT NULL);
 CREATE TABLE trail (block INTEGER PRIMARY KEY, hash BLOB NOT NULL);
 
--- The contract that this ledger is bound to, with the block and the place in it of the last event read.
+-- The chain and contract that this home is bound to (`pin`: JSON), with the block and the place in it of the last event
+-- read.
 CREATE TABLE contract (
-    one INTEGER PRIMARY KEY CHECK (one = 1), domain BLOB NOT NULL, block INTEGER NOT NULL, place INTEGER NOT NULL
+    one INTEGER PRIMARY KEY CHECK (one = 1), domain BLOB NOT NULL, pin TEXT NOT NULL, block INTEGER NOT NULL,
+    place INTEGER NOT NULL
 );
 
 -- Its events. `kind`: 1 a grant, 2 an envelope of a further epoch, 3 an extension, 4 the beginning of an epoch, with

@@ -314,6 +314,7 @@ impl Profiles {
             self.send_registration(owner, &network).await?;
         }
         self.take_up(owner, &network).await?;
+        self.settle_pairs(owner, &network).await?;
         if owner.sealing().is_none() {
             let missing = self.sharing.missing_text();
             return Err(refused(missing.unwrap_or_else(|| "no epoch has started; run the command again".to_owned())));
@@ -357,7 +358,7 @@ impl Profiles {
             let pairs = async {
                 let network = profiles.link.network().await?;
                 let _one_at_a_time = owner.changes.lock().await;
-                profiles.finish_pairs(&owner, &network).await
+                profiles.settle_pairs(&owner, &network).await
             };
             if let Err(failure) = pairs.await {
                 profiles.hub.notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));

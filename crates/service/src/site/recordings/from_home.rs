@@ -14,13 +14,12 @@ use crate::model::{RecordKind, RecordState, clean};
 use crate::paths::Home;
 use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
 use crate::pipeline::reader::{Definitions, Reader};
-use crate::pipeline::{CaptureSession, Network, Owner, Plant};
+use crate::pipeline::{CaptureSession, Network, Owner, Plant, network_pin};
 use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
 use crate::service::command::HomeWishes;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic};
 use crate::site::blocking;
-use crate::site::chain::connection::pin_of;
 use crate::store::{Ledger, RecordQuery, RecordRow, SiteLock, open_vault};
 
 /// Records requested from the other ledger at a time.
@@ -80,9 +79,6 @@ impl Recordings {
         let Some(lock) = SiteLock::acquire(&home.site_lock())? else {
             return Err(refused(format!("{shown} is in use; stop its site or console first, then repeat the command")));
         };
-        let pin = pin_of(&home)?.ok_or_else(|| {
-            input(format!("{shown} was never bound to a chain, so it has no records; use it with the new chain"))
-        })?;
         let settings = std::fs::read_to_string(home.config()).ok();
         let settings = settings.as_ref().map(|text| (home.config(), text.as_str()));
         let settings = settings.as_ref().map(|(path, text)| (path.as_path(), *text));
@@ -98,6 +94,9 @@ impl Recordings {
             vault: open_vault(config.vault_url.as_deref(), &home.vault())?,
             ..self.plant.clone()
         };
+        let pin = network_pin(&plant.ledger)?.ok_or_else(|| {
+            input(format!("{shown} was never bound to a chain, so it has no records; use it with the new chain"))
+        })?;
         let network = Network::kept(&plant, pin, "a home that is imported is read without its chain")?;
         Ok(OldHome { plant, network, _lock: lock })
     }

@@ -100,6 +100,9 @@ impl Sharing {
         if expires.is_some_and(|at| at <= network.directory.now()) {
             return Err(input(too_early(network.directory.now())));
         }
+        if self.went_back(owner, &network) {
+            return Err(refused(self.missing_text().unwrap_or_default()));
+        }
         network.directory.identity(grantee)?;
         self.contacts.check_contact(&network, grantee).await?;
         self.contacts.check_reader(&network, owner.address, grantee).await?;

@@ -108,7 +108,7 @@ impl Sharing {
         };
         let expired = network.directory.grants_of(owner.address).iter().any(covered);
         let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
-        Ok(ended || !self.owed_revocations(owner, network)?.is_empty())
+        Ok(ended && !self.went_back(owner, network) || !self.owed_revocations(owner, network)?.is_empty())
     }
 
     /// Begins the next epoch: through the interrupted revocation, if there is one, because a rotation would give the

@@ -6,7 +6,7 @@ use crate::model::{Domain, Token};
 /// A ledger that knows its contract.
 fn bound() -> (tempfile::TempDir, Ledger) {
     let (home, ledger) = open();
-    ledger.bind_contract(Domain([4; 32])).expect("bound");
+    ledger.bind_contract(Domain([4; 32]), "{}").expect("bound");
     (home, ledger)
 }
 
@@ -51,11 +51,11 @@ fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
 #[test]
 fn a_ledger_belongs_to_one_contract_for_good() {
     let (_home, ledger) = bound();
-    assert_eq!(ledger.bind_contract(Domain([4; 32])), Ok(()));
+    assert_eq!(ledger.bind_contract(Domain([4; 32]), "{}"), Ok(()));
     let (bound, domain) = (Domain([4; 32]), Domain([5; 32]));
-    assert_eq!(ledger.bind_contract(domain), Err(StoreError::Bound { bound, domain }));
+    assert_eq!(ledger.bind_contract(domain, "{}"), Err(StoreError::Bound { bound, domain }));
     ledger.forget_rights().expect("forgotten");
-    assert!(ledger.bind_contract(domain).is_err());
+    assert!(ledger.bind_contract(domain, "{}").is_err());
 }
 
 #[test]
