@@ -46,7 +46,11 @@ pub fn audit(audit: &RecordAudit) -> String {
     };
     let mut lines = vec![
         format!("{} records {how}, {} bytes, in {:.1} s", audit.records, audit.bytes, audit.seconds),
-        format!("{} records/s, {megabytes} MB/s on {} threads{alone}", rounded(audit.records_per_second), audit.threads),
+        format!(
+            "{} records/s, {megabytes} MB/s on {} threads{alone}",
+            rounded(audit.records_per_second),
+            audit.threads
+        ),
         format!("{} batches checked against the chain, {} audit log lines", audit.batches, audit.audit_lines),
     ];
     let counted = [

@@ -34,6 +34,9 @@ fn a_wrong_call_is_a_usage_error_and_prints_no_result() {
     {
         let outcome = home.authros().run(arguments).expect_code(USAGE);
         assert!(outcome.stdout.is_empty() && !outcome.stderr.is_empty(), "{outcome}");
+        let outcome = home.authros().with(&["--json"]).run(arguments).expect_code(USAGE);
+        let document: Value = serde_json::from_str(&outcome.stdout).expect("one document");
+        assert_eq!(document["error"]["kind"], "usage", "{outcome}");
     }
     assert!(!home.path().exists(), "and makes no home");
 }
