@@ -26,6 +26,7 @@ mod console_past;
 mod console_situations;
 mod console_terminal;
 mod contacts;
+mod damaged_notes;
 mod demo;
 mod erasing;
 mod evidence;

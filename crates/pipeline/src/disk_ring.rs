@@ -19,10 +19,6 @@ const MOST: usize = 64;
 /// A ring, filled by the sealer and read when its owner asks.
 pub type SharedRing = Arc<Mutex<DiskRing>>;
 
-fn all(notes: &Notes) -> Result<VecDeque<AskedSpan>, StoreError> {
-    Ok(notes.read(&AskedSpans {})?.unwrap_or_default())
-}
-
 /// Notes that the owner asks for a span, by the number of its notice; durable when this returns.
 ///
 /// # Errors
@@ -46,7 +42,7 @@ pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<(), PipelineEr
 /// # Errors
 /// Errors of the ledger.
 pub fn waiting(notes: &Notes) -> Result<Vec<RingSpan>, StoreError> {
-    Ok(all(notes)?.into_iter().map(|asked| asked.span).collect())
+    Ok(notes.read(&AskedSpans {})?.unwrap_or_default().into_iter().map(|asked| asked.span).collect())
 }
 
 /// What was brought in for one request.
@@ -120,7 +116,8 @@ impl Pulls {
         if let Some(work) = self.work.take() {
             return Ok(Some(work));
         }
-        let Some(asked) = all(&self.plant.ledger.notes)?.pop_front() else { return Ok(None) };
+        let asked = self.plant.ledger.notes.read(&AskedSpans {})?;
+        let Some(asked) = asked.and_then(|mut asked| asked.pop_front()) else { return Ok(None) };
         let parts = self.ring().parts_of(&asked.span).into();
         Ok(Some(Work { asked, parts, brought: Brought::default() }))
     }

@@ -4,7 +4,7 @@
 
 use crate::model::{Address, Digest, RecorderId, Signature, SignerId, Timestamp, TopicId};
 use crate::store::notes::Equivocations;
-use crate::store::{AuditEntry, AuditLog, NewRecord};
+use crate::store::{AuditEntry, NewRecord};
 
 use super::{PipelineError, Plant};
 
@@ -45,14 +45,15 @@ impl Claim {
 /// # Errors
 /// Errors of the ledger.
 pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
-    let held = plant.ledger.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
+    let held =
+        plant.ledger.inspection.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
     let Some(row) = plant.ledger.record(held)? else { return Ok(false) };
     let Claim { owner, signer, recorder, topic, number, digest, signature } = claim;
     let is_new = plant.ledger.notes.change(&Equivocations { recorder: *recorder }, |known| {
         let is_new = !known.contains(digest) && known.len() < MOST;
         if is_new {
-            AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+            plant.ledger.audit.append(AuditEntry {
                 at: Timestamp::now(),
                 profile: owner.to_string(),
                 action: "equivocation".to_owned(),
@@ -131,7 +132,7 @@ mod tests {
         }
         assert_eq!(notes.with("equivocation"), 1);
         let query = AuditQuery { action: Some("equivocation".to_owned()), limit: 9, ..AuditQuery::default() };
-        let lines = AuditLog::new(plant.ledger.clone()).list(&query).expect("listed");
+        let lines = plant.ledger.audit.list(&query).expect("listed");
         let [line] = lines.as_slice() else { panic!("one line: {lines:?}") };
         let both = [Signature([1; 64]), Signature([2; 64])].map(|signature| signature.to_string());
         assert!(both.iter().all(|signature| line.entry.outcome.contains(signature)), "{line:?}");

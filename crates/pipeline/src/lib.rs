@@ -78,7 +78,7 @@ use std::sync::Arc;
 use crate::chain::{Chain, Pin};
 use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
-use crate::store::{Ledger, StoreError, Vault};
+use crate::store::{Ledger, Rights, StoreError, Vault};
 
 /// A worker's report to the service; short, never blocking.
 pub trait Observer: Send + Sync {
@@ -141,7 +141,7 @@ pub struct Network {
 /// # Errors
 /// [`StoreError::Corrupt`] if it cannot be understood, or errors of the ledger.
 pub fn network_pin(ledger: &Ledger) -> Result<Option<Pin>, StoreError> {
-    ledger.contract_pin()?.map(|text| read_pin(&text, ledger.path())).transpose()
+    ledger.rights.contract_pin()?.map(|text| read_pin(&text, ledger.path())).transpose()
 }
 
 /// The same of a home whose ledger is not open here.
@@ -149,7 +149,7 @@ pub fn network_pin(ledger: &Ledger) -> Result<Option<Pin>, StoreError> {
 /// # Errors
 /// See [`network_pin`].
 pub fn network_pin_in(path: &Path) -> Result<Option<Pin>, StoreError> {
-    Ledger::contract_pin_in(path)?.map(|text| read_pin(&text, path)).transpose()
+    Rights::contract_pin_in(path)?.map(|text| read_pin(&text, path)).transpose()
 }
 
 fn read_pin(text: &str, path: &Path) -> Result<Pin, StoreError> {
@@ -172,7 +172,7 @@ impl Network {
     pub fn kept(plant: &Plant, pin: Pin, why: &str) -> Result<Self, StoreError> {
         let chain = Chain::absent(pin.clone(), why.to_owned());
         let network = Self { absent: Some(why.into()), ..Self::new(chain, &pin, plant.provider, 1) };
-        directory::kept::read_back(&plant.ledger, &network.directory)?;
+        directory::kept::read_back(&plant.ledger.rights, &network.directory)?;
         Ok(network)
     }
 }

@@ -125,7 +125,7 @@ async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64,
 /// Waits until the watcher here has read a block's events, for so long at most: rights follow from them.
 async fn wait_for(plant: &Plant, block: u64, patience: Duration) -> Result<(), PipelineError> {
     let deadline = Instant::now() + patience;
-    while block_in_place(|| plant.ledger.cursor())?.is_none_or(|(read, _)| read < block) {
+    while block_in_place(|| plant.ledger.trail.cursor())?.is_none_or(|(read, _)| read < block) {
         if Instant::now() > deadline {
             return Err(PipelineError::Unsteady);
         }
@@ -152,7 +152,9 @@ async fn check_right(
 fn note_signer(plant: &Plant, header: &Header, fetched: &Fetched, right: &SigningRight) -> Result<(), PipelineError> {
     match right {
         SigningRight::Owner(_) => Ok(()),
-        SigningRight::Device(_) => Ok(block_in_place(|| plant.ledger.keep_signer(header.signer, fetched.signer))?),
+        SigningRight::Device(_) => {
+            Ok(block_in_place(|| plant.ledger.bindings.keep_signer(header.signer, fetched.signer))?)
+        }
     }
 }
 

@@ -5,7 +5,6 @@ mod definitions;
 
 pub use definitions::Definitions;
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
@@ -13,7 +12,7 @@ use tokio::task::block_in_place;
 use crate::authority::{self, Policy, ReadRefused, ReadingRight, may_read};
 use crate::crypto::{
     Anchor, CryptoError, Expected, GrantedKeys, IndexKey, Names, OpenedRecord, TopicKey, WrappedKeys, check,
-    check_deleted, open, signer_id, topic_id, topic_key, unwrap,
+    check_deleted, open, signer_id, topic_key, unwrap,
 };
 use crate::directory::{Granted, kept};
 use crate::model::{Address, Digest, GrantTerms, Header, PublicKey, RecordState, Scope, SignerId, TopicId, Verdict};
@@ -222,7 +221,7 @@ impl Reader<'_> {
     /// # Errors
     /// Errors of the ledger.
     pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
-        let all = kept::envelopes(&self.plant.ledger, grant)?;
+        let all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
@@ -231,7 +230,7 @@ impl Reader<'_> {
     /// # Errors
     /// If none opens, or none agrees with the chain's event.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
-        let mut all = kept::envelopes(&self.plant.ledger, grant)?;
+        let mut all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
         first_good(all.iter().map(|envelope| self.open_one(grant, envelope)))
             .unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
@@ -313,61 +312,6 @@ impl Reader<'_> {
     pub fn scope(&self, owner: Address) -> Option<Scope> {
         self.right(owner, None).ok().map(|right| right.scope().clone())
     }
-
-    /// The first epoch of a topic that this reader was given a key of; `None` = there is none.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn first_epoch(&self, owner: Address, topic: TopicId) -> Result<Option<u64>, PipelineError> {
-        let grant = match self.right(owner, Some(topic)) {
-            Ok(ReadingRight::Own) => return Ok(Some(0)),
-            Ok(ReadingRight::Granted(grant)) => grant,
-            Err(_) => return Ok(None),
-        };
-        let first = |keys: &GrantedKeys| match keys {
-            GrantedKeys::All { epochs, .. } => epochs.iter().map(|(epoch, _)| *epoch).min(),
-            GrantedKeys::Topics { keys } => {
-                keys.iter().filter(|(_, _, id, _)| *id == topic).map(|(epoch, ..)| *epoch).min()
-            }
-        };
-        Ok(self.envelopes(&grant)?.iter().filter_map(|wrapped| first(&wrapped.keys)).min())
-    }
-
-    /// The pseudonyms that a topic of an owner has, as far as this reader's keys tell.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn ids_of(&self, owner: Address, topic: &str) -> Result<BTreeSet<TopicId>, PipelineError> {
-        if owner == self.reader.address {
-            return Ok([topic_id(&self.reader.index(), topic)].into());
-        }
-        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return Ok(BTreeSet::new()) };
-        let mut ids = BTreeSet::new();
-        for wrapped in self.envelopes(&grant)? {
-            match &wrapped.keys {
-                GrantedKeys::All { index_key, .. } => ids.extend([topic_id(index_key, topic)]),
-                GrantedKeys::Topics { keys } => {
-                    ids.extend(keys.iter().filter(|(_, name, ..)| name == topic).map(|(_, _, id, _)| *id));
-                }
-            }
-        }
-        Ok(ids)
-    }
-
-    /// The names of an owner's topics that a grant of some topics tells.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn granted_names(&self, owner: Address) -> Result<BTreeMap<TopicId, String>, PipelineError> {
-        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return Ok(BTreeMap::new()) };
-        let mut names = BTreeMap::new();
-        for wrapped in self.envelopes(&grant)? {
-            if let GrantedKeys::Topics { keys } = &wrapped.keys {
-                names.extend(keys.iter().map(|(_, name, id, _)| (*id, name.clone())));
-            }
-        }
-        Ok(names)
-    }
 }
 
 impl Reader<'_> {
@@ -410,7 +354,7 @@ impl Reader<'_> {
         let known = [self.reader.signing().public].into_iter().chain(registered);
         match known.into_iter().find(|key| signer_id(key) == signer) {
             Some(key) => Ok(Some(key)),
-            None => Ok(self.plant.ledger.signer(signer)?),
+            None => Ok(self.plant.ledger.bindings.signer(signer)?),
         }
     }
 

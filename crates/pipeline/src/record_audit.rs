@@ -192,15 +192,15 @@ impl<'a> Compared<'a> {
     /// As far as the watcher has read; `None` if that is before these blocks.
     fn new(ledger: &Ledger, (from, to): (u64, u64), events: &'a [EventAt]) -> Result<Option<Self>, StoreError> {
         // Asked before the ledger is: what is read up to here is in it.
-        let Some((read, _)) = ledger.cursor()?.filter(|(read, _)| *read >= from) else { return Ok(None) };
+        let Some((read, _)) = ledger.trail.cursor()?.filter(|(read, _)| *read >= from) else { return Ok(None) };
         let to = to.min(read);
         let missing: Vec<&EventAt> =
             watcher::of(ledger, events)?.into_iter().filter(|event| event.block <= to).collect();
         let on_chain: BTreeMap<(u64, u64), &EventAt> =
             events.iter().map(|event| ((event.block, event.log_index), event)).collect();
         let (mut surplus, mut other) = (Vec::new(), Vec::new());
-        for row in ledger.rights_in(from, to)? {
-            let Ok(told) = Told::from_row(ledger, &row) else {
+        for row in ledger.rights.rights_in(from, to)? {
+            let Ok(told) = Told::from_row(&ledger.rights, &row) else {
                 other.push(row.block);
                 continue;
             };
@@ -231,7 +231,7 @@ pub struct Scrubbed {
 /// Errors of ledger and vault; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
     let after = plant.ledger.notes.read(&ScrubbedUpTo {})?.unwrap_or(0);
-    let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
+    let page = plant.ledger.inspection.audit_page(after, Timestamp(0), most)?;
     let mut done = Scrubbed::default();
     let mut bad = Vec::new();
     // An unreadable row is reported by the audit: it has no digest to mark.

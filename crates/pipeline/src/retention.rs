@@ -64,7 +64,7 @@ impl Retention {
             self.held.clear();
         }
         let mut done = Round { named: Vec::new(), deleted: delete(plant, owner)? };
-        let incidents = plant.ledger.incidents(owner.address)?;
+        let incidents = plant.ledger.incidents.list(owner.address)?;
         for topic in plant.ledger.kept_topics(owner.address)? {
             self.hold((owner.address, topic.key), Held::of(&topic.name, &incidents));
             if !topic.is_named() {
@@ -426,7 +426,7 @@ impl Held {
         for &(since, until) in &self.spans {
             let stretch = (since.max(from), until.min(to));
             if stretch.0 < stretch.1 {
-                bytes += plant.ledger.bytes_between(topic.key, stretch)?;
+                bytes += plant.ledger.incidents.bytes_between(topic.key, stretch)?;
             }
         }
         Ok(bytes)

@@ -252,7 +252,7 @@ impl Sealer {
             for (task, row) in tasks.iter().zip(&rows).filter(|(task, _)| sound(task)) {
                 self.sessions.wait(row.digest, &task.item.message.topic, &task.item.sessions);
             }
-            self.plant.ledger.append_held(rows, holds.into_iter().flatten().collect())
+            self.plant.ledger.quarantine.append_held(rows, holds.into_iter().flatten().collect())
         });
         kept?;
         for task in tasks.iter().filter(sound) {

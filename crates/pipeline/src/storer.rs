@@ -303,7 +303,7 @@ pub struct Missing {
 pub fn look_for_all(plant: &Plant, stopped: &dyn Fn() -> bool) -> Result<Missing, PipelineError> {
     let (mut found, mut after) = (Missing::default(), Some(0));
     while let Some(from) = after.filter(|_| !stopped()) {
-        let page = plant.ledger.audit_page(from, Timestamp(0), MISSING_ROUND)?;
+        let page = plant.ledger.inspection.audit_page(from, Timestamp(0), MISSING_ROUND)?;
         after = page.next;
         let rows: Vec<RecordRow> =
             page.records.into_iter().flatten().filter(depends_on_vault).map(|one| one.row).collect();

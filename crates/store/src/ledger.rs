@@ -31,36 +31,60 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rusqlite::{Connection, OptionalExtension as _};
 
 pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
-pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, StampCounts, UnprovenBatch};
+pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, Proofs, StampCounts, UnprovenBatch};
 pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
-pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights, WaitingSigner};
+pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StandingRights, WaitingSigner};
 pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
 pub use self::filters::FilterChoice;
-pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
-pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
-pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
-pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};
+pub use self::forwarding::{Bindings, ForwardedPage, KeptBinding, KeptReceipt};
+pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, Incidents, SpanCoverage};
+pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Inspection, Sequence};
+pub use self::quarantine::{
+    AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, Losses, PinRow, Pins, Quarantine,
+};
 pub use self::query::{Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
 pub use self::retention::{KeptTopic, OldRecord, Retained};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
-pub use self::sightings::{KeptStanding, Sighting};
+pub use self::sightings::{KeptStanding, Sighting, Trail};
 pub use self::transactions::{
-    LaneCount, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
+    LaneCount, Lanes, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
 };
 pub(super) use self::writer::Session;
 
-use crate::StoreError;
 use crate::database::{self, Schema, Statements as _};
 use crate::model::RecorderPrefix;
 use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, Notes};
+use crate::{AuditLog, StoreError};
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
 const READERS_KEPT: usize = 8;
 
 /// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub struct Ledger {
     database: Database,
+    /// Incidents, and what they hold.
+    pub incidents: Incidents,
+    /// Transactions, account by account.
+    pub lanes: Lanes,
+    /// Who may do what: events of the contract, and envelopes.
+    pub rights: Rights,
+    /// Records that wait for an operator.
+    pub quarantine: Quarantine,
+    /// Pinned publishers, and alarms about others.
+    pub pins: Pins,
+    /// Messages that were lost.
+    pub losses: Losses,
+    /// What the chain and time authorities prove of batches.
+    pub proofs: Proofs,
+    /// The blocks that the watcher has read.
+    pub trail: Trail,
+    /// Keys of signers, and names at this gateway.
+    pub bindings: Bindings,
+    /// Who did what.
+    pub audit: AuditLog,
+    /// What an audit compares.
+    pub inspection: Inspection,
     /// What is noted beside the tables.
     pub notes: Notes,
 }
@@ -115,7 +139,21 @@ impl Ledger {
             told: AtomicU64::new(0),
         };
         let database = Database { shared: Arc::new(shared) };
-        Ok(Self { notes: Notes(database.clone()), database })
+        Ok(Self {
+            notes: Notes(database.clone()),
+            inspection: Inspection(database.clone()),
+            audit: AuditLog(database.clone()),
+            bindings: Bindings(database.clone()),
+            trail: Trail(database.clone()),
+            proofs: Proofs(database.clone()),
+            losses: Losses(database.clone()),
+            pins: Pins(database.clone()),
+            quarantine: Quarantine(database.clone()),
+            rights: Rights(database.clone()),
+            lanes: Lanes(database.clone()),
+            incidents: Incidents(database.clone()),
+            database,
+        })
     }
 
     /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
@@ -234,12 +272,6 @@ pub struct RecordsHeld(Ledger);
 impl Drop for RecordsHeld {
     fn drop(&mut self) {
         self.0.database.shared.held.fetch_sub(1, Ordering::AcqRel);
-    }
-}
-
-impl std::fmt::Debug for Ledger {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("Ledger").field("path", &self.path()).finish_non_exhaustive()
     }
 }
 

@@ -110,9 +110,8 @@ notes! {
     Watched { profile: ProfileName } = "watched": Vec<(TopicName, Option<TypeName>)>, "the watched topics";
     /// A definition that is stored: once for each topic and epoch of an owner. A quarantined one does not count for
     /// readers who may never see it.
-    StoredDefinition {
-        domain: Domain, owner: Address, epoch: u64, topic: TopicId, digest: Digest, held: bool
-    } = "definition": (), "which definitions are stored";
+    StoredDefinition { domain: Domain, owner: Address, epoch: u64, topic: TopicId, digest: Digest, held: bool }
+        = "definition": (), "which definitions are stored";
     /// The spans of a robot's ring that its owner asks for.
     AskedSpans {} = "asked spans": VecDeque<AskedSpan>, "the spans of the ring that are asked for";
     /// What is sealed of an imported file, by its SM3.
@@ -125,9 +124,8 @@ notes! {
     /// The head in an owner's newest record about the audit log.
     StatedAuditHead { owner: Address } = "audit head": StatedHead, "the anchored head of the audit log";
     /// The newest statement of a recorder's numbers. On another chain everything is stated again.
-    StatedNumbers {
-        recorder: RecorderId, owner: Address, domain: Domain
-    } = "numbers": StatedRoot, "which numbers of a recorder are anchored";
+    StatedNumbers { recorder: RecorderId, owner: Address, domain: Domain } = "numbers": StatedRoot,
+        "which numbers of a recorder are anchored";
     /// Records refused because their number belongs to another one, as far as they were reported.
     Equivocations { recorder: RecorderId } = "equivocations": Vec<Digest>, "which equivocations are reported";
     /// Whose erasure a retention record is.
@@ -138,7 +136,8 @@ notes! {
     /// The address book.
     AddressBook {} = "contacts": Vec<Contact>, "the address book";
     /// The fingerprint of the key for which a reader's keys were wrapped.
-    WrappedFor { owner: Address, reader: Address } = "wrapped for": String, "for which key a reader's keys were wrapped";
+    WrappedFor { owner: Address, reader: Address } = "wrapped for": String,
+        "for which key a reader's keys were wrapped";
     /// Revocations that are not on the chain yet.
     Revoking { owner: Address } = "revoking": Vec<Address>, "the revocations that the chain is owed";
     /// The name of a topic that a grant covers.
@@ -156,13 +155,11 @@ notes! {
     // A joined gateway.
 
     /// What an owner had erased before this number, the gateway was told. Numbers are the ledger's own.
-    ErasuresTold {
-        domain: Domain, ledger: String, keeper: Address, owner: Address
-    } = "erasures told": u64, "which erasures the gateway was told of";
+    ErasuresTold { domain: Domain, ledger: String, keeper: Address, owner: Address } = "erasures told": u64,
+        "which erasures the gateway was told of";
     /// How far a gateway's records of an owner were listed.
-    Listed {
-        domain: Domain, keeper: Address, reader: Address, source: Address
-    } = "listed": ListedUntil, "how far a gateway's records were listed";
+    Listed { domain: Domain, keeper: Address, reader: Address, source: Address } = "listed": ListedUntil,
+        "how far a gateway's records were listed";
 
     // Robots and their owners.
 
@@ -173,13 +170,11 @@ notes! {
     /// The newest keys that a robot was told of, in a summary without secrets.
     KeysTold { owner: Address, device: SignerId } = "keys told": String, "which keys a robot was told of";
     /// The owner's keys, old and new, that a robot was told of.
-    OwnerKeysTold {
-        owner: Address, device: SignerId
-    } = "owner keys told": (PublicKey, PublicKey), "which key of its owner a robot was told of";
+    OwnerKeysTold { owner: Address, device: SignerId } = "owner keys told": (PublicKey, PublicKey),
+        "which key of its owner a robot was told of";
     /// The number of the newest notice, under a recorder, that a robot's gateway has.
-    NoticesCarried {
-        owner: Address, device: SignerId, gateway: SignerId, recorder: RecorderId
-    } = "notices carried": u64, "which notices a robot's gateway has";
+    NoticesCarried { owner: Address, device: SignerId, gateway: SignerId, recorder: RecorderId } = "notices carried": u64,
+        "which notices a robot's gateway has";
     /// On a robot: the policy that it runs. Another enrolment in the same home has its own.
     PolicyHere { owner: Address, device: SignerId } = "policy here": PolicyKept, "the policy of this robot";
     /// On a robot: what its owner was told last of its policy, hex.

@@ -7,7 +7,7 @@ use authros::crypto::{
     provider, topic_key, unwrap,
 };
 use authros::model::{Domain, GrantTerms, Identity, ProfileName, RecordKind, Scope, Timestamp};
-use authros::store::{Ledger, RecordQuery, RecordRow, Vault, open_vault};
+use authros::store::{Ledger, RecordQuery, RecordRow, Rights, Vault, open_vault};
 
 use super::NO_NODE;
 use super::field::TOPIC;
@@ -76,7 +76,7 @@ fn keyring(paths: &authros::paths::Home, name: &str) -> Keyring {
 }
 
 async fn events(paths: &authros::paths::Home, node: Option<&Anvil>) -> (Pin, Vec<EventAt>) {
-    let text = Ledger::contract_pin_in(&paths.ledger()).expect("a ledger").expect("a pin");
+    let text = Rights::contract_pin_in(&paths.ledger()).expect("a ledger").expect("a pin");
     let pin: Pin = serde_json::from_str(&text).expect("JSON");
     let endpoint = match node {
         Some(node) => Endpoint::Node { url: node.http(), roots: None },

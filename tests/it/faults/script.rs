@@ -150,7 +150,7 @@ impl Store {
     pub fn open(directory: &Path) -> Result<Self, StoreError> {
         let ledger = Ledger::open(&directory.join("ledger.db"))?;
         let vault = open_vault(None, directory)?;
-        Ok(Self { audit: AuditLog::new(ledger.clone()), ledger, vault })
+        Ok(Self { audit: ledger.audit.clone(), ledger, vault })
     }
 
     /// Does the model's next operation.
@@ -175,7 +175,14 @@ impl Store {
                 let nonce = model.submitted as u64;
                 let hash = Hash([number(model.submitted); 32]);
                 let (purpose, anchors) = ("anchor".to_owned(), Anchors::Batch(batch.root));
-                self.ledger.submit(NewTransaction { hash, account: OWNER, nonce, raw: vec![3; 300], purpose, anchors })
+                self.ledger.lanes.submit(NewTransaction {
+                    hash,
+                    account: OWNER,
+                    nonce,
+                    raw: vec![3; 300],
+                    purpose,
+                    anchors,
+                })
             }
             Operation::Mine if model.mined < model.submitted => {
                 let root = self.ledger.open_roots(OWNER)?[model.mined];

@@ -47,7 +47,7 @@ fn keep(plant: &Plant, record: NewRecord) -> Digest {
     let digest = record.digest;
     plant.vault.put(&[(digest, b"ciphertext")]).expect("stored");
     let hold = Hold { digest, reason: "new", publisher: "/evil@h:a/B:0".to_owned() };
-    plant.ledger.append_held(vec![record], vec![hold]).expect("held");
+    plant.ledger.quarantine.append_held(vec![record], vec![hold]).expect("held");
     digest
 }
 
@@ -88,7 +88,11 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
             (report.first_seq, report.last_seq, report.topic.as_str()),
             (seqs.0, seqs.1, &*format!("/t{topic}"))
         );
-        let held = plant.ledger.held(owner.address, &HeldQuery { limit: 100, ..HeldQuery::default() }).expect("held");
+        let held = plant
+            .ledger
+            .quarantine
+            .held(owner.address, &HeldQuery { limit: 100, ..HeldQuery::default() })
+            .expect("held");
         let counted = held.iter().filter(|row| row.report == Some(*digest)).map(|row| row.record.digest);
         assert_eq!(counted.collect::<Vec<_>>(), digests);
     }
@@ -115,7 +119,7 @@ fn what_is_discarded_is_gone_and_still_counted() {
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.dropped, topic.quarantined, topic.pending), (3, 2, 1, 0));
     let all = HeldQuery { decided: true, limit: 9, topic: Some("/t1".to_owned()), messages: true };
-    let rows = plant.ledger.held(owner.address, &all).expect("held");
+    let rows = plant.ledger.quarantine.held(owner.address, &all).expect("held");
     assert!(rows.iter().all(|row| row.report.is_some()));
     let decisions: Vec<_> = rows.iter().map(|row| row.decision.as_deref()).collect();
     assert_eq!(decisions, [Some("discarded"), Some("discarded"), None]);
@@ -128,5 +132,5 @@ fn without_keys_nothing_is_counted_and_nothing_is_lost() {
     let (owner, _) = super::super::tests::owner_without_keys(plant.provider, home.path());
     keep(&plant, record(owner.address, 1, 1, 1));
     assert_eq!(report(&plant, &owner.author, u64::MAX).expect("waits"), 0);
-    assert!(plant.ledger.unreported(owner.address, u64::MAX).expect("read").is_some());
+    assert!(plant.ledger.quarantine.unreported(owner.address, u64::MAX).expect("read").is_some());
 }

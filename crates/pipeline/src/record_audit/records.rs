@@ -107,7 +107,7 @@ fn vault_answers(plant: &Plant, tally: &mut Tally) -> Result<bool, StoreError> {
 /// Whether the index of tags has entries that no header supports.
 fn compare_index(plant: &Plant, tally: &mut Tally) -> Result<(), StoreError> {
     // Records whose bytes are not here reveal nothing about their tags.
-    let strangers = plant.ledger.size_of_index(tally.last)?.saturating_sub(tally.indexed);
+    let strangers = plant.ledger.inspection.size_of_index(tally.last)?.saturating_sub(tally.indexed);
     if strangers > 0 && tally.unread == 0 {
         let text =
             format!("{strangers} entries of the tag index match no header: searches find records they should not");
@@ -134,7 +134,7 @@ fn feed(
     let mut after = Some(0);
     let mut chain = bench.network;
     while let Some(from) = after {
-        let page = bench.plant.ledger.audit_page(from, scope.since, PAGE)?;
+        let page = bench.plant.ledger.inspection.audit_page(from, scope.since, PAGE)?;
         after = page.next;
         let mut records = Vec::with_capacity(page.records.len());
         for record in page.records {
@@ -282,7 +282,7 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
 /// The same records as they are now.
 pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedRecord>, StoreError> {
     let first = piece.first().map_or(0, |(record, _)| record.number);
-    let page = plant.ledger.audit_page(first.saturating_sub(1), Timestamp(0), piece.len())?;
+    let page = plant.ledger.inspection.audit_page(first.saturating_sub(1), Timestamp(0), piece.len())?;
     let mut now: HashMap<u64, AuditedRecord> =
         page.records.into_iter().flatten().map(|record| (record.number, record)).collect();
     let mut again = Vec::with_capacity(piece.len());
@@ -292,6 +292,7 @@ pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedR
             Some(found) => Some(found),
             None => plant
                 .ledger
+                .inspection
                 .audit_page(record.number.saturating_sub(1), Timestamp(0), 1)?
                 .records
                 .pop()
@@ -361,7 +362,7 @@ const MOST_HOLES: usize = 5;
 /// reader only what it may see, and of a robot's records some may be on their way or at another gateway.
 pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
     let mut elsewhere = Vec::new();
-    for sequence in plant.ledger.sequences()? {
+    for sequence in plant.ledger.inspection.sequences()? {
         let lost = sequence.last.saturating_sub(sequence.count);
         // What is missing of a ring fell out of it, or was not asked for.
         if lost == 0 || sequence.recorder.is_ring() {
@@ -374,7 +375,7 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
             continue;
         }
         tally.gaps += lost;
-        let holes = plant.ledger.holes(&sequence, MOST_HOLES)?;
+        let holes = plant.ledger.inspection.holes(&sequence, MOST_HOLES)?;
         let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
         let text = format!(
             "{lost} of the numbers 1 to {} that the key {} gave for {} are missing from the ledger: {}",
@@ -395,7 +396,7 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
             elsewhere.join(", ")
         ));
     }
-    for (topic, count) in plant.ledger.backwards()? {
+    for (topic, count) in plant.ledger.inspection.backwards()? {
         tally.note(&format!(
             "{count} records of {} are dated earlier than the record before them: the clock was set back, or a \
              recording was imported",

@@ -99,7 +99,7 @@ fn signer_of(bench: Bench<'_>, row: &RecordRow) -> Result<Option<PublicKey>, Sto
             Err(PipelineError::Store(error)) => Err(error),
             Err(_) => Ok(None),
         },
-        None => bench.plant.ledger.signer(row.signer),
+        None => bench.plant.ledger.bindings.signer(row.signer),
     }
 }
 
@@ -220,7 +220,7 @@ fn compare_tags(
     header: &Header,
     tally: &mut Tally,
 ) -> Result<(), StoreError> {
-    let indexed = bench.plant.ledger.indexed(record.number, &header.filters)?;
+    let indexed = bench.plant.ledger.inspection.indexed(record.number, &header.filters)?;
     tally.indexed += indexed;
     if indexed < u64::try_from(header.filters.len()).unwrap_or(u64::MAX) {
         tally.find(FindingKind::Tampered, &subject(record), "the tag index lacks some of its tags");

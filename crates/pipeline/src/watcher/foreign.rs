@@ -6,8 +6,8 @@ use std::collections::HashMap;
 use crate::chain::{Event, EventAt};
 use crate::model::{Address, Digest, Hash, Timestamp};
 use crate::pipeline::{PipelineError, Plant};
-use crate::store::notes::{ForeignAnchors, ForeignHistory, SeenForeign};
-use crate::store::{AuditEntry, AuditLog};
+use crate::store::AuditEntry;
+use crate::store::notes::{CopiedAt, ForeignAnchors, ForeignHistory, SeenForeign};
 
 /// How long it is part of `status` after the last one; nanoseconds.
 const RECENT: u64 = 24 * 3600 * 1_000_000_000;
@@ -44,7 +44,7 @@ pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), P
     let mut own: HashMap<Address, bool> = HashMap::new();
     for (account, at) in found.into_iter().filter(|(_, at)| at.block > history) {
         let known = own.get(&account).copied();
-        let signs = known.map_or_else(|| plant.ledger.signs_for(account), Ok)?;
+        let signs = known.map_or_else(|| plant.ledger.inspection.signs_for(account), Ok)?;
         own.insert(account, signs);
         if signs {
             tell(plant, account, at)?;
@@ -56,7 +56,7 @@ pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), P
 /// A restored or copied ledger does not know what came between; anything on the chain when it is first examined is
 /// history, not a rival.
 fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
-    if plant.ledger.copied_at()?.is_none() {
+    if plant.ledger.notes.read(&CopiedAt {})?.is_none() {
         return Ok(0);
     }
     if let Some(history) = plant.ledger.notes.read(&ForeignHistory {})? {
@@ -77,9 +77,10 @@ fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a
         }
     }
     let asked: Vec<Hash> = roots.keys().copied().collect();
-    let mut found: Vec<_> = plant.ledger.unknown_roots(&asked)?.iter().filter_map(|root| roots.remove(root)).collect();
+    let mut found: Vec<_> =
+        plant.ledger.inspection.unknown_roots(&asked)?.iter().filter_map(|root| roots.remove(root)).collect();
     let asked: Vec<Digest> = digests.keys().copied().collect();
-    found.extend(plant.ledger.unknown_digests(&asked)?.iter().filter_map(|digest| digests.remove(digest)));
+    found.extend(plant.ledger.inspection.unknown_digests(&asked)?.iter().filter_map(|digest| digests.remove(digest)));
     found.sort_by_key(|(_, at)| (at.block, at.log_index));
     Ok(found)
 }
@@ -97,7 +98,7 @@ fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineErr
     let found = ForeignAnchors { account, count, block, transaction, seen: now, noted: noted.unwrap_or(now) };
     plant.ledger.notes.write(&SeenForeign {}, &found)?;
     if noted.is_none() {
-        AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+        plant.ledger.audit.append(AuditEntry {
             at: now,
             profile: account.to_string(),
             action: "foreign anchor".to_owned(),

@@ -47,26 +47,26 @@ enum Reached {
 /// Errors of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
     let pin = network.chain.pin().ok_or(ChainError::NoContract)?;
-    plant.ledger.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
+    plant.ledger.rights.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
     read_back(plant, network, &network.directory)
 }
 
 /// Fills an empty directory with what was stored up to the cursor. If nothing was, or it cannot be read, the scan begins
 /// anew.
 fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<(), PipelineError> {
-    if let Some((number, _)) = plant.ledger.cursor()? {
+    if let Some((number, _)) = plant.ledger.trail.cursor()? {
         // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
-        plant.ledger.take_back_rights(number + 1)?;
-        match kept::read_back(&plant.ledger, directory) {
+        plant.ledger.rights.take_back_rights(number + 1)?;
+        match kept::read_back(&plant.ledger.rights, directory) {
             Ok(true) => return Ok(()),
             Ok(false) | Err(StoreError::Corrupt { .. }) => {}
             Err(error) => return Err(error.into()),
         }
     }
-    plant.ledger.forget_rights()?;
+    plant.ledger.rights.forget_rights()?;
     // The trail stays: it shows whether blocks were replaced meanwhile.
     let (number, hash) = beginning(network);
-    plant.ledger.set_cursor(number, hash)?;
+    plant.ledger.trail.set_cursor(number, hash)?;
     Ok(())
 }
 
@@ -141,13 +141,13 @@ async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Rea
 }
 
 fn cursor_number(plant: &Plant) -> Result<u64, PipelineError> {
-    Ok(plant.ledger.cursor()?.map_or(0, |(number, _)| number))
+    Ok(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number))
 }
 
 /// The directory without what was read after the cursor; `None` if the one in use is that. If it cannot be read back, all
 /// of it is scanned again.
 fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>, PipelineError> {
-    let Some((number, _)) = plant.ledger.cursor()? else { return Ok(None) };
+    let Some((number, _)) = plant.ledger.trail.cursor()? else { return Ok(None) };
     if network.directory.newest() <= number {
         return Ok(None);
     }
@@ -165,7 +165,7 @@ async fn scan(
     shown: Option<&Directory>,
 ) -> Result<Reached, PipelineError> {
     let first = first_block(network);
-    let cursor = block_in_place(|| plant.ledger.cursor())?;
+    let cursor = block_in_place(|| plant.ledger.trail.cursor())?;
     let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
     let mut below = cursor.filter(|(number, _)| *number >= first);
     let near = network.chain.first_near(head.number);
@@ -220,7 +220,7 @@ fn write(
     let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
     if !told.is_empty() {
         // Envelopes are stored before anyone looks for them.
-        let kept = kept::keep(&plant.ledger, &told);
+        let kept = kept::keep(&plant.ledger.rights, &told);
         // A right that ended has ended, even if the disk is full; what could not be stored is read again.
         if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
             plant.observer.directory_changed();
@@ -231,7 +231,7 @@ fn write(
     if let Some(shown) = shown {
         shown.become_like(&network.directory);
     }
-    plant.ledger.walk_to(to, met)?;
+    plant.ledger.trail.walk_to(to, met)?;
     if changed {
         fault::point("walked");
         plant.observer.records_changed();
@@ -274,7 +274,7 @@ pub(crate) fn of<'a>(ledger: &Ledger, events: &'a [EventAt]) -> Result<Vec<&'a E
         events.iter().filter(|event| !is_anchor(event)).map(|event| (event.block, event.log_index)).collect();
     let digests: HashSet<_> = ledger.waiting_digests(&sightings)?.into_iter().collect();
     let waiting: HashSet<_> = ledger.waiting_roots(&roots)?.into_iter().collect();
-    let unknown: HashSet<_> = ledger.unknown_rights(&rights)?.into_iter().collect();
+    let unknown: HashSet<_> = ledger.rights.unknown_rights(&rights)?.into_iter().collect();
     let is_unread = |event: &&EventAt| match (sighting(event), root_sighting(event)) {
         (Some(sighting), _) => digests.contains(&sighting.digest),
         (None, Some(sighting)) => waiting.contains(&sighting.root),

@@ -31,7 +31,8 @@ pub(super) enum Standing {
 /// Whether the chain still holds the newest block seen; if another one is in its place, goes back to the last block that
 /// both chains have. A chain without that history is another one.
 pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing, PipelineError> {
-    let newest = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail_end()?.max(plant.ledger.cursor()?)))?;
+    let newest =
+        block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail.end()?.max(plant.ledger.trail.cursor()?)))?;
     let Some((number, _)) = newest.filter(|(number, _)| *number >= first_block(network)) else {
         return Ok(Standing::Holds);
     };
@@ -40,7 +41,7 @@ pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> 
         return Ok(Standing::Holds);
     }
     let identified = network.chain.identify().await;
-    let trail = block_in_place(|| plant.ledger.trail())?;
+    let trail = block_in_place(|| plant.ledger.trail.blocks())?;
     let is_replaced = is_replaced(plant, network, head, &trail).await?;
     // A node that is behind may not have the contract yet.
     let may_lack_it = head.number < first_block(network) + NEAR;
@@ -117,7 +118,7 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     let deep = block_in_place(|| plant.ledger.verified_from(from))?;
     // Confirmed ones first: those the verifier advances meanwhile are then among the verified ones.
     let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;
-    block_in_place(|| plant.ledger.walk_back(common))?;
+    block_in_place(|| plant.ledger.trail.walk_back(common))?;
     let depth = was_at.saturating_sub(common.0);
     let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");
     if deep > 0 {
@@ -223,12 +224,12 @@ async fn look_at(
 
 /// An event of this block was missed, or is not on the chain. Their order counts, so all is read again from there.
 fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<(), PipelineError> {
-    let trail = plant.ledger.trail()?;
+    let trail = plant.ledger.trail.blocks()?;
     let before = trail.iter().rev().find(|(number, _)| *number < block).copied();
     let before = before.unwrap_or_else(|| beginning(network));
     // The cursor first: what is stored of blocks after it is taken back at any start.
-    plant.ledger.walk_back(before)?;
-    plant.ledger.take_back_rights(before.0 + 1)?;
+    plant.ledger.trail.walk_back(before)?;
+    plant.ledger.rights.take_back_rights(before.0 + 1)?;
     plant.observer.alert(
         false,
         format!(

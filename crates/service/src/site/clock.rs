@@ -112,7 +112,9 @@ impl Clock {
 
     /// A machine without a battery wakes up in the past. Times of capture do not count: a recording has its own.
     async fn compare_with_records(self: &Arc<Self>) {
-        let Ok(Some(newest)) = blocking(self, |clock| Ok(clock.plant.ledger.newest_acknowledgement()?)).await else {
+        let Ok(Some(newest)) =
+            blocking(self, |clock| Ok(clock.plant.ledger.inspection.newest_acknowledgement()?)).await
+        else {
             return;
         };
         let behind = newest.seconds().saturating_sub(look().machine.seconds());

@@ -171,7 +171,7 @@ fn rings(config: &Config) -> Rings<CapturedMessage> {
 fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> (Arc<Recorder>, Arc<Pins>) {
     let Parts { config, plant, hub, .. } = parts;
     let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
-    let judges = Arc::new(Pins::new(plant.ledger.clone(), hub.clone(), rules));
+    let judges = Arc::new(Pins::new(&plant.ledger, hub.clone(), rules));
     let recorder = Recorder::new(Arc::clone(rings), Arc::clone(losses), hub.clone());
     (Arc::new(recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone())), judges)
 }

@@ -60,7 +60,7 @@ impl Parts {
         let (open, opened) = mpsc::unbounded_channel();
         let parts = Self {
             supervisor: Arc::new(Supervisor::new(Arc::clone(&hub), Arc::clone(&life))),
-            log: Arc::new(Log::new(ledger.clone(), Arc::clone(&hub))),
+            log: Arc::new(Log::new(ledger.audit.clone(), Arc::clone(&hub))),
             owners: Arc::new(Owners::new(home.clone(), open)),
             link: Arc::new(Link::new(Arc::clone(&hub), needs_chain)),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee, floor: config.min_price })),

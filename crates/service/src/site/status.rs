@@ -208,7 +208,7 @@ impl Site {
             (_, _, None) => Vec::new(),
         };
         // What is in a block already but not looked at yet does not wait any more.
-        let open = address.map(|address| block_in_place(|| self.plant.ledger.open_lane(address))).transpose()?;
+        let open = address.map(|address| block_in_place(|| self.plant.ledger.lanes.open_lane(address))).transpose()?;
         let names = self.contacts.names()?;
         let next = status.nonce.unwrap_or(0);
         let pending = open.iter().flatten().filter(|row| row.nonce >= next).count() as u64;
@@ -263,8 +263,8 @@ impl Site {
         let mut views = Vec::new();
         for lane in lanes {
             let left = WAITING_SHOWN.saturating_sub(views.len());
-            for row in self.plant.ledger.open_lane(lane.account)?.into_iter().take(left) {
-                let raw = self.plant.ledger.raw_transaction(row.hash)?.unwrap_or_default();
+            for row in self.plant.ledger.lanes.open_lane(lane.account)?.into_iter().take(left) {
+                let raw = self.plant.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
                 let price = Wei(offered(&raw).map_or(0, |offer| offer.price));
                 let (account, nonce, purpose) = (lane.account, row.nonce, row.purpose);
                 views.push(WaitingView { account, nonce, purpose, price });
@@ -278,7 +278,7 @@ impl Site {
         let mut view = GasView::default();
         for lane in lanes {
             let left = GAS_OVER.saturating_sub(view.transactions);
-            let (transactions, gas, records) = self.plant.ledger.anchoring_gas(lane.account, left)?;
+            let (transactions, gas, records) = self.plant.ledger.lanes.anchoring_gas(lane.account, left)?;
             view.transactions += transactions;
             view.gas += gas;
             view.records += records;

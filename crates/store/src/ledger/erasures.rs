@@ -384,14 +384,6 @@ impl Ledger {
         })
     }
 
-    /// Whose erasure a retention record is; `None` for one of a rule.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn erasure(&self, report: Digest) -> Result<Option<Erasure>, StoreError> {
-        self.notes.read(&Erased { report })
-    }
-
     /// Notes a record that its owner had erased before it came here: its row, its public header, and the owner's
     /// statement, in one commit. `false` if it is here with its bytes: then nothing changes.
     ///

@@ -5,14 +5,13 @@ use std::collections::HashMap;
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
-use super::Ledger;
 use super::database::whole;
 use super::rows::{self, RecordRow, Stream, unsigned};
+use super::{Database, Ledger};
 use crate::StoreError;
 use crate::chain::merkle::Inclusion;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
-use crate::notes::CopiedAt;
 
 /// Columns of a record, in the order of [`rows::record`].
 const RECORD_COLUMNS: usize = 14;
@@ -103,7 +102,11 @@ pub struct Sequence {
     pub last: u64,
 }
 
-impl Ledger {
+/// What an audit compares.
+#[derive(Debug, Clone)]
+pub struct Inspection(pub(super) Database);
+
+impl Inspection {
     /// The records after row `after`, captured at `since` or later, at most `limit`.
     ///
     /// # Errors
@@ -111,7 +114,7 @@ impl Ledger {
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
         let (after, since) = (whole("row", after)?, whole("time", since.0)?);
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let streams: HashMap<i64, Stream> =
                 rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
             let columns: Vec<String> =
@@ -145,7 +148,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
         let number = whole("row", number)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT 1 FROM filters WHERE filter = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
                  WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))",
@@ -162,7 +165,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
         let last = whole("row", last)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT count(*) FROM filters WHERE record <= ?1";
             Ok(connection.query_row(sql, [last], |row| unsigned(row, 0))?)
         })
@@ -175,7 +178,7 @@ impl Ledger {
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql =
                 "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
                        + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
@@ -190,7 +193,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn newest_acknowledgement(&self) -> Result<Option<Timestamp>, StoreError> {
         let sql = "SELECT acknowledged_at FROM records ORDER BY n DESC LIMIT 1";
-        self.read(|connection| {
+        self.0.read(|connection| {
             let newest: Option<i64> = connection.find(sql, [], |row| row.get(0))?;
             Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
         })
@@ -202,7 +205,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
         let find = "SELECT 1 FROM batches WHERE root = ?1";
-        self.read(|connection| absent(connection, find, roots.iter().map(|root| root.0)).map(hashes))
+        self.0.read(|connection| absent(connection, find, roots.iter().map(|root| root.0)).map(hashes))
     }
 
     /// Which of these digests belong to no record of this ledger.
@@ -211,16 +214,8 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let find = "SELECT 1 FROM records WHERE digest = ?1";
-        let found = self.read(|connection| absent(connection, find, digests.iter().map(|digest| digest.0)))?;
+        let found = self.0.read(|connection| absent(connection, find, digests.iter().map(|digest| digest.0)))?;
         Ok(found.into_iter().map(Digest).collect())
-    }
-
-    /// The newest block known to the backup that this ledger was restored from; `None` if it never was.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn copied_at(&self) -> Result<Option<u64>, StoreError> {
-        self.notes.read(&CopiedAt {})
     }
 
     /// All records, of any kind and state.
@@ -228,7 +223,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn size(&self) -> Result<u64, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT coalesce(sum(records), 0) FROM counters";
             Ok(connection.one(sql, [], |row| unsigned(row, 0))?)
         })
@@ -239,7 +234,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))?)
         })
     }
@@ -249,7 +244,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
             Ok(connection.one(sql, [account.0], |row| row.get(0))?)
         })
@@ -260,7 +255,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
                        (SELECT topic, count(*) AS held FROM
                         (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
@@ -282,7 +277,7 @@ impl Ledger {
         number: u64,
     ) -> Result<Option<Digest>, StoreError> {
         let number = whole("sequence number", number)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT digest FROM records JOIN topics ON topics.key = records.topic
                        JOIN recorders ON recorders.key = topics.recorder
                        WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
@@ -297,7 +292,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
                        FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
                        JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
@@ -324,7 +319,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut holes = Vec::new();
             if sequence.first > 1 {
                 holes.push((1, sequence.first - 1));
@@ -483,6 +478,7 @@ fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreErr
 #[cfg(test)]
 mod integrity_tests {
     use super::*;
+    use crate::notes::CopiedAt;
 
     #[test]
     fn who_only_reads_writes_nothing() {

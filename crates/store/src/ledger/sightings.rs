@@ -4,7 +4,7 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::append::count;
 use super::rows::{self, By, may, unsigned};
-use super::{Ledger, batches};
+use super::{Database, Ledger, batches};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
@@ -209,13 +209,17 @@ pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, 
     Ok(connection.find("SELECT block, hash FROM cursor", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
 }
 
-impl Ledger {
+/// The blocks that the watcher has read.
+#[derive(Debug, Clone)]
+pub struct Trail(pub(super) Database);
+
+impl Trail {
     /// The last block (number and hash) that the watcher has finished.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn cursor(&self) -> Result<Option<(u64, Hash)>, StoreError> {
-        self.read(cursor_in)
+        self.0.read(cursor_in)
     }
 
     /// Stores the last block that the watcher has finished.
@@ -224,7 +228,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; the previous position is then unchanged.
     pub fn set_cursor(&self, block: u64, hash: Hash) -> Result<(), StoreError> {
         let block = whole("block", block)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             session.connection.run(SET_CURSOR, params![block, hash.0])?;
             Ok(())
         })
@@ -236,7 +240,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then nothing moves.
     pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let mut keep = connection.prepare_cached("REPLACE INTO trail VALUES (?1, ?2)")?;
             for (number, hash) in met.iter().chain([&to]) {
@@ -257,8 +261,8 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn trail(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
-        self.read(|connection| {
+    pub fn blocks(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
+        self.0.read(|connection| {
             Ok(connection.list("SELECT block, hash FROM trail ORDER BY block", [], |row| {
                 Ok((unsigned(row, 0)?, Hash(row.get(1)?)))
             })?)
@@ -269,8 +273,8 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn trail_end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
-        self.read(|connection| {
+    pub fn end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
+        self.0.read(|connection| {
             let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
             Ok(connection.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
         })
@@ -282,7 +286,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then nothing moves.
     pub fn walk_back(&self, to: (u64, Hash)) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             connection.run("DELETE FROM trail WHERE block > ?1", [block])?;
             connection.run("UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1", params![block, to.1.0])?;
@@ -444,19 +448,22 @@ mod trail_tests {
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
         for number in 1..=4096 {
             let met = if number % 3 == 0 { vec![(number - 1, hash(number - 1))] } else { Vec::new() };
-            ledger.walk_to((number, hash(number)), met).expect("walks");
+            ledger.trail.walk_to((number, hash(number)), met).expect("walks");
         }
-        let trail = ledger.trail().expect("read");
+        let trail = ledger.trail.blocks().expect("read");
         assert!(trail.len() < 1300 && trail.is_sorted(), "{}", trail.len());
         assert!((3072..=4096).all(|number| trail.contains(&(number, hash(number)))), "the newest are all there");
         for bucket in 0..12 {
             assert!(trail.iter().any(|(number, _)| number / SPARSE == bucket), "{bucket}");
         }
-        assert_eq!(ledger.trail_end(), Ok(Some((4096, hash(4096)))));
-        ledger.walk_back((4000, hash(4000))).expect("walks back");
-        assert_eq!((ledger.cursor(), ledger.trail_end()), (Ok(Some((4000, hash(4000)))), Ok(Some((4000, hash(4000))))));
-        ledger.set_cursor(7, hash(7)).expect("set");
-        ledger.walk_back((3999, hash(3999))).expect("walks back");
-        assert_eq!(ledger.cursor(), Ok(Some((7, hash(7)))), "a cursor that is behind stays there");
+        assert_eq!(ledger.trail.end(), Ok(Some((4096, hash(4096)))));
+        ledger.trail.walk_back((4000, hash(4000))).expect("walks back");
+        assert_eq!(
+            (ledger.trail.cursor(), ledger.trail.end()),
+            (Ok(Some((4000, hash(4000)))), Ok(Some((4000, hash(4000)))))
+        );
+        ledger.trail.set_cursor(7, hash(7)).expect("set");
+        ledger.trail.walk_back((3999, hash(3999))).expect("walks back");
+        assert_eq!(ledger.trail.cursor(), Ok(Some((7, hash(7)))), "a cursor that is behind stays there");
     }
 }

@@ -254,11 +254,11 @@ fn a_record_walks_its_life_line() {
     assert_eq!(ledger.advance(&digests, RecordState::Sealed, RecordState::Stored), Ok(0), "compare and set");
     let leap = ledger.advance(&digests, RecordState::Stored, RecordState::Verified);
     assert!(matches!(leap, Err(StoreError::IllegalEdge { .. })));
-    ledger.submit(transaction(3, &digests)).expect("kept");
-    ledger.submit(transaction(3, &digests)).expect("idempotent");
+    ledger.lanes.submit(transaction(3, &digests)).expect("kept");
+    ledger.lanes.submit(transaction(3, &digests)).expect("idempotent");
     let row = ledger.record(one.digest).expect("read").expect("there");
     assert_eq!((row.state, row.transaction), (RecordState::Submitted, Some(Hash([3; 32]))));
-    assert_eq!(ledger.open_transactions(Address([1; 20])).expect("open").len(), 1);
+    assert_eq!(ledger.lanes.open_transactions(Address([1; 20])).expect("open").len(), 1);
     assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(1));
     assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(0));
     assert_eq!((confirmed(&ledger, 9), confirmed(&ledger, 10)), (0, 1));
@@ -274,13 +274,13 @@ fn submitting_refuses_what_is_not_ready_and_a_taken_nonce() {
     let (one, two) = (record(1, 1, 1), record(1, 1, 2));
     ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
     ledger.mined(&[sighting(&two, 4)]).expect("seen");
-    let refused = ledger.submit(transaction(3, &[one.digest, two.digest]));
+    let refused = ledger.lanes.submit(transaction(3, &[one.digest, two.digest]));
     assert_eq!(refused, Err(StoreError::NotReady { digest: two.digest, found: "mined" }));
     assert_eq!(state_of(&ledger, &one), RecordState::Stored, "all or none");
-    ledger.submit(transaction(3, &[one.digest])).expect("kept");
+    ledger.lanes.submit(transaction(3, &[one.digest])).expect("kept");
     let other = NewTransaction { hash: Hash([4; 32]), ..transaction(3, &[]) };
-    assert!(matches!(ledger.submit(other), Err(StoreError::Transaction { .. })));
-    let unknown = ledger.close_transaction(Hash([8; 32]), TransactionOutcome::Replaced);
+    assert!(matches!(ledger.lanes.submit(other), Err(StoreError::Transaction { .. })));
+    let unknown = ledger.lanes.close_transactions(vec![(Hash([8; 32]), TransactionOutcome::Replaced)]);
     assert!(matches!(unknown, Err(StoreError::Transaction { .. })));
 }
 
@@ -289,17 +289,17 @@ fn a_failed_transaction_gives_its_records_back() {
     let (_home, ledger) = open();
     let (one, two) = (record(1, 1, 1), record(1, 1, 2));
     ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
-    ledger.submit(transaction(3, &[one.digest, two.digest])).expect("kept");
+    ledger.lanes.submit(transaction(3, &[one.digest, two.digest])).expect("kept");
     let bumped = NewTransaction { nonce: 3, ..transaction(4, &[one.digest]) };
-    ledger.replace_transaction(Hash([3; 32]), bumped).expect("replaced");
+    ledger.lanes.replace_transaction(Hash([3; 32]), bumped).expect("replaced");
     assert_eq!((state_of(&ledger, &one), state_of(&ledger, &two)), (RecordState::Submitted, RecordState::Stored));
-    let old = ledger.transaction(Hash([3; 32])).expect("read").expect("there");
+    let old = ledger.lanes.transaction(Hash([3; 32])).expect("read").expect("there");
     assert_eq!((old.state, old.replaced_by), (TransactionState::Replaced, Some(Hash([4; 32]))));
     let reason = "paused\u{1b}[2J".to_owned();
-    ledger.close_transaction(Hash([4; 32]), TransactionOutcome::Reverted { reason }).expect("closed");
+    ledger.lanes.close_transactions(vec![(Hash([4; 32]), TransactionOutcome::Reverted { reason })]).expect("closed");
     let row = ledger.record(one.digest).expect("read").expect("there");
     assert_eq!((row.state, row.transaction), (RecordState::Stored, None));
-    let reason = ledger.transaction(Hash([4; 32])).expect("read").expect("there").reason;
+    let reason = ledger.lanes.transaction(Hash([4; 32])).expect("read").expect("there").reason;
     assert_eq!(reason.as_deref(), Some("paused\u{fffd}[2J"));
 }
 
@@ -308,10 +308,10 @@ fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
     let (_home, ledger) = open();
     let all: Vec<NewRecord> = (1..=4).map(|seq| record(1, 1, seq)).collect();
     ledger.append(all.clone()).expect("acknowledged");
-    ledger.submit(transaction(9, &[all[0].digest])).expect("kept");
+    ledger.lanes.submit(transaction(9, &[all[0].digest])).expect("kept");
     let block_hash = Hash([20; 32]);
     let mined = TransactionOutcome::Mined { block: 20, block_hash, gas_used: Some(52_000) };
-    ledger.close_transaction(Hash([9; 32]), mined).expect("closed");
+    ledger.lanes.close_transactions(vec![(Hash([9; 32]), mined)]).expect("closed");
     let foreign = Sighting { transaction: Hash([77; 32]), ..sighting(&all[1], 20) };
     ledger.mined(&[sighting(&all[0], 20), foreign, sighting(&all[2], 19), sighting(&all[3], 20)]).expect("seen");
     ledger.confirm(20).expect("confirmed");
@@ -319,7 +319,7 @@ fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
     assert_eq!((ledger.verified_from(20), ledger.unmine(20)), (Ok(1), Ok(2)));
     let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
     assert_eq!(states, [Submitted, Stored, Confirmed, Verified]);
-    assert_eq!(ledger.open_transactions(Address([1; 20])).expect("open").len(), 1);
+    assert_eq!(ledger.lanes.open_transactions(Address([1; 20])).expect("open").len(), 1);
     assert_eq!((ledger.unverify(20), state_of(&ledger, &all[3])), (Ok(1), Submitted));
     assert_eq!(ledger.mined(&[sighting(&all[0], 21)]), Ok(1), "and it is mined again");
 }
@@ -330,7 +330,7 @@ fn tampered_records_go_back_to_where_they_belong() {
     let all: Vec<NewRecord> = (1..=3).map(|seq| record(1, 1, seq)).collect();
     let digests: Vec<Digest> = all.iter().map(|record| record.digest).collect();
     ledger.append(all.clone()).expect("acknowledged");
-    ledger.submit(transaction(3, &digests[1..2])).expect("kept");
+    ledger.lanes.submit(transaction(3, &digests[1..2])).expect("kept");
     ledger.mined(&[sighting(&all[2], 5)]).expect("seen");
     for from in [RecordState::Stored, RecordState::Submitted, RecordState::Mined] {
         assert_eq!(ledger.advance(&digests, from, RecordState::Tampered), Ok(1));
@@ -390,8 +390,8 @@ fn small_state_is_kept() {
     let (home, ledger) = open();
     ledger.notes.write(&CopiedAt {}, &1).expect("kept");
     ledger.notes.write(&CopiedAt {}, &2).expect("kept");
-    ledger.set_cursor(7, Hash([7; 32])).expect("kept");
-    ledger.count_losses(vec![loss(LossReason::Memory, 3), loss(LossReason::Transport, 2)]).expect("kept");
+    ledger.trail.set_cursor(7, Hash([7; 32])).expect("kept");
+    ledger.losses.count(vec![loss(LossReason::Memory, 3), loss(LossReason::Transport, 2)]).expect("kept");
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
     assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(Some(2)));
@@ -399,11 +399,11 @@ fn small_state_is_kept() {
     assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(Some(2)), "it says something else");
     ledger.notes.forget(&CopiedAt {}, &2).expect("dropped");
     assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(None));
-    assert_eq!(ledger.cursor(), Ok(Some((7, Hash([7; 32])))));
+    assert_eq!(ledger.trail.cursor(), Ok(Some((7, Hash([7; 32])))));
     let counts = ledger.counts(None).expect("counts");
     assert_eq!((counts.captured(), counts.data_in(RecordState::Dropped), counts.pending()), (3, 3, 0));
     assert_eq!((counts.topics[0].dropped, counts.topics[0].missed, counts.topics[0].captured), (3, 2, 3));
-    assert_eq!(ledger.gaps(Address([1; 20]), 9).expect("gaps").len(), 2);
+    assert_eq!(ledger.losses.gaps(Address([1; 20]), 9).expect("gaps").len(), 2);
     assert_eq!(ledger.counts(Some(Address([2; 20]))), Ok(StateCounts::default()));
 }
 

@@ -100,7 +100,7 @@ fn verify(ledger: &Ledger, block: u64) -> Result<(), Failure> {
     let digests: Vec<_> = leaves.iter().map(|leaf| leaf.digest).collect();
     let places = digests.iter().enumerate().map(|(index, digest)| (*digest, tree.path(index)));
     ledger.close_batch(NewBatch { owner: OWNER, root, leaves: places.collect() })?;
-    ledger.submit(NewTransaction {
+    ledger.lanes.submit(NewTransaction {
         hash,
         account: OWNER,
         nonce: block - 1,
@@ -110,7 +110,7 @@ fn verify(ledger: &Ledger, block: u64) -> Result<(), Failure> {
     })?;
     let count = leaves.len() as u64;
     ledger.anchored(&[RootSighting { account: OWNER, root, count, transaction: hash, block, block_hash }])?;
-    ledger.close_transaction(hash, TransactionOutcome::Mined { block, block_hash, gas_used: None })?;
+    ledger.lanes.close_transactions(vec![(hash, TransactionOutcome::Mined { block, block_hash, gas_used: None })])?;
     ledger.confirm(block)?;
     ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified)?;
     Ok(())

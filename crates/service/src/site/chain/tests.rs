@@ -65,10 +65,10 @@ async fn a_pin_is_kept_with_the_ledger_and_named_where_it_is_damaged() {
         deployed_at: 0,
     };
     let text = serde_json::to_string(&pin).expect("written");
-    ledger.bind_contract(pin.domain(), &text).expect("bound");
-    ledger.bind_contract(pin.domain(), &text).expect("bound again");
+    ledger.rights.bind_contract(pin.domain(), &text).expect("bound");
+    ledger.rights.bind_contract(pin.domain(), &text).expect("bound again");
     assert_eq!(connection.pin().expect("readable"), Some(pin.clone()));
-    ledger.bind_contract(pin.domain(), "{").expect("written");
+    ledger.rights.bind_contract(pin.domain(), "{").expect("written");
     let damaged = connection.pin().expect_err("damaged").message;
     assert!(damaged.contains("restore the last backup"), "{damaged}");
 }

@@ -25,8 +25,9 @@ impl Devices {
     ) -> Result<Reply, Failure> {
         match command {
             RobotCommand::PullRing { name, since, until, topics, incident } => {
-                let incident = incident
-                    .map(|incident| block_in_place(|| incidents::view(&self.plant.ledger, owner.address, &incident)));
+                let incident = incident.map(|incident| {
+                    block_in_place(|| incidents::view(&self.plant.ledger.incidents, owner.address, &incident))
+                });
                 let incident = incident.transpose()?;
                 let of_incident = incident.as_ref();
                 let since = since.or(of_incident.map(|incident| incident.since));

@@ -102,7 +102,7 @@ impl Evidence {
     ) -> Result<Option<IncidentView>, Failure> {
         let Some(name) = wishes.incident.clone() else { return Ok(None) };
         let owner = owner.address;
-        blocking(self, move |evidence| incidents::view(&evidence.plant.ledger, owner, &name)).await.map(Some)
+        blocking(self, move |evidence| incidents::view(&evidence.plant.ledger.incidents, owner, &name)).await.map(Some)
     }
 
     /// The requested own records whose bytes are stored; all of them if nothing narrows it.
@@ -132,7 +132,7 @@ impl Evidence {
             let page = blocking(self, move |evidence| {
                 let ledger = &evidence.plant.ledger;
                 let query = match incident {
-                    Some(name) => incidents::narrowed(ledger, owner, &name, query)?,
+                    Some(name) => incidents::narrowed(&ledger.incidents, owner, &name, query)?,
                     None => query,
                 };
                 Ok(ledger.list(&query)?)
@@ -299,7 +299,7 @@ impl ChainProofs {
 
     /// The state of the proofs, if there are any or should be.
     pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
-        let counts = self.plant.ledger.chain_proof_counts()?;
+        let counts = self.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {
             return Ok(None);

@@ -192,7 +192,7 @@ impl GatewayDesk {
         if self.standing_of(network, account)? == Standing::Admitted {
             return Ok(());
         }
-        let bound = self.gateway.plant.ledger.bound_names().map_err(Refusal::because(Code::Internal))?;
+        let bound = self.gateway.plant.ledger.bindings.bound_names().map_err(Refusal::because(Code::Internal))?;
         let own = bound.iter().filter(|(_, owner)| owner == account).count();
         let known = bound.iter().any(|(other, owner)| owner == account && other == name.as_str());
         let most = self.gateway.config.gateway.names;

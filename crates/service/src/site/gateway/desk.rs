@@ -127,7 +127,7 @@ impl Desk for GatewayDesk {
         let (account, token) = (*account, *token);
         self.blocking(move |desk| {
             let directory = desk.known_network()?.directory;
-            let known = kept::has_token(&desk.gateway.plant.ledger, &directory, account, token);
+            let known = kept::has_token(&desk.gateway.plant.ledger.rights, &directory, account, token);
             known.map_err(Refusal::because(Code::Internal))
         })
         .await
@@ -145,7 +145,7 @@ impl Desk for GatewayDesk {
         }
         let signer = *signer;
         self.blocking(move |desk| {
-            let key = desk.gateway.plant.ledger.signer(signer).map_err(Refusal::because(Code::Internal))?;
+            let key = desk.gateway.plant.ledger.bindings.signer(signer).map_err(Refusal::because(Code::Internal))?;
             Ok(key.filter(|key| signer_id(key) == signer))
         })
         .await
@@ -155,7 +155,9 @@ impl Desk for GatewayDesk {
         let name = name.clone();
         self.blocking(move |desk| {
             let internal = Refusal::because(Code::Internal);
-            let Some(kept) = desk.gateway.plant.ledger.binding(&name).map_err(&internal)? else { return Ok(None) };
+            let Some(kept) = desk.gateway.plant.ledger.bindings.binding(&name).map_err(&internal)? else {
+                return Ok(None);
+            };
             let provider = desk.gateway.plant.provider;
             let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
             let open =
@@ -195,7 +197,7 @@ impl Desk for GatewayDesk {
             let sealed_key = sealed_key.map_err(Refusal::because(Code::Internal))?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
-            desk.gateway.plant.ledger.bind(&name, kept).map_err(Refusal::because(Code::Internal))
+            desk.gateway.plant.ledger.bindings.bind(&name, kept).map_err(Refusal::because(Code::Internal))
         });
         let bound = bound.await;
         let told = match &bound {
@@ -295,8 +297,12 @@ impl Desk for GatewayDesk {
         let (name, account) = (caller.name.to_string(), caller.account);
         self.blocking(move |desk| {
             let ledger = &desk.gateway.plant.ledger;
-            ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
-            ledger.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
+            ledger.bindings.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
+            ledger
+                .bindings
+                .bind_device(&name, account, device, notices)
+                .map(drop)
+                .map_err(Refusal::because(Code::Internal))
         })
         .await
     }

@@ -312,7 +312,7 @@ async fn what_an_incident_of_its_owner_holds_here_stays_until_that_is_removed() 
     let ledger = &ground.site.plant.ledger;
     let (copy, handed) = ground.here(1).await;
     let name = "crash".parse().expect("a name");
-    ledger.open_incident(ground.alice.address, &name, &IncidentSpan::default(), None).expect("opened");
+    ledger.incidents.open(ground.alice.address, &name, &IncidentSpan::default(), None).expect("opened");
     let mut events = ground.site.parts.hub.events().subscribe();
     assert_eq!(ground.tell(vec![ground.told(&copy, &handed)]).await, Ok(vec![ErasureOutcome::Taken]));
     until("held", || ledger.held_although_erased() == Ok(1)).await;
@@ -323,7 +323,7 @@ async fn what_an_incident_of_its_owner_holds_here_stays_until_that_is_removed() 
         notices += told.filter(|event| format!("{event:?}").contains("an incident holds them")).count();
     }
     assert_eq!((notices, ground.bytes(&copy)), (1, Some(copy.blob.clone())), "told once");
-    ledger.remove_incident(ground.alice.address, &name).expect("removed");
+    ledger.incidents.remove(ground.alice.address, &name).expect("removed");
     ground.gone(&copy).await;
     assert_eq!(ledger.held_although_erased(), Ok(0));
     ground.site.stop().await;

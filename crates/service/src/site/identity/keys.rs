@@ -375,8 +375,8 @@ impl Profiles {
         // Nothing is bound meanwhile.
         let mut held = under.as_ref().map(|under| under.write().unwrap_or_else(std::sync::PoisonError::into_inner));
         let Some((present, former)) = pairs.split_first() else { return Ok(()) };
-        for (name, _) in ledger.bound_names()? {
-            let Some(kept) = name.parse().ok().map(|name| ledger.binding(&name)).transpose()?.flatten() else {
+        for (name, _) in ledger.bindings.bound_names()? {
+            let Some(kept) = name.parse().ok().map(|name| ledger.bindings.binding(&name)).transpose()?.flatten() else {
                 continue;
             };
             let open = |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, &name, &kept.sealed_key).ok();
@@ -385,7 +385,7 @@ impl Profiles {
             }
             if let Some(key) = former.iter().find_map(open) {
                 let sealed = seal_transport_key(provider, &present.secret, &name, &key)?;
-                ledger.reseal_binding(&name, kept.sealed_key.clone(), sealed)?;
+                ledger.bindings.reseal_binding(&name, kept.sealed_key.clone(), sealed)?;
             }
         }
         if let Some(held) = &mut held {

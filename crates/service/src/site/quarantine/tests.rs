@@ -36,7 +36,7 @@ fn hold(ground: &Ground, owner: Address, seq: u64) -> Digest {
     };
     let hold = Hold { digest, reason: "new", publisher: "/evil@h:a/B:0".to_owned() };
     ground.parts.plant.vault.put(&[(digest, b"ciphertext")]).expect("stored");
-    ground.parts.plant.ledger.append_held(vec![record], vec![hold]).expect("held");
+    ground.parts.plant.ledger.quarantine.append_held(vec![record], vec![hold]).expect("held");
     digest
 }
 

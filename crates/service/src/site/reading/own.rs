@@ -37,7 +37,7 @@ impl Reading {
         let page = blocking(self, move |reading| {
             let ledger = &reading.plant.ledger;
             let query = match incident {
-                Some(name) => narrowed(ledger, owner, &name, query)?,
+                Some(name) => narrowed(&ledger.incidents, owner, &name, query)?,
                 None => query,
             };
             Ok(ledger.list(&query)?)

@@ -55,7 +55,7 @@ impl Sharing {
         let sent = sent.map_err(Failure::from);
         let (transaction, receipt) = self.log.ended(&owner.profile, action, subject.trim_start(), sent).await?;
         self.link.scanned(receipt.block).await;
-        let known = block_in_place(|| kept::token(&self.plant.ledger, &network.directory, owner.address, next))?;
+        let known = block_in_place(|| kept::token(&self.plant.ledger.rights, &network.directory, owner.address, next))?;
         if known.is_some_and(|known| known != token) {
             return Err(refused(format!(
                 "epoch {next} of '{}' was begun by another site with the same keys; run the command again, and let only \
@@ -122,7 +122,7 @@ impl Sharing {
         let ledger = self.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
-            let open = block_in_place(|| ledger.open_lane(account))?;
+            let open = block_in_place(|| ledger.lanes.open_lane(account))?;
             if open.iter().all(|row| row.anchors) {
                 return Ok(());
             }

@@ -232,7 +232,7 @@ impl Sharing {
     pub(super) async fn rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
         let network = self.link.network().await?;
         let me = owner.address;
-        let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger, &network.directory, me))?;
+        let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger.rights, &network.directory, me))?;
         let names = self.contacts.names()?;
         let with_name = |mut row: GrantRow| {
             let other = if row.owner == me { row.grantee } else { row.owner };

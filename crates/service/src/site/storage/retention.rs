@@ -174,7 +174,7 @@ impl Storage {
         let network = self.link.network().await?;
         let (rows, incidents) = blocking(self, move |storage| {
             let reader = Reader { plant: &storage.plant, network: &network, reader: &asking };
-            Ok((chosen(&reader, &asked)?, storage.plant.ledger.incidents(asking.address)?))
+            Ok((chosen(&reader, &asked)?, storage.plant.ledger.incidents.list(asking.address)?))
         })
         .await?;
         let (view, erasable) = planned(&rows, &incidents);

@@ -6,6 +6,7 @@ use std::collections::HashSet;
 use rusqlite::params;
 
 use super::*;
+use crate::notes::Erased;
 
 const OWNER: Address = Address([1; 20]);
 const ROBOT: SignerId = SignerId([0x60; 32]);
@@ -58,7 +59,7 @@ fn retention_knows_topics_that_only_robots_recorded_by_the_names_that_were_learn
     move_to(&ledger, vec![report.digest], Verified);
     assert_eq!(ledger.to_delete(OWNER, 9).expect("read").len(), 2);
     let span = IncidentSpan { since: Timestamp(0), until: None, topics: vec!["/robot4/odom".to_owned()] };
-    ledger.open_incident(OWNER, &"crash".parse().expect("a name"), &span, None).expect("opened");
+    ledger.incidents.open(OWNER, &"crash".parse().expect("a name"), &span, None).expect("opened");
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()));
 }
 
@@ -84,7 +85,10 @@ fn who_had_a_record_erased_and_why_stays_with_it() {
     ledger.deleted(&[one.digest]).expect("noted");
     let retained = ledger.retained(one.digest).expect("read").expect("kept");
     assert_eq!((retained.erased.clone(), retained.report), (Some(erasure.clone()), report.digest));
-    assert_eq!((ledger.has_named(), ledger.erasure(report.digest)), (Ok(false), Ok(Some(erasure))));
+    assert_eq!(
+        (ledger.has_named(), ledger.notes.read(&Erased { report: report.digest })),
+        (Ok(false), Ok(Some(erasure)))
+    );
     let words = retained.erased.expect("erased").to_string();
     assert!(words.starts_with("erased 1970-01-01T00:00:01Z by alice, a ") && !words.contains('\u{1b}'), "{words}");
 }

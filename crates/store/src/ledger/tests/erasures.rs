@@ -36,7 +36,7 @@ fn move_to(ledger: &Ledger, record: &NewRecord, state: RecordState) {
 
 /// Takes a record as its owner told of it, anchored alone in block 10.
 fn take(ledger: &Ledger, record: &NewRecord, statement: Vec<u8>) -> Result<ToldErased, StoreError> {
-    ledger.walk_to((10, Hash([60; 32])), Vec::new()).expect("walked");
+    ledger.trail.walk_to((10, Hash([60; 32])), Vec::new()).expect("walked");
     let NewRecord { owner, signer, topic_id, seq, digest, .. } = *record;
     let leaf = Leaf { owner, signer, recorder: THERE, topic_id, seq, digest };
     let tree = Tree::new(Leaf::hashes(&[leaf])).expect("a leaf");
@@ -121,9 +121,9 @@ fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
     unwanted.sort_unstable();
     assert_eq!(found, unwanted, "nobody brings them again");
     let name: IncidentName = "crash".parse().expect("a name");
-    ledger.open_incident(OWNER, &name, &IncidentSpan::default(), None).expect("opened");
+    ledger.incidents.open(OWNER, &name, &IncidentSpan::default(), None).expect("opened");
     assert_eq!((ledger.told_to_delete(9), ledger.held_although_erased()), (Ok(Vec::new()), Ok(1)));
-    ledger.remove_incident(OWNER, &name).expect("removed");
+    ledger.incidents.remove(OWNER, &name).expect("removed");
     assert_eq!(told(&ledger, 0).0, [absent.digest], "what is here is not told to be gone");
     ledger.deleted(&[copy.digest]).expect("noted");
     assert_eq!((ledger.told_to_delete(9), ledger.has_named()), (Ok(Vec::new()), Ok(false)));

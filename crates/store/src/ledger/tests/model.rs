@@ -278,7 +278,7 @@ impl Pair {
                 *self.model.dropped.entry(topic).or_default() += count;
                 let name = record(1, topic, 1).topic;
                 let lost = Loss { topic: name, ..super::loss(LossReason::Memory, count) };
-                assert_eq!(self.ledger().count_losses(vec![lost]), Ok(()));
+                assert_eq!(self.ledger().losses.count(vec![lost]), Ok(()));
             }
             Step::Reopen { clean } => self.reopen(clean),
             other => self.take_chain(other),
@@ -305,7 +305,7 @@ impl Pair {
             assert_eq!((row.seq, row.kind, &row.topic, row.bytes), expected(&known.new));
             assert_eq!(self.ledger().local_copy(row.digest), Ok(known.new.local_copy.clone()));
         }
-        let open = self.ledger().open_transactions(Address([1; 20])).expect("open");
+        let open = self.ledger().lanes.open_transactions(Address([1; 20])).expect("open");
         let model = self.model.sent.iter().filter(|sent| sent.state == TransactionState::Open);
         // A transaction that anchors an empty list anchors nothing.
         let plain = |anchors: &Anchors| match anchors {
