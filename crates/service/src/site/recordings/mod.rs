@@ -1,6 +1,7 @@
 //! Recordings and other homes: imported as records, exported from records; and their progress.
 
 mod choosing;
+mod claims;
 mod export;
 mod follow;
 mod from_home;
@@ -9,6 +10,7 @@ mod sealed_before;
 mod standings;
 mod writing;
 
+use self::claims::Claims;
 use self::follow::Follows;
 pub(in crate::site) use self::import::RECORDING;
 use crate::config::Config;
@@ -59,6 +61,7 @@ pub(in crate::site) struct Recordings {
     rings: Arc<Rings<CapturedMessage>>,
     evidence: Arc<Evidence>,
     follows: Arc<Follows>,
+    claims: Arc<Claims>,
     runs: Runs,
 }
 
@@ -96,6 +99,7 @@ impl Recordings {
             rings: Arc::clone(rings),
             evidence: Arc::clone(evidence),
             follows: Arc::default(),
+            claims: Arc::default(),
             runs,
         }
     }

@@ -4,10 +4,12 @@
 //! between leaves a few messages in doubt, which are looked for among the records. A file that has ended is stated: its
 //! length and digests become a record, and the bundle of that record, opened, is written beside the file.
 
+mod closing;
 mod folder;
 mod hashed;
 mod place;
 mod proof;
+mod source;
 mod tape;
 
 use std::collections::BTreeMap;
@@ -18,10 +20,12 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{mpsc, oneshot};
 
+use self::closing::{QUIET, Stamp, Waiting};
 use self::folder::{Folder, Look};
-use self::place::Known;
+use self::hashed::Hashed;
+use self::place::{Known, Place, Standing};
 use self::proof::{Due, Proven};
-use self::tape::{Opened, QUIET, Round, Tape};
+use self::tape::{Done, Opened, Round, Tape};
 use super::import::MOST_TAGS;
 use super::{Recordings, Run};
 use crate::model::{Address, clean};
@@ -114,10 +118,42 @@ impl<'a> Follower<'a> {
 
 /// What is known of a path.
 enum Entry<'a> {
+    /// A database that its recorder may still write, or a file that an import seals now.
+    Waiting(Waiting),
     Open(Box<Tape<'a>>),
     /// Another name of a file that is followed.
     Same,
-    Ended(Box<FollowedFile>),
+    Ended(Box<Ended>),
+}
+
+/// A file that was sealed to its end, or that cannot be followed.
+struct Ended {
+    file: FollowedFile,
+    /// How far it is sealed, where that is to its end.
+    place: Option<Place>,
+    stamp: Option<Stamp>,
+}
+
+impl Ended {
+    fn new(path: &Path, file: FollowedFile, place: Option<Place>) -> Self {
+        Self { file, place, stamp: Stamp::of(path) }
+    }
+
+    /// Looks whether it was written since, and then whether it is still what was sealed; what to say if not.
+    fn look(&mut self, path: &Path) -> Option<String> {
+        let place = self.place.as_ref().filter(|_| !self.file.is_altered)?;
+        let stamp = Stamp::of(path).filter(|stamp| self.stamp != Some(*stamp))?;
+        let (file, mut hashed) = (File::open(path).ok()?, Hashed::default());
+        hashed.advance(&file, file.metadata().ok()?.len(), Vec::new()).ok()?;
+        self.stamp = Some(stamp);
+        if place.digest == Some(hashed.digest()) {
+            return None;
+        }
+        let note = place.changed(&self.file.file);
+        self.file.is_altered = true;
+        self.file.notes.push(note.clone());
+        Some(note)
+    }
 }
 
 impl Recordings {
@@ -230,23 +266,25 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
             Look::Unreadable(why) => follower.tell(NoticeLevel::Warning, &format!("{shown} cannot be read: {why}")),
             Look::Files(found) => {
                 files = found.files;
-                found.database.into_iter().for_each(|path| tell_database(follower, &path));
+                found.packed.iter().for_each(|path| tell_packed(follower, path, &entries));
             }
         }
+        entries.retain(|path, entry| !matches!(entry, Entry::Waiting(_)) || files.contains(path));
         for path in &files {
-            if !view.is_gone && !entries.contains_key(path) && open(follower, path, &files, &mut entries, due) {
+            let is_new = matches!(entries.get(path), None | Some(Entry::Waiting(_)));
+            if !view.is_gone && is_new && open(follower, path, &files, &mut entries, due) {
                 newest = Instant::now();
             }
         }
         let moved = go_round(follower, &files, &mut entries, due);
         let sealed = entries.values().map(|entry| match entry {
             Entry::Open(tape) => tape.sealed(),
-            Entry::Ended(file) => file.sealed,
-            Entry::Same => 0,
+            Entry::Ended(ended) => ended.file.sealed,
+            Entry::Same | Entry::Waiting(_) => 0,
         });
         run.at(0, 0, sealed.sum());
-        let is_open = entries.values().any(|entry| matches!(entry, Entry::Open(_)));
-        let is_closed = || files.iter().all(|path| folder::has_description(path)) || newest.elapsed() >= QUIET;
+        let is_open = entries.values().any(|entry| matches!(entry, Entry::Open(_) | Entry::Waiting(_)));
+        let is_closed = || files.iter().all(|path| closing::has_description(path)) || newest.elapsed() >= QUIET;
         let has_ended = follower.wishes.until_closed && !entries.is_empty() && !is_open && is_closed();
         if !follower.goes_on() || !moved && (has_ended || view.is_gone) {
             view.ended_early = !has_ended;
@@ -264,22 +302,22 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
                 tape.leave();
                 view.files.push(tape.report());
             }
-            Some(Entry::Ended(file)) => view.files.push(*file),
-            Some(Entry::Same) | None => {}
+            Some(Entry::Ended(ended)) => view.files.push(ended.file),
+            Some(Entry::Same | Entry::Waiting(_)) | None => {}
         }
     }
     view
 }
 
-fn tell_database(follower: &Follower<'_>, path: &Path) {
-    let name = follower.name_of(path);
-    follower.tell(
-        NoticeLevel::Warning,
-        &format!(
-            "{name} is not followed: a second program that opens a .db3 can end its recorder; record with \
-             `--storage mcap`, or import it when it is closed"
-        ),
-    );
+/// A recorder that compresses whole files takes a database away as soon as it is closed.
+fn tell_packed(follower: &Follower<'_>, path: &Path, entries: &BTreeMap<PathBuf, Entry<'_>>) {
+    if matches!(entries.get(&path.with_extension("")), None | Some(Entry::Waiting(_))) {
+        let name = follower.name_of(path);
+        follower.tell(
+            NoticeLevel::Warning,
+            &format!("{name} was compressed before it could be sealed: import the folder when the recording has ended"),
+        );
+    }
 }
 
 /// Opens what is new; `true` if something was.
@@ -290,20 +328,39 @@ fn open<'a>(
     entries: &mut BTreeMap<PathBuf, Entry<'a>>,
     due: &mpsc::UnboundedSender<Due>,
 ) -> bool {
+    let name = follower.name_of(path);
+    if folder::is_database(path) {
+        let entry = entries.entry(path.to_owned()).or_insert_with(|| {
+            let text = format!("{name} is sealed once it is closed: until then no other program may open it");
+            follower.tell(NoticeLevel::Info, &text);
+            Entry::Waiting(Waiting::default())
+        });
+        if let Entry::Waiting(waiting) = entry
+            && !waiting.is_over(path, files)
+        {
+            return false;
+        }
+    }
     let is_held =
         |key: &place::FileKey| entries.values().any(|entry| matches!(entry, Entry::Open(tape) if tape.key == *key));
-    let name = follower.name_of(path);
     let entry = match Tape::open(follower, path, files, &is_held) {
         Ok(Opened::NotYet) => return false,
+        Ok(Opened::Imported) => {
+            follower.tell(NoticeLevel::Info, &format!("{name} is being imported: it is followed when that has ended"));
+            entries.insert(path.to_owned(), Entry::Waiting(Waiting::default()));
+            return false;
+        }
         Ok(Opened::Same) => Entry::Same,
         Ok(Opened::Tape(tape)) => {
             follower.tell(NoticeLevel::Info, &format!("following {name}"));
+            tape.notes().iter().for_each(|note| follower.tell(NoticeLevel::Warning, &format!("{name}: {note}")));
             Entry::Open(tape)
         }
         Ok(Opened::Done(done)) => {
-            let (file, proof) = *done;
+            let Done { view, due: proof, place } = *done;
+            view.notes.iter().for_each(|note| follower.tell(NoticeLevel::Warning, &format!("{name}: {note}")));
             proof.into_iter().for_each(|proof| drop(due.send(proof)));
-            Entry::Ended(Box::new(file))
+            Entry::Ended(Box::new(Ended::new(path, view, place)))
         }
         Err(failure) => {
             follower.tell(NoticeLevel::Warning, &format!("{name}: {}", failure.message));
@@ -326,7 +383,15 @@ fn go_round(
     paths.sort_by(|one, other| folder::in_order(&one.to_string_lossy(), &other.to_string_lossy()));
     for path in paths {
         let Some(entry) = entries.get_mut(&path) else { continue };
-        let Entry::Open(tape) = &mut *entry else { continue };
+        let tape = match &mut *entry {
+            Entry::Open(tape) => tape,
+            Entry::Ended(ended) => {
+                let changed = ended.look(&path);
+                changed.into_iter().for_each(|note| follower.tell(NoticeLevel::Warning, &note));
+                continue;
+            }
+            Entry::Same | Entry::Waiting(_) => continue,
+        };
         match tape.round(files) {
             Ok(Round::Idle) => {}
             Ok(Round::Moved) => moved = true,
@@ -341,7 +406,8 @@ fn go_round(
                     _ => format!("has ended, {} messages sealed", file.sealed + file.already),
                 };
                 follower.tell(level, &format!("{}: {how}", file.file));
-                *entry = Entry::Ended(Box::new(file));
+                let place = Some(tape.place().clone()).filter(|place| place.standing != Standing::Open);
+                *entry = Entry::Ended(Box::new(Ended::new(&path, file, place)));
             }
             Err(failure) => {
                 let (name, why) = (follower.name_of(&path), failure.message.trim_end_matches(AGAIN));

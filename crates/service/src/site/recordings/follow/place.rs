@@ -2,11 +2,12 @@
 
 use std::fs::File;
 use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use crate::crypto::sm3::sm3;
-use crate::model::{Address, Digest, Timestamp};
+use crate::model::{Address, Digest, Timestamp, clean};
 use crate::ros::mcap::MAGIC;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -52,10 +53,25 @@ pub(super) struct Place {
     pub standing: Standing,
     /// When what the statement is about ended: the time of its record.
     pub stated_at: Option<Timestamp>,
+    /// When it was stated, by this machine's clock.
+    pub ended_at: Option<Timestamp>,
     /// SM3 of the statement.
     pub statement: Option<Digest>,
     /// Whether a run chose among its topics: what is done with need not be sealed then.
     pub chosen: bool,
+}
+
+impl Place {
+    /// What there is to say of a file that is no longer what was sealed to its end.
+    pub fn changed(&self, name: &str) -> String {
+        let (name, messages) = (clean(name, 80), self.stored.saturating_sub(1));
+        let when = self.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
+        format!(
+            "{name} has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
+             it was then. If nobody was to change it, put a copy of that in its place; to seal it as it is now, move \
+             {name}.authros away and follow the folder again"
+        )
+    }
 }
 
 /// The key of a file in the ledger, and the tag of its records.
@@ -76,8 +92,8 @@ fn key_of(owner: Address, inode: u64, lead: &[u8], again: u32) -> FileKey {
 pub(super) enum Known {
     /// It is too short to be told from others, and may grow.
     TooShort,
-    /// It is new, or goes on where it was; `true` if another file that began alike was here before.
-    Here(FileKey, Box<Place>, bool),
+    /// It is new, or goes on where it was; with the last of those that began alike and were here before.
+    Here(FileKey, Box<Place>, Option<Box<Place>>),
     /// It is shorter than what was sealed of it.
     Shrank(Box<Place>),
 }
@@ -98,10 +114,11 @@ pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool
     }
     let mut lead = vec![0; LEAD.min(usize::try_from(metadata.len()).unwrap_or(LEAD))];
     file.read_exact_at(&mut lead, 0).map_err(unreadable)?;
+    let mut former = None;
     for again in 0..MOST_AGAIN {
         let key = key_of(owner, metadata.ino(), &lead, again);
-        let Some(place) = get(ledger, &key)? else {
-            return Ok(Known::Here(key, Box::default(), again > 0));
+        let Some(place) = get(ledger, &key.key)? else {
+            return Ok(Known::Here(key, Box::default(), former));
         };
         if metadata.len() < place.at {
             return Ok(Known::Shrank(Box::new(place)));
@@ -109,15 +126,16 @@ pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool
         let mut hashed = super::hashed::Hashed::default();
         hashed.advance(file, place.at, Vec::new()).map_err(unreadable)?;
         if place.at == 0 || place.digest == Some(hashed.digest()) {
-            return Ok(Known::Here(key, Box::new(place), false));
+            return Ok(Known::Here(key, Box::new(place), None));
         }
+        former = Some(Box::new(place));
     }
     Err(internal("too many files that begin alike were in its place"))
 }
 
 /// What the ledger has of a file.
-fn get(ledger: &Ledger, key: &FileKey) -> Result<Option<Place>, Failure> {
-    let Some(text) = ledger.setting(&key.key)? else { return Ok(None) };
+fn get(ledger: &Ledger, key: &str) -> Result<Option<Place>, Failure> {
+    let Some(text) = ledger.setting(key)? else { return Ok(None) };
     let unreadable = |error: serde_json::Error| internal(format!("what the ledger has of it cannot be read: {error}"));
     serde_json::from_str(&text).map(Some).map_err(unreadable)
 }
@@ -126,6 +144,20 @@ fn get(ledger: &Ledger, key: &FileKey) -> Result<Option<Place>, Failure> {
 pub(super) fn put(ledger: &Ledger, key: &FileKey, place: &Place) -> Result<(), Failure> {
     let text = serde_json::to_string(place).map_err(|error| internal(error.to_string()))?;
     Ok(ledger.put_setting(&key.key, &text)?)
+}
+
+fn key_at(owner: Address, path: &Path) -> String {
+    format!("followed:{owner}:{}", Digest(sm3(&[path.as_os_str().as_encoded_bytes()])).to_hex())
+}
+
+/// Keeps which file was sealed to its end under a name.
+pub(super) fn put_name(ledger: &Ledger, owner: Address, path: &Path, key: &FileKey) -> Result<(), Failure> {
+    Ok(ledger.put_setting(&key_at(owner, path), &key.key)?)
+}
+
+/// The file that was sealed to its end under a name.
+pub(super) fn sealed_at(ledger: &Ledger, owner: Address, path: &Path) -> Result<Option<Place>, Failure> {
+    ledger.setting(&key_at(owner, path))?.map_or(Ok(None), |key| get(ledger, &key))
 }
 
 #[cfg(test)]
@@ -163,7 +195,7 @@ mod tests {
 
         fn here(&self) -> (FileKey, Box<Place>, bool) {
             match known(&self.ledger, OWNER, &self.file, false).expect("known") {
-                Known::Here(key, place, is_another) => (key, place, is_another),
+                Known::Here(key, place, former) => (key, place, former.is_some()),
                 Known::TooShort | Known::Shrank(_) => panic!("it is not here"),
             }
         }

@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
-use std::io::BufReader;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,16 +10,18 @@ use std::time::{Duration, Instant};
 use authros_evidence::recorded::{RecordedFile, TAG};
 
 use super::super::choosing::Choosing;
+use super::super::claims::{Claim, Holder};
 use super::super::import::RECORDING;
 use super::super::sealed_before::SealedBefore;
 use super::super::standings::{Standing as Imported, Standings};
 use super::hashed::Hashed;
 use super::place::{self, FileKey, Known, Place, Standing};
-use super::{Due, Follower, folder, proof};
+use super::source::Source;
+use super::{Due, Follower, closing, folder, proof};
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, Timestamp, clean};
 use crate::pipeline::importer::Importer;
-use crate::ros::mcap::McapReader;
+use crate::ros::mcap::MAGIC;
 use crate::ros::recording::{BESIDE, Beside, RecordedMessage};
 use crate::service::failure::input;
 use crate::service::reply::{Failure, FollowedFile};
@@ -29,14 +30,11 @@ use crate::service::reply::{Failure, FollowedFile};
 const MOST_MESSAGES: usize = 4_000;
 const MOST_BYTES: usize = 32 << 20;
 
-/// Bytes read ahead.
-const BUFFER: usize = 256 * 1024;
-
 /// Between two looks whether records are stored.
 const TICK: Duration = Duration::from_millis(3);
 
-/// Unchanged for so long, a file that nobody is seen to write is no longer written.
-pub(super) const QUIET: Duration = Duration::from_secs(10);
+/// How long the last records of a run that was ended are waited for.
+const LAST: Duration = Duration::from_secs(10);
 
 /// What a look at a file came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,8 +55,25 @@ pub(super) enum Opened<'a> {
     Same,
     /// It goes on, or begins.
     Tape(Box<Tape<'a>>),
+    /// An import seals it now.
+    Imported,
     /// There is nothing to do with it; its proof may still be due.
-    Done(Box<(FollowedFile, Option<Due>)>),
+    Done(Box<Done>),
+}
+
+/// What there is to say of a file with which nothing is to be done.
+#[derive(Default)]
+pub(super) struct Done {
+    pub view: FollowedFile,
+    pub due: Option<Due>,
+    /// How far it is sealed, where that is to its end.
+    pub place: Option<Place>,
+}
+
+impl Opened<'_> {
+    fn done(view: FollowedFile) -> Self {
+        Self::Done(Box::new(Done { view, ..Done::default() }))
+    }
 }
 
 /// A file being followed.
@@ -67,7 +82,7 @@ pub(super) struct Tape<'a> {
     pub key: FileKey,
     path: PathBuf,
     file: File,
-    reader: McapReader<BufReader<File>>,
+    reader: Source,
     hashed: Hashed,
     place: Place,
     is_kept: bool,
@@ -86,6 +101,7 @@ pub(super) struct Tape<'a> {
     length: u64,
     grew: Instant,
     view: FollowedFile,
+    _claim: Claim,
 }
 
 impl<'a> Tape<'a> {
@@ -98,43 +114,58 @@ impl<'a> Tape<'a> {
     ) -> Result<Opened<'a>, Failure> {
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
         let (file, ledger) = (File::open(path).map_err(unreadable)?, &follower.recordings.plant.ledger);
-        let length = file.metadata().map_err(unreadable)?.len();
-        let name = follower.name_of(path);
+        let (length, name) = (file.metadata().map_err(unreadable)?.len(), follower.name_of(path));
         let mut view = FollowedFile { file: name.clone(), ..FollowedFile::default() };
-        let is_whole = length >= 8 && folder::is_followed_by(path, files);
-        let (key, place) = match place::known(ledger, follower.owner.address, &file, is_whole)? {
+        let (is_database, is_followed) = (folder::is_database(path), closing::is_followed_by(path, files));
+        if !is_database && !begins_as_mcap(&file).map_err(unreadable)? {
+            view.notes.push("it is no MCAP file, whatever its name says: it does not begin as one".to_owned());
+            return Ok(Opened::done(view));
+        }
+        let is_whole = is_database || length >= MAGIC.len() as u64 && is_followed;
+        let (key, place, former) = match place::known(ledger, follower.owner.address, &file, is_whole)? {
             Known::TooShort => return Ok(Opened::NotYet),
             Known::Shrank(place) => {
                 view.is_altered = true;
-                view.notes.push(shrank(length, place.at));
-                return Ok(Opened::Done(Box::new((view, None))));
+                let is_sealed = place.standing != Standing::Open;
+                view.notes.push(if is_sealed { place.changed(&name) } else { shrank(length, place.at) });
+                return Ok(Opened::done(view));
             }
             Known::Here(key, ..) if is_held(&key) => return Ok(Opened::Same),
-            Known::Here(key, place, is_another) => {
-                if is_another {
-                    view.is_altered = true;
-                    view.notes.push(
-                        "its place on the disk held what was sealed before and is altered now, or another file that \
-                         began alike: it is sealed from its beginning"
-                            .to_owned(),
-                    );
-                }
-                (key, *place)
-            }
+            Known::Here(key, place, former) => (key, *place, former),
         };
         if place.standing != Standing::Open {
-            let (proof, copy) = (proof::beside(path), proof::copy_of(path));
-            let is_missing = place.standing == Standing::Stated || follower.wishes.attach && !copy.exists();
-            view.settled(&place, length);
-            if !is_missing {
-                let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
-                view.proof = shown(proof);
-                view.attached = shown(copy).filter(|_| follower.wishes.attach);
-            }
-            let due = Due::of(follower, &key, &place, path).filter(|_| is_missing);
-            return Ok(Opened::Done(Box::new((view, due))));
+            return Ok(settled(follower, path, (key, place), length, view));
         }
-        let reader = McapReader::follow(BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?))?;
+        if place.begun == 0 {
+            let ledger_has = place::sealed_at(ledger, follower.owner.address, path)?;
+            // Without its proof another file may well have its name.
+            let proven = ledger_has.filter(|_| proof::beside(path).symlink_metadata().is_ok());
+            view.is_altered = proven.is_some() || former.is_some();
+            if let Some(former) = proven {
+                view.notes.push(former.changed(&name));
+                return Ok(Opened::done(view));
+            }
+            if view.is_altered {
+                view.notes.push(
+                    "its place on the disk held what was sealed before and is altered now, or another file that began \
+                     alike: it is sealed from its beginning"
+                        .to_owned(),
+                );
+            }
+        }
+        let paths = [path.to_owned()];
+        let Ok(claim) = follower.recordings.claims.take(follower.owner.address, &paths, Holder::Follower) else {
+            return Ok(Opened::Imported);
+        };
+        let reader = match Source::open(path, length, is_followed) {
+            Ok(reader) => reader,
+            // It is closed, so it will not become better.
+            Err(failure) if is_database => {
+                view.notes.push(failure.message);
+                return Ok(Opened::done(view));
+            }
+            Err(failure) => return Err(failure),
+        };
         let mut tags = follower.wishes.tags.clone();
         tags.push((RECORDING.to_owned(), key.tag.clone()));
         let sealed_before = SealedBefore::new(follower.reader());
@@ -160,6 +191,7 @@ impl<'a> Tape<'a> {
             view,
             place: Place { name, chosen: place.chosen || !follower.wishes.topics.is_empty(), ..place },
             key,
+            _claim: claim,
         };
         tape.find_import(length)?;
         Ok(Opened::Tape(Box::new(tape)))
@@ -172,7 +204,7 @@ impl<'a> Tape<'a> {
         self.file.read_exact_at(&mut tail, length.saturating_sub(8)).map_err(unreadable)?;
         let metadata = self.file.metadata().map_err(unreadable)?;
         self.imported.tags.insert(self.key.tag.clone());
-        if tail != *crate::ros::mcap::MAGIC && folder::has_writer(metadata.dev(), metadata.ino()) {
+        if tail != *MAGIC && closing::has_writer(metadata.dev(), metadata.ino()) {
             return Ok(());
         }
         let mut hashed = Hashed::default();
@@ -220,10 +252,10 @@ impl<'a> Tape<'a> {
 
     /// Whether nobody writes it any more, although it was not closed.
     fn is_abandoned(&self, files: &[PathBuf]) -> bool {
-        let is_over = self.follower.wishes.until_closed || folder::is_followed_by(&self.path, files);
+        let is_over = self.follower.wishes.until_closed || closing::is_followed_by(&self.path, files);
         let is_written =
-            || self.file.metadata().is_ok_and(|metadata| folder::has_writer(metadata.dev(), metadata.ino()));
-        is_over && self.grew.elapsed() >= QUIET && !is_written()
+            || self.file.metadata().is_ok_and(|metadata| closing::has_writer(metadata.dev(), metadata.ino()));
+        is_over && self.grew.elapsed() >= closing::QUIET && !is_written()
     }
 
     /// Reads the next messages; those that are sealed already are passed over.
@@ -245,7 +277,7 @@ impl<'a> Tape<'a> {
             bytes += message.body.len();
             self.batch.push_back((topic, message));
         }
-        self.hash_to(self.reader.progress().0)
+        self.hash_to(self.reader.at())
     }
 
     fn hash_to(&mut self, at: u64) -> Result<(), Failure> {
@@ -321,8 +353,9 @@ impl<'a> Tape<'a> {
             return Ok(());
         }
         self.hash_to(self.length)?;
-        self.place.closed = self.reader.has_footer();
+        self.place.closed = self.reader.is_complete();
         let time = *self.place.stated_at.get_or_insert_with(|| self.latest.unwrap_or_else(Timestamp::now));
+        self.place.ended_at = self.place.ended_at.or_else(|| Some(Timestamp::now()));
         let stated = RecordedFile {
             name: self.place.name.clone(),
             length: self.hashed.at(),
@@ -349,6 +382,8 @@ impl<'a> Tape<'a> {
         (self.place.stored, self.place.statement) = (self.met + 1, Some(statement));
         self.place.standing = Standing::Stated;
         self.keep()?;
+        let (ledger, owner) = (&self.follower.recordings.plant.ledger, self.follower.owner.address);
+        place::put_name(ledger, owner, &self.path, &self.key)?;
         self.note_as_imported(stated.digest)
     }
 
@@ -365,13 +400,29 @@ impl<'a> Tape<'a> {
         Due::of(self.follower, &self.key, &self.place, &self.path)
     }
 
+    /// What went wrong so far.
+    pub fn notes(&self) -> &[String] {
+        &self.view.notes
+    }
+
     /// Messages sealed so far.
     pub fn sealed(&self) -> u64 {
         self.view.sealed
     }
 
-    /// Keeps how far it is at the end of a run.
+    /// How far it is sealed.
+    pub fn place(&self) -> &Place {
+        &self.place
+    }
+
+    /// Keeps how far it is at the end of a run. What was given to the sealer is waited for, as long as the site goes on: an
+    /// import that comes next must find it among the records.
     pub fn leave(&mut self) {
+        let since = Instant::now();
+        let may_wait = || !self.follower.recordings.life.is_stopping() && since.elapsed() < LAST;
+        while !self.importer.is_acknowledged() && may_wait() {
+            std::thread::sleep(TICK);
+        }
         if !self.is_kept && self.batch.is_empty() {
             // What is not kept is found among the records by the next run.
             drop(self.keep());
@@ -404,9 +455,39 @@ impl FollowedFile {
         (self.chunks, self.digest, self.is_closed) = (place.chunks, place.digest, place.closed);
         if length != place.at {
             self.is_altered = true;
-            self.notes.push(format!("it has {length} bytes now, and had {} when its digests were stated", place.at));
+            self.notes.push(place.changed(&self.file));
         }
     }
+}
+
+/// A file that an earlier run is done with.
+fn settled<'a>(
+    follower: &Follower<'a>,
+    path: &Path,
+    (key, place): (FileKey, Place),
+    length: u64,
+    mut view: FollowedFile,
+) -> Opened<'a> {
+    view.settled(&place, length);
+    let (proof, copy) = (proof::beside(path), proof::copy_of(path));
+    let is_copied = follower.wishes.attach && !folder::is_database(path);
+    let is_missing = !view.is_altered && (place.standing == Standing::Stated || is_copied && !copy.exists());
+    if !is_missing {
+        let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
+        view.proof = shown(proof);
+        view.attached = shown(copy).filter(|_| is_copied);
+    }
+    let due = Due::of(follower, &key, &place, path).filter(|_| is_missing);
+    Opened::Done(Box::new(Done { view, due, place: Some(place) }))
+}
+
+/// Whether the first bytes are those of MCAP, as far as they are there.
+fn begins_as_mcap(file: &File) -> std::io::Result<bool> {
+    let mut begin = [0; MAGIC.len()];
+    let read = file.read_at(&mut begin, 0)?;
+    let begin = begin.get(..read).unwrap_or_default();
+    // Room that is there before anything is written in it.
+    Ok(MAGIC.starts_with(begin) || begin.iter().all(|byte| *byte == 0))
 }
 
 fn shrank(length: u64, sealed: u64) -> String {
