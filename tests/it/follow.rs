@@ -167,7 +167,8 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
 
 /// Topic, time and SHA-256 of every message of a recording of others.
 fn contents(recording: &Path) -> Vec<String> {
-    let line = |message: &Value| format!("{} {} {}", text(message, "topic"), message["logged"], text(message, "sha256"));
+    let line =
+        |message: &Value| format!("{} {} {}", text(message, "topic"), message["logged"], text(message, "sha256"));
     let mut lines: Vec<String> = read_by_others(recording).iter().map(line).collect();
     lines.sort_unstable();
     lines
@@ -238,14 +239,16 @@ fn a_sealed_file_that_changes_later_is_told_by_every_run_until_somebody_decides(
     let mut following = follower(&authros, &folder, &[]);
     let [first, second] = [recordings_of(&folder, "run_0"), recordings_of(&folder, "run_1")];
     let proof = PathBuf::from(format!("{}.authros", second.display()));
-    wait_until(120, "both proofs", || (proof.exists() && following.stderr().contains("run_0.mcap: its proof")).then_some(()));
+    wait_until(120, "both proofs", || {
+        (proof.exists() && following.stderr().contains("run_0.mcap: its proof")).then_some(())
+    });
     assert_eq!(following.stderr().matches("notmcap.mcap: it is no MCAP file").count(), 1, "{}", following.stderr());
     // While it is followed, and then while it is not: a byte in its middle, and one more at its end.
     let mut bytes = fs::read(&first).expect("read");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     fs::write(&first, &bytes).expect("altered");
-    following.wait_for_text("run_0.mcap has changed since it was sealed at 20", 60);
+    following.wait_for_text("run_0.mcap: it has changed since it was sealed at 20", 60);
     let told = following.stop("INT", 120).expect_code(TAMPERED).document();
     assert_eq!(list(&told, "files").iter().filter(|file| file["is_altered"] == true).count(), 1, "{told}");
     let grown = [fs::read(&second).expect("read"), vec![0]].concat();
@@ -255,7 +258,7 @@ fn a_sealed_file_that_changes_later_is_told_by_every_run_until_somebody_decides(
     fs::write(&first, &bytes).expect("written");
     let next = follower(&authros, &folder, &["--until-closed"]).wait(240).expect_code(TAMPERED);
     for name in ["run_0.mcap", "run_1.mcap"] {
-        assert!(next.stderr.contains(&format!("{name} has changed since it was sealed at 20")), "{next}");
+        assert!(next.stderr.contains(&format!("{name}: it has changed since it was sealed at 20")), "{next}");
         assert!(next.stderr.contains(&format!("move {name}.authros away")), "{next}");
     }
     assert_eq!(sum(&next.document(), "sealed"), 0, "{next}");

@@ -204,8 +204,7 @@ impl Db3Reader {
                 Ok(Some(row)) => row,
                 Ok(None) => break,
                 Err(error) => {
-                    let text =
-                        format!("the table of topics cannot be read to its end: {}", told(&error));
+                    let text = format!("the table of topics cannot be read to its end: {}", told(&error));
                     self.findings.note(0, &text);
                     break;
                 }
@@ -251,10 +250,7 @@ impl Db3Reader {
                     Ok(Some(row)) => row,
                     Ok(None) => break,
                     Err(error) => {
-                        let text = format!(
-                            "the table of messages cannot be read to its end: {}",
-                            told(&error)
-                        );
+                        let text = format!("the table of messages cannot be read to its end: {}", told(&error));
                         self.findings.note(0, &text);
                         break;
                     }

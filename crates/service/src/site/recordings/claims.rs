@@ -78,7 +78,7 @@ impl Claims {
 impl Drop for Claim {
     fn drop(&mut self) {
         let mut all = self.claims.0.lock().unwrap_or_else(PoisonError::into_inner);
-        self.held.iter().for_each(|mark| drop(all.remove(mark)));
+        all.retain(|mark, _| !self.held.contains(mark));
     }
 }
 

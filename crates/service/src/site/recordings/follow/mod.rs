@@ -386,7 +386,8 @@ fn go_round(
         let tape = match &mut *entry {
             Entry::Open(tape) => tape,
             Entry::Ended(ended) => {
-                let changed = ended.look(&path);
+                let name = follower.name_of(&path);
+                let changed = ended.look(&path).map(|note| format!("{name}: {note}"));
                 changed.into_iter().for_each(|note| follower.tell(NoticeLevel::Warning, &note));
                 continue;
             }

@@ -67,7 +67,7 @@ impl Place {
         let (name, messages) = (clean(name, 80), self.stored.saturating_sub(1));
         let when = self.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
         format!(
-            "{name} has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
+            "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
              it was then. If nobody was to change it, put a copy of that in its place; to seal it as it is now, move \
              {name}.authros away and follow the folder again"
         )

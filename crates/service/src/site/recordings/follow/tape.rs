@@ -136,22 +136,8 @@ impl<'a> Tape<'a> {
         if place.standing != Standing::Open {
             return Ok(settled(follower, path, (key, place), length, view));
         }
-        if place.begun == 0 {
-            let ledger_has = place::sealed_at(ledger, follower.owner.address, path)?;
-            // Without its proof another file may well have its name.
-            let proven = ledger_has.filter(|_| proof::beside(path).symlink_metadata().is_ok());
-            view.is_altered = proven.is_some() || former.is_some();
-            if let Some(former) = proven {
-                view.notes.push(former.changed(&name));
-                return Ok(Opened::done(view));
-            }
-            if view.is_altered {
-                view.notes.push(
-                    "its place on the disk held what was sealed before and is altered now, or another file that began \
-                     alike: it is sealed from its beginning"
-                        .to_owned(),
-                );
-            }
+        if place.begun == 0 && changed_before(follower, path, former.as_deref(), &mut view)? {
+            return Ok(Opened::done(view));
         }
         let paths = [path.to_owned()];
         let Ok(claim) = follower.recordings.claims.take(follower.owner.address, &paths, Holder::Follower) else {
@@ -458,6 +444,27 @@ impl FollowedFile {
             self.notes.push(place.changed(&self.file));
         }
     }
+}
+
+/// Notes that another state of a file was sealed; `true` if it is not to be sealed as it is, because its proof is of that one.
+fn changed_before(
+    follower: &Follower<'_>,
+    path: &Path,
+    former: Option<&Place>,
+    view: &mut FollowedFile,
+) -> Result<bool, Failure> {
+    let sealed = place::sealed_at(&follower.recordings.plant.ledger, follower.owner.address, path)?;
+    // Without its proof another file may well have its name.
+    let proven = sealed.filter(|_| proof::beside(path).symlink_metadata().is_ok());
+    view.is_altered = proven.is_some() || former.is_some();
+    let note = match &proven {
+        Some(place) => place.changed(&view.file),
+        None => "its place on the disk held what was sealed before and is altered now, or another file that began alike: it is \
+                 sealed from its beginning"
+            .to_owned(),
+    };
+    view.notes.extend(Some(note).filter(|_| view.is_altered));
+    Ok(proven.is_some())
 }
 
 /// A file that an earlier run is done with.
