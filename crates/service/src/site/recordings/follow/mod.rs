@@ -79,7 +79,9 @@ pub(super) fn followed_as(ledger: &Ledger, owner: Address, path: &Path) -> Resul
     let file = File::open(path).map_err(|error| input(format!("{} cannot be read: {error}", path.display())))?;
     Ok(match place::known(ledger, owner, &file, true)? {
         Known::Here(key, place, _) if place.begun > 0 => Some(key.tag),
-        Known::Here(..) | Known::TooShort | Known::Shrank(_) => None,
+        // What it was before it was altered.
+        Known::Here(_, _, former) => former.map(|former| former.0.tag),
+        Known::TooShort | Known::Shrank(_) => None,
     })
 }
 
@@ -341,9 +343,7 @@ fn open<'a>(
             return false;
         }
     }
-    let is_held =
-        |key: &place::FileKey| entries.values().any(|entry| matches!(entry, Entry::Open(tape) if tape.key == *key));
-    let entry = match Tape::open(follower, path, files, &is_held) {
+    let entry = match Tape::open(follower, path, files) {
         Ok(Opened::NotYet) => return false,
         Ok(Opened::Imported) => {
             follower.tell(NoticeLevel::Info, &format!("{name} is being imported: it is followed when that has ended"));

@@ -93,8 +93,8 @@ pub(super) enum Known {
     /// It is too short to be told from others, and may grow.
     TooShort,
     /// It is new, or goes on where it was; with the last of those that began alike and were here before.
-    Here(FileKey, Box<Place>, Option<Box<Place>>),
-    /// It is shorter than what was sealed of it.
+    Here(FileKey, Box<Place>, Option<Box<(FileKey, Place)>>),
+    /// It is shorter than what was sealed of it so far.
     Shrank(Box<Place>),
 }
 
@@ -120,6 +120,12 @@ pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool
         let Some(place) = get(ledger, &key.key)? else {
             return Ok(Known::Here(key, Box::default(), former));
         };
+        // What was sealed to its end does not go on.
+        let is_over = place.standing != Standing::Open;
+        if is_over && metadata.len() != place.at {
+            former = Some(Box::new((key, place)));
+            continue;
+        }
         if metadata.len() < place.at {
             return Ok(Known::Shrank(Box::new(place)));
         }
@@ -128,7 +134,7 @@ pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool
         if place.at == 0 || place.digest == Some(hashed.digest()) {
             return Ok(Known::Here(key, Box::new(place), None));
         }
-        former = Some(Box::new(place));
+        former = Some(Box::new((key, place)));
     }
     Err(internal("too many files that begin alike were in its place"))
 }
@@ -238,6 +244,24 @@ mod tests {
         assert_eq!(case.here().0, key);
         case.file.set_len(7000).expect("shorter");
         assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000));
+    }
+
+    #[test]
+    fn what_was_sealed_to_its_end_is_another_file_once_its_length_differs() {
+        let mut case = Case::new();
+        case.write(&[1; 5_000]);
+        let (key, ..) = case.here();
+        case.keep(&key, 5_000);
+        let place = Place { standing: Standing::Proven, ..*case.here().1 };
+        put(&case.ledger, &key, &place).expect("kept");
+        assert_eq!(case.here().0, key);
+        for length in [5_001, 4_999] {
+            case.file.set_len(length).expect("changed");
+            let Ok(Known::Here(other, place, Some(former))) = known(&case.ledger, OWNER, &case.file, true) else {
+                panic!("{length}")
+            };
+            assert!(other != key && place.begun == 0 && former.0 == key && former.1.stored == 5, "{length}");
+        }
     }
 
     #[test]

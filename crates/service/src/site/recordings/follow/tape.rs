@@ -79,7 +79,7 @@ impl Opened<'_> {
 /// A file being followed.
 pub(super) struct Tape<'a> {
     follower: &'a Follower<'a>,
-    pub key: FileKey,
+    key: FileKey,
     path: PathBuf,
     file: File,
     reader: Source,
@@ -105,13 +105,8 @@ pub(super) struct Tape<'a> {
 }
 
 impl<'a> Tape<'a> {
-    /// Opens a file for reading, and finds where it goes on. `is_held` says whether a tape has it already.
-    pub fn open(
-        follower: &'a Follower<'a>,
-        path: &Path,
-        files: &[PathBuf],
-        is_held: &dyn Fn(&FileKey) -> bool,
-    ) -> Result<Opened<'a>, Failure> {
+    /// Opens a file for reading, and finds where it goes on.
+    pub fn open(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf]) -> Result<Opened<'a>, Failure> {
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
         let (file, ledger) = (File::open(path).map_err(unreadable)?, &follower.recordings.plant.ledger);
         let (length, name) = (file.metadata().map_err(unreadable)?.len(), follower.name_of(path));
@@ -121,28 +116,29 @@ impl<'a> Tape<'a> {
             view.notes.push("it is no MCAP file, whatever its name says: it does not begin as one".to_owned());
             return Ok(Opened::done(view));
         }
+        let owner = follower.owner.address;
+        let claim = match follower.recordings.claims.take(owner, &[path.to_owned()], Holder::Follower) {
+            Ok(claim) => claim,
+            Err((_, Holder::Import)) => return Ok(Opened::Imported),
+            Err((_, Holder::Follower)) => return Ok(Opened::Same),
+        };
         let is_whole = is_database || length >= MAGIC.len() as u64 && is_followed;
-        let (key, place, former) = match place::known(ledger, follower.owner.address, &file, is_whole)? {
+        let (key, place, former) = match place::known(ledger, owner, &file, is_whole)? {
             Known::TooShort => return Ok(Opened::NotYet),
             Known::Shrank(place) => {
                 view.is_altered = true;
-                let is_sealed = place.standing != Standing::Open;
-                view.notes.push(if is_sealed { place.changed(&name) } else { shrank(length, place.at) });
+                view.notes.push(shrank(length, place.at));
                 return Ok(Opened::done(view));
             }
-            Known::Here(key, ..) if is_held(&key) => return Ok(Opened::Same),
             Known::Here(key, place, former) => (key, *place, former),
         };
         if place.standing != Standing::Open {
-            return Ok(settled(follower, path, (key, place), length, view));
+            return Ok(settled(follower, path, (key, place), view));
         }
-        if place.begun == 0 && changed_before(follower, path, former.as_deref(), &mut view)? {
+        let former = former.map(|former| former.1);
+        if place.begun == 0 && changed_before(follower, path, former, &mut view)? {
             return Ok(Opened::done(view));
         }
-        let paths = [path.to_owned()];
-        let Ok(claim) = follower.recordings.claims.take(follower.owner.address, &paths, Holder::Follower) else {
-            return Ok(Opened::Imported);
-        };
         let reader = match Source::open(path, length, is_followed) {
             Ok(reader) => reader,
             // It is closed, so it will not become better.
@@ -435,14 +431,10 @@ impl<'a> Tape<'a> {
 
 impl FollowedFile {
     /// A file that an earlier run is done with.
-    fn settled(&mut self, place: &Place, length: u64) {
+    fn settled(&mut self, place: &Place) {
         let messages = place.stored.saturating_sub(1);
         (self.bytes, self.found, self.already) = (place.at, messages, messages);
         (self.chunks, self.digest, self.is_closed) = (place.chunks, place.digest, place.closed);
-        if length != place.at {
-            self.is_altered = true;
-            self.notes.push(place.changed(&self.file));
-        }
     }
 }
 
@@ -450,13 +442,15 @@ impl FollowedFile {
 fn changed_before(
     follower: &Follower<'_>,
     path: &Path,
-    former: Option<&Place>,
+    former: Option<Place>,
     view: &mut FollowedFile,
 ) -> Result<bool, Failure> {
-    let sealed = place::sealed_at(&follower.recordings.plant.ledger, follower.owner.address, path)?;
+    view.is_altered = former.is_some();
+    let named = place::sealed_at(&follower.recordings.plant.ledger, follower.owner.address, path)?;
+    let sealed = named.or(former.filter(|place| place.standing != Standing::Open));
     // Without its proof another file may well have its name.
     let proven = sealed.filter(|_| proof::beside(path).symlink_metadata().is_ok());
-    view.is_altered = proven.is_some() || former.is_some();
+    view.is_altered |= proven.is_some();
     let note = match &proven {
         Some(place) => place.changed(&view.file),
         None => "its place on the disk held what was sealed before and is altered now, or another file that began alike: it is \
@@ -472,13 +466,12 @@ fn settled<'a>(
     follower: &Follower<'a>,
     path: &Path,
     (key, place): (FileKey, Place),
-    length: u64,
     mut view: FollowedFile,
 ) -> Opened<'a> {
-    view.settled(&place, length);
+    view.settled(&place);
     let (proof, copy) = (proof::beside(path), proof::copy_of(path));
     let is_copied = follower.wishes.attach && !folder::is_database(path);
-    let is_missing = !view.is_altered && (place.standing == Standing::Stated || is_copied && !copy.exists());
+    let is_missing = place.standing == Standing::Stated || is_copied && !copy.exists();
     if !is_missing {
         let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
         view.proof = shown(proof);
