@@ -1,7 +1,6 @@
-//! Which recordings are being sealed now. There is one site of a home, so this holds for the home: an import and a follower,
-//! or two of either, never seal one file at the same time.
+//! Which recordings are being sealed now, and which folders are followed. There is one site of a home, so this holds for the
+//! home: an import and a follower, or two of either, never seal one file at the same time.
 
-use std::collections::HashMap;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -9,13 +8,24 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::model::Address;
 
-/// What a file is known by while it is sealed.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+/// What is sealed, and what it is known by meanwhile.
+#[derive(Debug, Clone, PartialEq, Eq)]
 enum Mark {
     /// Its device and inode: it may have other names.
     Place(u64, u64),
     /// Its name. A recorder makes another file of one that it compresses when it is closed, with the same messages.
     Name(PathBuf),
+    /// A folder, and all below it.
+    Folder(PathBuf),
+}
+
+impl Mark {
+    fn meets(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Folder(one), Self::Folder(other)) => one.starts_with(other) || other.starts_with(one),
+            _ => self == other,
+        }
+    }
 }
 
 /// Who seals a file.
@@ -27,15 +37,15 @@ pub(super) enum Holder {
     Follower,
 }
 
-/// The files that are being sealed, each for its owner.
+/// What is being sealed, each for its owner.
 #[derive(Debug, Default)]
-pub(super) struct Claims(Mutex<HashMap<(Address, Mark), Holder>>);
+pub(super) struct Claims(Mutex<Vec<(Address, Mark, Holder)>>);
 
 /// Some of them, until this is dropped.
 #[derive(Debug)]
 pub(super) struct Claim {
     claims: Arc<Claims>,
-    held: Vec<(Address, Mark)>,
+    held: Vec<(Address, Mark, Holder)>,
 }
 
 fn marks(path: &Path) -> Vec<Mark> {
@@ -54,23 +64,33 @@ impl Claims {
     ///
     /// # Errors
     /// A file that is being sealed already, and who seals it.
-    pub fn take(
+    pub fn take(self: &Arc<Self>, owner: Address, files: &[PathBuf], holder: Holder) -> Result<Claim, (PathBuf, Holder)> {
+        let marks = files.iter().flat_map(|file| marks(file).into_iter().map(move |mark| (file.as_path(), mark)));
+        self.take_marks(owner, marks.collect(), holder)
+    }
+
+    /// Takes a folder for a follower. Its files are not taken by that.
+    ///
+    /// # Errors
+    /// The folder, if it or one above or below it is taken.
+    pub fn take_folder(self: &Arc<Self>, owner: Address, folder: &Path) -> Result<Claim, (PathBuf, Holder)> {
+        self.take_marks(owner, vec![(folder, Mark::Folder(folder.to_owned()))], Holder::Follower)
+    }
+
+    fn take_marks(
         self: &Arc<Self>,
         owner: Address,
-        files: &[PathBuf],
+        marks: Vec<(&Path, Mark)>,
         holder: Holder,
     ) -> Result<Claim, (PathBuf, Holder)> {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut held = Vec::new();
-        for file in files {
-            for mark in marks(file) {
-                if let Some(holder) = all.get(&(owner, mark.clone())) {
-                    return Err((file.clone(), *holder));
-                }
-                held.push((owner, mark));
+        for (path, mark) in &marks {
+            if let Some((.., holder)) = all.iter().find(|(of, other, _)| *of == owner && other.meets(mark)) {
+                return Err(((*path).to_owned(), *holder));
             }
         }
-        all.extend(held.iter().cloned().map(|mark| (mark, holder)));
+        let held: Vec<_> = marks.into_iter().map(|(_, mark)| (owner, mark, holder)).collect();
+        all.extend(held.iter().cloned());
         Ok(Claim { claims: Arc::clone(self), held })
     }
 }
@@ -78,7 +98,7 @@ impl Claims {
 impl Drop for Claim {
     fn drop(&mut self) {
         let mut all = self.claims.0.lock().unwrap_or_else(PoisonError::into_inner);
-        all.retain(|mark, _| !self.held.contains(mark));
+        all.retain(|claim| !self.held.contains(claim));
     }
 }
 
@@ -108,5 +128,17 @@ mod tests {
         assert!(others.0.is_ok() && others.1.is_ok(), "what was refused took nothing");
         drop(held);
         assert!(take(alice, &["run_0.mcap.zstd", "other.mcap"], Holder::Import).is_ok());
+    }
+
+    #[test]
+    fn a_folder_is_followed_once_and_neither_above_nor_below_itself() {
+        let (claims, owner) = (Arc::<Claims>::default(), Address([1; 20]));
+        let held = claims.take_folder(owner, Path::new("/data/run")).expect("free");
+        for other in ["/data/run", "/data", "/data/run/part"] {
+            assert!(claims.take_folder(owner, Path::new(other)).is_err(), "{other}");
+        }
+        assert!(claims.take_folder(owner, Path::new("/data/run2")).is_ok());
+        drop(held);
+        assert!(claims.take_folder(owner, Path::new("/data")).is_ok());
     }
 }

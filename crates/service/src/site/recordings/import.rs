@@ -93,11 +93,7 @@ impl Recordings {
     ) -> Result<ImportView, Failure> {
         self.sealer.begin()?;
         let file = clean(&path.display().to_string(), 300);
-        // Begun before it is asked: of two at once, one sees the other.
         let running = self.begin_run(&owner.profile, path, "reading");
-        if !running.is_first() {
-            return Err(refused(format!("{file} is already being imported; wait for that to finish")));
-        }
         self.log.begin(owner, action, &file).await?;
         // Ends the import as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));

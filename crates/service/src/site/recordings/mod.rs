@@ -11,7 +11,6 @@ mod standings;
 mod writing;
 
 use self::claims::Claims;
-use self::follow::Follows;
 pub(in crate::site) use self::import::RECORDING;
 use crate::config::Config;
 use crate::paths::Home;
@@ -60,7 +59,6 @@ pub(in crate::site) struct Recordings {
     sealer: Arc<SealerThread>,
     rings: Arc<Rings<CapturedMessage>>,
     evidence: Arc<Evidence>,
-    follows: Arc<Follows>,
     claims: Arc<Claims>,
     runs: Runs,
 }
@@ -98,7 +96,6 @@ impl Recordings {
             sealer: Arc::clone(sealer),
             rings: Arc::clone(rings),
             evidence: Arc::clone(evidence),
-            follows: Arc::default(),
             claims: Arc::default(),
             runs,
         }

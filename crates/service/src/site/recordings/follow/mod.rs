@@ -15,7 +15,7 @@ mod tape;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{mpsc, oneshot};
@@ -44,35 +44,6 @@ const LOOK: Duration = Duration::from_millis(250);
 
 /// Between two looks whether proofs can be written.
 const PROVING: Duration = Duration::from_millis(500);
-
-/// Folders that are followed now, each with its owner. There is one site of a home, so this holds for the home.
-#[derive(Default)]
-pub(super) struct Follows(Mutex<Vec<(Address, PathBuf)>>);
-
-/// One folder of them.
-struct Claim(Arc<Follows>, (Address, PathBuf));
-
-impl Follows {
-    fn claim(self: &Arc<Self>, owner: Address, folder: &Path) -> Result<Claim, Failure> {
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let overlaps = |other: &Path| other.starts_with(folder) || folder.starts_with(other);
-        if let Some((_, other)) = all.iter().find(|(of, other)| *of == owner && overlaps(other)) {
-            return Err(refused(format!(
-                "{} is already being followed; end that first, or leave it to it",
-                clean(&other.display().to_string(), 300)
-            )));
-        }
-        let of = (owner, folder.to_owned());
-        all.push(of.clone());
-        Ok(Claim(Arc::clone(self), of))
-    }
-}
-
-impl Drop for Claim {
-    fn drop(&mut self) {
-        self.0.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|of| *of != self.1);
-    }
-}
 
 /// What the tag of a file's records says if it was followed, to its end or not; `None` if it was not.
 pub(super) fn followed_as(ledger: &Ledger, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
@@ -176,8 +147,12 @@ impl Recordings {
         self.sealer.begin()?;
         let folder = resolved(&wishes.folder)?;
         let wishes = FollowWishes { folder: folder.clone(), ..wishes };
-        let _claim = self.follows.claim(owner.address, &folder)?;
         let shown = clean(&folder.display().to_string(), 300);
+        let _claim = self.claims.take_folder(owner.address, &folder).map_err(|_| {
+            refused(format!(
+                "{shown}, or a folder above or below it, is already being followed; end that first, or leave it to it"
+            ))
+        })?;
         self.log.begin(owner, "follow recordings", &shown).await?;
         let running = self.begin_run(&owner.profile, &folder, "following");
         // Ends as a capture is ended: by the same command.
