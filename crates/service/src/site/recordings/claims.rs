@@ -64,7 +64,12 @@ impl Claims {
     ///
     /// # Errors
     /// A file that is being sealed already, and who seals it.
-    pub fn take(self: &Arc<Self>, owner: Address, files: &[PathBuf], holder: Holder) -> Result<Claim, (PathBuf, Holder)> {
+    pub fn take(
+        self: &Arc<Self>,
+        owner: Address,
+        files: &[PathBuf],
+        holder: Holder,
+    ) -> Result<Claim, (PathBuf, Holder)> {
         let marks = files.iter().flat_map(|file| marks(file).into_iter().map(move |mark| (file.as_path(), mark)));
         self.take_marks(owner, marks.collect(), holder)
     }
