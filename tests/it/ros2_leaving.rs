@@ -270,7 +270,8 @@ fn what_was_played_leaves_the_domain_when_playing_ends() {
 /// Topics of the nodes that come and go, and how long each of them stays.
 const CROWD: u64 = 100;
 const STAY: Duration = Duration::from_secs(10);
-/// What the reading program may hold more at the end of the last third than at its beginning, KiB.
+/// What the reading program may hold more at the end of the last third than at its beginning, KiB. Before that it fills what it
+/// keeps of each topic, a thousand messages at most, which takes nine minutes at two a second; so a run of less than fifteen fails.
 const GROWN: u64 = 2 * 1024;
 
 #[test]
