@@ -67,7 +67,8 @@ impl Robots {
 
     /// Waits until none of these ids is seen, but another reader of ours is.
     fn see_others_than(&self, former: &[String], seconds: u64, way: &str) {
-        let fits = |ids: &[String]| ours(ids) == 1 && !ids.iter().any(|id| former.contains(id));
+        let is_former = |id: &String| id.starts_with(OURS) && former.contains(id);
+        let fits = |ids: &[String]| ours(ids) == 1 && !ids.iter().any(is_former);
         for (topic, node) in &self.nodes {
             node.meets("subscribers", seconds, &format!("{way}: another of ours on {topic}"), fits);
         }
