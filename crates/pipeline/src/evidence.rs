@@ -24,7 +24,7 @@ use crate::model::{
     Address, Birth, Digest, ErrorKind, Hash, Header, Heads, Heights, PublicKey, RecordState, RecorderId, SignerId,
     TopicId,
 };
-use crate::reader::Reader;
+use crate::reader::{Opening, Reader};
 use crate::recorder_heads::{TOPIC, tree};
 use crate::retention::is_stated;
 use crate::store::{RecordQuery, RecordRow, Retained};
@@ -193,7 +193,7 @@ async fn disclosed(
         )),
         error => error,
     })?;
-    if let Some(definition) = reader.definition_text(row, &opened).await? {
+    if let Some(definition) = reader.definition_text(row, &opened, Opening::Anchored).await? {
         gathered.packing.definition(&definition, plant.provider);
     }
     let (key, _) = Keys::opening(reader, header).ok_or(CryptoError::WrongKey)?;

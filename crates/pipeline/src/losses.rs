@@ -71,7 +71,7 @@ impl InMemory {
 
     /// Counts one more. What nobody watches is kept in the ring on the disk, as long as that goes.
     pub fn add(&mut self, item: &CapturedMessage) {
-        if !item.ring {
+        if !item.ring && item.kind != RecordKind::Definition {
             let at = item.message.captured_at;
             let loss = loss_of(&item.author, Lost::message(&item.message), LossReason::End, at);
             merge(&mut self.0, key_of(&loss), loss);

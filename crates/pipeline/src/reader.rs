@@ -3,7 +3,7 @@
 
 mod definitions;
 
-pub use definitions::Definitions;
+pub use definitions::{Definitions, Opening};
 
 use std::sync::{Arc, PoisonError};
 

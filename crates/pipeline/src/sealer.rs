@@ -10,7 +10,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use crate::crypto::fault;
-use crate::model::{LossReason, Timestamp};
+use crate::model::{LossReason, RecordKind, Timestamp};
 use crate::store::StoreError;
 use crate::store::notes::StoredDefinition;
 
@@ -177,6 +177,9 @@ impl Sealer {
     }
 
     fn lose(&self, item: &CapturedMessage, reason: LossReason) {
+        if item.kind == RecordKind::Definition {
+            return;
+        }
         let held = item.doubt.is_some();
         item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
         self.losses.note(&item.author, Lost::message(&item.message), reason);

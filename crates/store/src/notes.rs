@@ -119,6 +119,9 @@ notes! {
     /// How far a file of a followed folder is sealed, by its inode and its first bytes.
     Followed { owner: Address, file: Digest } = "followed": FilePlace, "how far a followed file is sealed";
 
+    /// Which file of a folder was sealed to its end under a name; SM3 of its path.
+    SealedUnderName { owner: Address, path: Digest } = "sealed under name": Digest, "which file had a name";
+
     // What is stated and reported.
 
     /// The head in an owner's newest record about the audit log.
@@ -288,6 +291,8 @@ pub struct FilePlace {
     pub standing: FileStanding,
     /// When what the statement is about ended: the time of its record.
     pub stated_at: Option<Timestamp>,
+    /// When it was stated, by this machine's clock.
+    pub ended_at: Option<Timestamp>,
     /// SM3 of the statement.
     pub statement: Option<Digest>,
     /// Whether a run chose among its topics: what is done with need not be sealed then.

@@ -117,7 +117,7 @@ impl Planner {
                 continue;
             };
             // Only messages have a definition.
-            let has_definition = item.kind == RecordKind::Data;
+            let has_definition = matches!(item.kind, RecordKind::Data | RecordKind::Definition);
             let definition = match has_definition {
                 true => self.definition_digest(plant, &item.message.topic, &item.message.definition),
                 false => Digest([0; 32]),
@@ -136,8 +136,10 @@ impl Planner {
                 plan.definitions.insert(unsent.clone());
                 add(self, &mut plan, Content::Definition(unsent))?;
             }
-            let tried = self.packing.as_mut().and_then(|packing| packing.decide(&item.message));
-            add(self, &mut plan, Content::Message(tried))?;
+            if item.kind != RecordKind::Definition {
+                let tried = self.packing.as_mut().and_then(|packing| packing.decide(&item.message));
+                add(self, &mut plan, Content::Message(tried))?;
+            }
         }
         Ok(plan)
     }

@@ -226,3 +226,22 @@ fn a_definition_is_stored_once() {
     line.sealer.note_definitions(definitions);
     assert!(line.sealer.round(&[item]).expect("sealed").is_empty(), "once");
 }
+
+#[test]
+fn a_definition_alone_is_one_record_once_and_never_a_loss() {
+    let home = tempfile::tempdir().expect("folder");
+    let mut line = Line::new(home.path());
+    let alone = CapturedMessage { kind: RecordKind::Definition, ..line.item("/a", 1, Vec::new()) };
+    for expected in [1, 0] {
+        let definitions = line.sealer.round(std::slice::from_ref(&alone)).expect("sealed");
+        assert_eq!(definitions.len(), expected);
+        line.sealer.note_definitions(definitions);
+    }
+    assert_eq!(line.stored("/a"), [(1, RecordKind::Definition, b"string data".to_vec())]);
+    let counts = || line.losses.counts(&line.sealer.plant, line.author.address).expect("counted");
+    let before = counts();
+    line.sealer.lose(&alone, LossReason::End);
+    let mut waiting = InMemory::default();
+    waiting.add(&alone);
+    assert!(waiting.is_empty() && counts() == before);
+}

@@ -42,6 +42,7 @@ fn samples() -> Vec<(Kind, String)> {
         of::<AskedSpans>([AskedSpan { number: 12, span }].into()),
         of::<Imported>(standings),
         of::<Followed>(FilePlace { name: text(), stored: 12, digest: Some(digest), ..FilePlace::default() }),
+        of::<SealedUnderName>(digest),
         of::<StatedAuditHead>(StatedHead { line: 12, hash: digest }),
         of::<StatedNumbers>(StatedRoot { looked: at, root: hash, heads: Some(digest) }),
         of::<Equivocations>(vec![digest]),

@@ -30,7 +30,7 @@ fn cleaned(publisher: Publisher) -> Publisher {
         caller_id: clean(&caller_id, 255),
         host: clean(&host, 255),
         type_name: clean(&type_name, 255),
-        md5sum: clean(&md5sum, 32),
+        md5sum: clean(&md5sum, 64),
     }
 }
 

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use tokio::runtime::Handle;
+
 use super::import::{ReadOut, left_out_list};
 use super::{Recordings, Run};
 use crate::chain::SEAL_ANEW;
@@ -13,7 +15,7 @@ use crate::crypto::OpenedRecord;
 use crate::model::{RecordKind, RecordState, clean};
 use crate::paths::Home;
 use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
-use crate::pipeline::reader::{Definitions, Reader};
+use crate::pipeline::reader::{Definitions, Opening, Reader};
 use crate::pipeline::{CaptureSession, Network, Owner, Plant, network_pin};
 use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
 use crate::service::command::HomeWishes;
@@ -237,7 +239,10 @@ impl Moving<'_> {
             return Ok(Found::Here(opened.head.topic));
         }
         let definition = match opened.header.kind {
-            RecordKind::Data => self.definitions.own_text(&self.there, row, &opened)?.unwrap_or_default(),
+            RecordKind::Data => {
+                let text = self.definitions.text(&self.there, row, &opened, Opening::Own);
+                Handle::current().block_on(text)?.unwrap_or_default()
+            }
             _ => "".into(),
         };
         let OpenedRecord { header, head, body, digest, .. } = opened;

@@ -2,20 +2,32 @@
 
 use std::fs::File;
 use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::Path;
 
 use crate::crypto::sm3::sm3;
-use crate::model::{Address, Digest};
+use crate::model::{Address, Digest, clean};
 use crate::ros::mcap::MAGIC;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
 use crate::store::Notes;
-use crate::store::notes::{FilePlace, Followed};
+use crate::store::notes::{FilePlace, FileStanding, Followed, SealedUnderName};
 
 /// A file is recognised by this many bytes at its beginning. A recorder's first chunk, with its times, begins within them.
 const LEAD: usize = 1024;
 
 /// The most files that one place on the disk was used for, of which all began alike.
 const MOST_AGAIN: u32 = 64;
+
+/// What there is to say of a file that is no longer what was sealed to its end.
+pub(super) fn changed(place: &FilePlace, name: &str) -> String {
+        let (name, messages) = (clean(name, 80), place.stored.saturating_sub(1));
+        let when = place.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
+        format!(
+            "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
+             it was then. If nobody was to change it, put a copy of that in its place; to seal it as it is now, move \
+             {name}.authros away and follow the folder again"
+        )
+    }
 
 /// The key of a file in the ledger, and the tag of its records.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -35,9 +47,9 @@ fn key_of(owner: Address, inode: u64, lead: &[u8], again: u32) -> FileKey {
 pub(super) enum Known {
     /// It is too short to be told from others, and may grow.
     TooShort,
-    /// It is new, or goes on where it was; `true` if another file that began alike was here before.
-    Here(FileKey, Box<FilePlace>, bool),
-    /// It is shorter than what was sealed of it.
+    /// It is new, or goes on where it was; with the last of those that began alike and were here before.
+    Here(FileKey, Box<FilePlace>, Option<Box<(FileKey, FilePlace)>>),
+    /// It is shorter than what was sealed of it so far.
     Shrank(Box<FilePlace>),
 }
 
@@ -57,21 +69,44 @@ pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) 
     }
     let mut lead = vec![0; LEAD.min(usize::try_from(metadata.len()).unwrap_or(LEAD))];
     file.read_exact_at(&mut lead, 0).map_err(unreadable)?;
+    let mut former = None;
     for again in 0..MOST_AGAIN {
         let key = key_of(owner, metadata.ino(), &lead, again);
         let Some(place) = notes.read(&key.note)? else {
-            return Ok(Known::Here(key, Box::default(), again > 0));
+            return Ok(Known::Here(key, Box::default(), former));
         };
+        // What was sealed to its end does not go on.
+        let is_over = place.standing != FileStanding::Open;
+        if is_over && metadata.len() != place.at {
+            former = Some(Box::new((key, place)));
+            continue;
+        }
         if metadata.len() < place.at {
             return Ok(Known::Shrank(Box::new(place)));
         }
         let mut hashed = super::hashed::Hashed::default();
         hashed.advance(file, place.at, Vec::new()).map_err(unreadable)?;
         if place.at == 0 || place.digest == Some(hashed.digest()) {
-            return Ok(Known::Here(key, Box::new(place), false));
+            return Ok(Known::Here(key, Box::new(place), None));
         }
+        former = Some(Box::new((key, place)));
     }
     Err(internal("too many files that begin alike were in its place"))
+}
+
+fn name_of(owner: Address, path: &Path) -> SealedUnderName {
+    SealedUnderName { owner, path: Digest(sm3(&[path.as_os_str().as_encoded_bytes()])) }
+}
+
+/// Keeps which file was sealed to its end under a name.
+pub(super) fn put_name(notes: &Notes, owner: Address, path: &Path, key: &FileKey) -> Result<(), Failure> {
+    Ok(notes.write(&name_of(owner, path), &key.note.file)?)
+}
+
+/// The file that was sealed to its end under a name.
+pub(super) fn sealed_at(notes: &Notes, owner: Address, path: &Path) -> Result<Option<FilePlace>, Failure> {
+    let Some(file) = notes.read(&name_of(owner, path))? else { return Ok(None) };
+    Ok(notes.read(&Followed { owner, file })?)
 }
 
 #[cfg(test)]
@@ -79,7 +114,6 @@ mod tests {
     use std::io::{Seek, SeekFrom, Write};
 
     use super::*;
-    use crate::store::Ledger;
 
     struct Case {
         _home: tempfile::TempDir,
@@ -110,7 +144,7 @@ mod tests {
 
         fn here(&self) -> (FileKey, Box<FilePlace>, bool) {
             match known(&self.ledger.notes, OWNER, &self.file, false).expect("known") {
-                Known::Here(key, place, is_another) => (key, place, is_another),
+                Known::Here(key, place, former) => (key, place, former.is_some()),
                 Known::TooShort | Known::Shrank(_) => panic!("it is not here"),
             }
         }
@@ -129,10 +163,7 @@ mod tests {
         let mut case = Case::new();
         case.write(&[1; 1000]);
         assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::TooShort)));
-        assert!(
-            matches!(known(&case.ledger.notes, OWNER, &case.file, true), Ok(Known::Here(..))),
-            "it is all there is"
-        );
+        assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, true), Ok(Known::Here(..))), "it is all there is");
         case.write(&[2; 9000]);
         let (key, place, is_another) = case.here();
         assert_eq!((place.stored, is_another, key.tag.len()), (0, false, 16));
@@ -155,9 +186,25 @@ mod tests {
         case.file.write_all_at(&[1], 7999).expect("as it was");
         assert_eq!(case.here().0, key);
         case.file.set_len(7000).expect("shorter");
-        assert!(
-            matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000)
-        );
+        assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000));
+    }
+
+    #[test]
+    fn what_was_sealed_to_its_end_is_another_file_once_its_length_differs() {
+        let mut case = Case::new();
+        case.write(&[1; 5_000]);
+        let (key, ..) = case.here();
+        case.keep(&key, 5_000);
+        let place = FilePlace { standing: FileStanding::Proven, ..*case.here().1 };
+        case.ledger.notes.write(&key.note, &place).expect("kept");
+        assert_eq!(case.here().0, key);
+        for length in [5_001, 4_999] {
+            case.file.set_len(length).expect("changed");
+            let Ok(Known::Here(other, place, Some(former))) = known(&case.ledger.notes, OWNER, &case.file, true) else {
+                panic!("{length}")
+            };
+            assert!(other != key && place.begun == 0 && former.0 == key && former.1.stored == 5, "{length}");
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@ use authros_evidence::recorded::TAG;
 use super::super::Recordings;
 use super::super::import::RECORDING;
 use super::Follower;
+use super::folder::is_database;
 use super::place::FileKey;
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
@@ -65,7 +66,7 @@ impl Due {
             place: place.clone(),
             stated_at,
             statement,
-            attach: follower.wishes.attach && place.closed,
+            attach: follower.wishes.attach && place.closed && !is_database(path),
         })
     }
 }
@@ -143,7 +144,8 @@ impl Recordings {
             Bundle::read(target, self.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
         if !is_its_own {
             return Err(input(format!(
-                "{} is there and is not the proof of this file; move it away and follow the folder again",
+                "{} is there and proves something else: another file, this one as it was before, or what another profile \
+                 sealed of it; move it away and follow the folder again",
                 target.display()
             )));
         }
