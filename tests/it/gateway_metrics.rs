@@ -36,7 +36,6 @@ const EVERYWHERE: [&str; 17] = [
     "authros_audit_unanchored_age_seconds",
     "authros_clock_ahead_seconds",
     "authros_queue_messages",
-    "authros_vault_backlog_records",
     "authros_disk_free_bytes",
     "authros_disk_reserve_bytes",
     "authros_part_up",

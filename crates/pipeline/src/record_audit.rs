@@ -47,7 +47,7 @@ pub struct Scope {
 /// block and may wait for the runtime.
 ///
 /// # Errors
-/// Errors of ledger and vault if they do not answer at all; faults in them are part of the answer.
+/// Errors of the store if they do not answer at all; faults in them are part of the answer.
 pub fn audit(
     plant: &Plant,
     chain: Option<Result<&Network, String>>,
@@ -230,7 +230,7 @@ pub struct Scrubbed {
 /// Re-hashes up to `most` verified records after the cursor, and moves it; at the end it starts over.
 ///
 /// # Errors
-/// Errors of ledger and vault; then the cursor stays.
+/// Errors of the store; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
     let after = plant.ledger.setting(SCRUBBED)?.and_then(|text| text.parse().ok()).unwrap_or(0);
     let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
@@ -257,7 +257,7 @@ fn scrub(
     done: &mut Scrubbed,
 ) -> Result<Option<Digest>, StoreError> {
     let digest = record.row.digest;
-    let bench = Bench { plant, network: Some(network), blind: false, deep: true, headers: true, keys: None };
+    let bench = Bench { plant, network: Some(network), blind: false, deep: true, keys: None };
     let (mut tally, mut piece) = (Tally::default(), [(record, Uploaded::NotAsked)]);
     look(bench, &piece, &mut tally)?;
     if !tally.findings().is_empty() {

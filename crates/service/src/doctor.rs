@@ -13,8 +13,7 @@ use crate::paths::Home;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::store::vault::{self, Gravity};
-use crate::store::{SiteLock, files, snapshot};
+use crate::store::{CacheSettings, SiteLock, StoreError, cache, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
 /// none runs.
@@ -26,9 +25,9 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     tokio::task::block_in_place(|| {
         home_folder(home, &mut sheet);
         keys(home, &mut sheet);
-        ledger(home, &mut sheet);
+        store(home, &mut sheet);
         disk(home, &mut sheet);
-        vault(home, config, &mut sheet);
+        cache(config, &mut sheet);
         ros_master(config, &mut sheet);
         // A running site of this home is in the domain already, and says below what it sees.
         if !runs {
@@ -290,7 +289,7 @@ fn look_at_modes(path: &Path, open: &mut Vec<String>, looked: &mut u64, depth: u
 
 fn is_secret(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    ["profiles", "vault", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
+    ["profiles", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
 }
 
 /// Every profile's keyring.
@@ -310,21 +309,17 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// Whether the ledger is well-formed.
-fn ledger(home: &Home, sheet: &mut Sheet) {
-    database("ledger", &home.ledger(), sheet);
-}
-
-/// Whether a database is well-formed.
-fn database(name: &str, path: &Path, sheet: &mut Sheet) {
+/// Whether the store is well-formed.
+fn store(home: &Home, sheet: &mut Sheet) {
+    let path = home.ledger();
     if !path.exists() {
-        return sheet.ok(name, &format!("{} does not exist yet", path.display()));
+        return sheet.ok("store", &format!("{} does not exist yet", path.display()));
     }
-    match snapshot::examine(path) {
-        Ok(bytes) => sheet.ok(name, &format!("{} is well-formed, {bytes} bytes", path.display())),
+    match snapshot::examine(&path) {
+        Ok(bytes) => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
         Err(error) => {
             let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
-            sheet.fail(name, &error.to_string(), advice);
+            sheet.fail("store", &error.to_string(), advice);
         }
     }
 }
@@ -355,30 +350,16 @@ fn disk(home: &Home, sheet: &mut Sheet) {
 const LOOK: Duration = Duration::from_secs(6);
 const TICK: Duration = Duration::from_millis(50);
 
-/// The vault: the embedded file, or Redis with its policy and persistence.
-fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
-    let Some(url) = &config.vault_url else {
-        return database("vault", &home.vault().join("vault.db"), sheet);
-    };
-    match vault::examine(Some(url)) {
-        Ok(findings) => {
-            if findings.is_empty() {
-                let text = format!("{} answers, does not evict and has an append-only file", without_secrets(url));
-                sheet.ok("vault", &text);
-            }
-            for finding in findings {
-                let text = format!("Redis at {} {}", finding.server, finding.text);
-                match finding.gravity {
-                    Gravity::Warning => sheet.warn("vault", &text, &finding.advice),
-                    Gravity::Refused => sheet.fail("vault", &text, &finding.advice),
-                }
-            }
+/// The cache, if there is one: whether it answers.
+fn cache(config: &Config, sheet: &mut Sheet) {
+    let Some(url) = config.cache_url.clone() else { return };
+    match cache::examine(&CacheSettings { url, roots: config.cache_roots.clone() }) {
+        Ok(shown) => sheet.ok("cache", &format!("{shown} answers")),
+        Err(StoreError::CacheAway { url, detail }) => {
+            let advice = "start it, correct cache.url, or leave that empty; records are read from the store meanwhile";
+            sheet.warn("cache", &format!("{url} does not answer: {detail}"), advice);
         }
-        Err(error) => {
-            let text = error.to_string();
-            let (text, advice) = text.split_once(';').unwrap_or((&text, "start it or correct vault.url"));
-            sheet.fail("vault", text.trim(), advice.trim());
-        }
+        Err(error) => sheet.fail("cache", &error.to_string(), "correct cache.url and cache.roots in the settings"),
     }
 }
 

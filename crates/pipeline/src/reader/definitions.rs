@@ -54,7 +54,7 @@ impl Definitions {
     /// Like [`Reader::own_definition`].
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn own_text(
         &mut self,
         reader: &Reader<'_>,
@@ -111,10 +111,10 @@ impl Reader<'_> {
     }
 
     /// The definition that an opened own message names, or has by its type's hash; `None` if no record that opens holds it.
-    /// Waits for ledger and vault.
+    /// Waits for the store.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn own_definition(&self, row: &RecordRow, opened: &OpenedRecord) -> Result<Option<String>, PipelineError> {
         let wanted = Wanted::of(opened);
         for query in wanted.attempts(row) {
