@@ -111,7 +111,8 @@ fn leaves_of(store: &Connection, table: &str) -> Vec<usize> {
     const LEAF_OF_A_TABLE: u8 = 0x0d;
     store.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)").expect("in the file");
     let root = "SELECT rootpage FROM sqlite_schema WHERE name = ?1";
-    let root: usize = store.query_row(root, [table], |row| row.get(0)).expect("a table");
+    let root: i64 = store.query_row(root, [table], |row| row.get(0)).expect("a table");
+    let root = usize::try_from(root).expect("a page");
     let file = std::fs::read(store.path().expect("a path")).expect("read");
     let size = usize::from(u16::from_be_bytes([file[16], file[17]]));
     let (mut inner, mut leaves) = (vec![root], Vec::new());

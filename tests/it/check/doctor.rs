@@ -98,7 +98,8 @@ fn a_cache_that_answers_is_well_and_one_that_does_not_is_a_warning() {
     let found = examined(&authros, 0);
     assert_eq!(status(&found, "cache"), "warn", "{found}");
     assert!(found.to_string().contains("read from the store meanwhile"), "{found}");
-    // Before anything else: a URL that cannot be one.
+    // A URL that cannot be one.
+    home.authros().with(&["--robots", "0"]).run(&["identity", "create"]).expect_code(0);
     for url in ["http://me:s3cret@127.0.0.1:6379", "redis+cluster://me:s3cret@host"] {
         let outcome = home.authros().with(&["--cache", url]).run(&["status"]);
         let words = format!("{}{}", outcome.stdout, outcome.stderr);

@@ -176,13 +176,13 @@ fn liar() -> String {
                     } else if holds(text, b"GET") && number % 3 == 2 {
                         // Never ends.
                         drop(stream.write_all(b"$9000000000000\r\n"));
-                        while stream.write_all(&[b'0'; 1 << 16]).is_ok() {}
+                        while stream.write_all(&[b'0'; 4096]).is_ok() {}
                         return;
                     } else if holds(text, b"GET") && number % 3 == 1 {
                         b"$5\r\nwrong\r\n".to_vec()
                     } else if holds(text, b"GET") {
                         // Another record, if any was ever written to it.
-                        [format!("${}\r\n", value.len()).as_bytes(), &value, b"\r\n"].concat()
+                        [format!("${}\r\n", value.len()).as_bytes(), &value[..], b"\r\n"].concat()
                     } else {
                         value = text.to_vec();
                         b"+OK\r\n".repeat(text.windows(3).filter(|word| word == b"SET").count().max(1))

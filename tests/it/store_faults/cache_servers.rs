@@ -107,8 +107,11 @@ fn behind_tls_the_right_certificate_is_accepted_and_every_wrong_one_costs_time_a
         let tls =
             ["--tls-port", &port, "--tls-cert-file", &certificate, "--tls-key-file", &key, "--tls-auth-clients", "no"];
         let Some(redis) = Redis::start(&tls) else { skipped!(NO_REDIS) };
-        let load =
-            Load::start(&["--cache", &format!("rediss://127.0.0.1:{port}")], &[("AUTHROS_CACHE_ROOTS", &roots)], &[]);
+        let load = Load::start(
+            &["--cache", &format!("rediss://127.0.0.1:{port}")],
+            &[("AUTHROS_CACHE_ROOTS", roots.as_str())],
+            &[],
+        );
         load.authros.capture(&[ODOM], 3);
         let records = load.authros.records(&["uploads", "list"]);
         match words {
