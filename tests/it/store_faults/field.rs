@@ -73,14 +73,6 @@ impl Load {
         kinds.iter().flat_map(|kind| self.authros.records(&["uploads", "list", "--kind", kind])).collect()
     }
 
-    /// All of these records are intact.
-    pub fn check(&self, records: &[Value]) {
-        for record in records {
-            let id = record["id"].as_str().expect("an id");
-            assert_eq!(self.authros.json(&["shared", "check", id])["verdict"], "verified", "{record}");
-        }
-    }
-
     /// The id of the site's process.
     pub fn id(&self) -> u32 {
         self.site.id()
