@@ -200,11 +200,6 @@ impl Home {
         self.root.join("alerts.queue")
     }
 
-    /// Ciphertext of the embedded vault.
-    pub fn vault(&self) -> PathBuf {
-        self.root.join("vault")
-    }
-
     /// The ring of a robot: sealed records of topics that nobody watches.
     pub fn ring(&self) -> PathBuf {
         self.root.join("ring")

@@ -30,7 +30,7 @@ pub fn noted(notes: &Notes, owner: Address) -> Result<Option<(u64, Digest)>, Sto
 /// [`Owner::changes`]: a head must not be signed by a key that is being replaced.
 ///
 /// # Errors
-/// Errors of ledger and vault; `StoreError::Corrupt` if the log does not continue from the previous head, in which case
+/// Errors of the store; `StoreError::Corrupt` if the log does not continue from the previous head, in which case
 /// no new head is sealed.
 pub fn state_head(
     plant: &Plant,

@@ -93,7 +93,7 @@ impl Pulls {
     /// Does a little, at most one file of the ring.
     ///
     /// # Errors
-    /// Errors of ring, vault and ledger; the next step tries the same again.
+    /// Errors of ring and store; the next step tries the same again.
     pub fn step(&mut self) -> Result<Step, PipelineError> {
         let Some(mut work) = self.take_work()? else { return Ok(Step::Idle) };
         let Some(part) = work.parts.front().copied() else {

@@ -86,7 +86,7 @@ mod tests {
     use crate::crypto::{ProviderName, provider};
     use crate::model::{RecordKind, RecordState};
     use crate::pipeline::fixture::Notes;
-    use crate::store::{AuditQuery, Foreign, Ledger, open_vault};
+    use crate::store::{AuditQuery, Ciphertext, Foreign, Ledger};
 
     fn record(digest: u8, seq: u64) -> NewRecord {
         let foreign = Foreign { recorder: RecorderId([7; RecorderId::LENGTH]), keeper: Address([9; 20]) };
@@ -107,7 +107,7 @@ mod tests {
             captured_at: Timestamp(1),
             simulated: false,
             state: RecordState::Stored,
-            local_copy: None,
+            blob: None,
         }
     }
 
@@ -115,12 +115,12 @@ mod tests {
     fn two_records_of_one_number_are_told_once_with_both_signatures() {
         let home = tempfile::tempdir().expect("a folder");
         let notes = Arc::new(Notes::default());
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let plant = Plant {
-            ledger: Ledger::open(&home.path().join("ledger.db")).expect("a ledger"),
-            vault: open_vault(None, home.path()).expect("a vault"),
+            ciphertext: Ciphertext::of(&ledger),
+            ledger,
             provider: provider(ProviderName::RustCrypto),
             observer: Arc::clone(&notes) as _,
-            backlog: u64::MAX,
         };
         plant.ledger.append(vec![record(1, 5)]).expect("taken");
         let claim = |digest, seq| Claim::of(&record(digest, seq)).expect("from elsewhere");

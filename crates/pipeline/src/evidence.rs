@@ -1,4 +1,4 @@
-//! What an evidence bundle is assembled from: records from the vault, their places in batches, and the chain's proofs
+//! What an evidence bundle is assembled from: records from the store, their places in batches, and the chain's proofs
 //! of their anchors and their signers' keys.
 
 /// The most records in a bundle.
@@ -75,7 +75,7 @@ fn refused(error: PackingError) -> PipelineError {
 /// stamp authorities.
 ///
 /// # Errors
-/// Errors of ledger, vault and chain; a record whose bytes are gone.
+/// Errors of store and chain; a record whose bytes are gone.
 pub async fn gather(
     reader: &Reader<'_>,
     rows: &[RecordRow],

@@ -100,7 +100,7 @@ pub enum ForwardError {
     /// The gateway or the connection to it.
     #[error(transparent)]
     Gateway(#[from] GatewayError),
-    /// The ledger or vault of this robot.
+    /// The store of this robot.
     #[error(transparent)]
     Here(#[from] PipelineError),
 }
@@ -242,7 +242,7 @@ impl Forwarder {
     /// Whatever the gateway has not signed for stays.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn tidy(&self) -> Result<(), PipelineError> {
         self.outbox().tidy()
     }
@@ -376,7 +376,7 @@ impl Line<'_> {
     /// Whether a proof leads from the very bytes stored here to the root of an anchored batch.
     fn holds(&self, row: &RecordRow, proof: &[u8]) -> bool {
         let Ok(AnchorProof { inclusion: Some(inclusion), .. }) = AnchorProof::parse(proof) else { return false };
-        let Ok(Some(blob)) = self.outbox.plant.vault.get(row.digest) else { return false };
+        let Ok(Some(blob)) = self.outbox.plant.ciphertext.get(row.digest) else { return false };
         let Ok((header, _)) = Header::parse(&blob) else { return false };
         let digest = Digest(self.outbox.plant.provider.sm3(&[&blob]));
         digest == row.digest && inclusion.proves(&Leaf::of(&header, digest))

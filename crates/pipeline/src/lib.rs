@@ -54,7 +54,6 @@ pub mod sender;
 pub mod session;
 pub mod stages;
 pub mod statement;
-pub mod storer;
 #[cfg(test)]
 mod tests;
 pub mod verifier;
@@ -78,7 +77,7 @@ use std::sync::Arc;
 use crate::chain::{Chain, Pin};
 use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
-use crate::store::{Ledger, Rights, StoreError, Vault};
+use crate::store::{Ciphertext, Ledger, Rights, StoreError};
 
 /// A worker's report to the service; short, never blocking.
 pub trait Observer: Send + Sync {
@@ -98,8 +97,6 @@ pub trait Observer: Send + Sync {
     }
     /// An account of this home anchored something this home did not send.
     fn foreign_anchors(&self, _found: &store::notes::ForeignAnchors) {}
-    /// The vault's present state.
-    fn vault(&self, _condition: storer::Condition) {}
     /// Something an operator should know; `urgent` stays on screen.
     fn alert(&self, urgent: bool, text: String);
 }
@@ -109,14 +106,12 @@ pub trait Observer: Send + Sync {
 pub struct Plant {
     /// States of all records.
     pub ledger: Ledger,
-    /// Ciphertext.
-    pub vault: Arc<dyn Vault>,
+    /// Their ciphertext, of the same store.
+    pub ciphertext: Ciphertext,
     /// SM2, SM3, SM4.
     pub provider: &'static dyn Provider,
     /// Receives events.
     pub observer: Arc<dyn Observer>,
-    /// Bytes of records that may wait in the ledger for a vault that does not accept them.
-    pub backlog: u64,
 }
 
 /// The chain in use with everything bound to it.

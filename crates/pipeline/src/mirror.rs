@@ -1,4 +1,4 @@
-//! Records that come through a gateway: every claim is compared with the chain, then they are stored in vault and
+//! Records that come through a gateway: every claim is compared with the chain, then they are stored in the
 //! ledger as if they had been captured here. A gateway that lies gets nothing in.
 
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ const MOST_ANCHORS: usize = 4096;
 
 /// Imports records for one reader.
 pub struct Mirror<'a> {
-    /// Ledger, vault, provider.
+    /// Store, provider.
     pub plant: &'a Plant,
     /// The chain.
     pub network: &'a Network,
@@ -199,7 +199,7 @@ impl Mirror<'_> {
     /// whether anything changed.
     ///
     /// # Errors
-    /// [`PipelineError::NotTakenIn`] if a claim is invalid, otherwise errors of chain, vault and ledger.
+    /// [`PipelineError::NotTakenIn`] if a claim is invalid, otherwise errors of store and chain.
     pub async fn take(&self, owner: Address, digest: Digest, fetched: Fetched) -> Result<bool, PipelineError> {
         let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
         let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is not a record"))?;
@@ -382,7 +382,7 @@ impl Mirror<'_> {
 
     fn note(&self, sealed: SealedRecord, taken: TakenErased) -> Result<bool, PipelineError> {
         let digest = sealed.digest;
-        let row = NewRecord { local_copy: None, state: RecordState::Stored, ..NewRecord::foreign(sealed, self.keeper) };
+        let row = NewRecord { blob: None, ..NewRecord::foreign(sealed, self.keeper) };
         self.plant.ledger.take_erased(row, taken).map_err(|error| match error {
             StoreError::Conflict { .. } => {
                 PipelineError::NotTakenIn { digest, why: "its number belongs to another record".to_owned() }

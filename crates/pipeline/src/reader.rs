@@ -1,4 +1,4 @@
-//! Reading: who may, with which key, and the results of the checks. The vault's bytes are compared with the chain
+//! Reading: who may, with which key, and the results of the checks. Stored bytes are compared with the chain
 //! before anything else, and nothing is shown before the last check.
 
 mod definitions;
@@ -22,7 +22,7 @@ use crate::{Network, Owner, PipelineError, Plant, chain_proofs, columns};
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
-    /// Ledger, vault, provider.
+    /// Store, provider.
     pub plant: &'a Plant,
     /// The chain.
     pub network: &'a Network,
@@ -60,7 +60,7 @@ impl Reader<'_> {
     /// Checks a record without opening it (the paper's `Data_Check`).
     ///
     /// # Errors
-    /// Errors of chain, vault and ledger; what is wrong with the record itself is in the verdict.
+    /// Errors of store and chain; what is wrong with the record itself is in the verdict.
     pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
         let checked = self.check_once(row).await?;
         if checked.0 != Verdict::Tampered {
@@ -74,7 +74,12 @@ impl Reader<'_> {
     }
 
     async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
-        let Some(blob) = self.blob(row)? else {
+        // Never from the cache: a check is of what lies on the disk.
+        let stored = block_in_place(|| match row.deleted_at {
+            None => self.plant.ciphertext.get(row.digest),
+            Some(_) => Ok(None),
+        });
+        let Some(blob) = stored? else {
             return Ok((self.check_gone(row).await?, row.digest));
         };
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
@@ -111,18 +116,8 @@ impl Reader<'_> {
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
-    /// The stored bytes; those of a quarantined record may not be in the vault yet.
     fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
-        if row.deleted_at.is_some() {
-            return Ok(None);
-        }
-        block_in_place(|| {
-            let stored = self.plant.vault.get(row.digest)?;
-            if stored.is_none() && row.state == RecordState::Quarantined {
-                return Ok(self.plant.ledger.local_copy(row.digest)?);
-            }
-            Ok(stored)
-        })
+        block_in_place(|| Ok(self.plant.stored_bytes(row)?))
     }
 
     /// What the chain says of the record, or said when it could be asked.
@@ -151,7 +146,7 @@ impl Reader<'_> {
         self.open_bytes(row, &blob).await
     }
 
-    /// Like [`Self::open`], for bytes that the vault need not have.
+    /// Like [`Self::open`], for bytes that the store need not have.
     ///
     /// # Errors
     /// See [`Self::open`].
@@ -315,10 +310,10 @@ impl Reader<'_> {
 }
 
 impl Reader<'_> {
-    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for ledger and vault.
+    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for the store.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
         Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
     }
@@ -326,12 +321,9 @@ impl Reader<'_> {
     /// The stored bytes of a record.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
-        match self.plant.stored_bytes(row)? {
-            Some(blob) => Ok(Some(blob)),
-            None => Ok(self.plant.ledger.local_copy(row.digest)?),
-        }
+        Ok(self.plant.stored_bytes(row)?)
     }
 
     /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open, or

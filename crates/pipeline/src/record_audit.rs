@@ -48,7 +48,7 @@ pub struct Scope {
 /// block and may wait for the runtime.
 ///
 /// # Errors
-/// Errors of ledger and vault if they do not answer at all; faults in them are part of the answer.
+/// Errors of the store if they do not answer at all; faults in them are part of the answer.
 pub fn audit(
     plant: &Plant,
     chain: Option<Result<&Network, String>>,
@@ -228,7 +228,7 @@ pub struct Scrubbed {
 /// Re-hashes up to `most` verified records after the cursor, and moves it; at the end it starts over.
 ///
 /// # Errors
-/// Errors of ledger and vault; then the cursor stays.
+/// Errors of the store; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
     let after = plant.ledger.notes.read(&ScrubbedUpTo {})?.unwrap_or(0);
     let page = plant.ledger.inspection.audit_page(after, Timestamp(0), most)?;
@@ -255,7 +255,7 @@ fn scrub(
     done: &mut Scrubbed,
 ) -> Result<Option<Digest>, StoreError> {
     let digest = record.row.digest;
-    let bench = Bench { plant, network: Some(network), blind: false, deep: true, headers: true, keys: None };
+    let bench = Bench { plant, network: Some(network), blind: false, deep: true, keys: None };
     let (mut tally, mut piece) = (Tally::default(), [(record, Uploaded::NotAsked)]);
     look(bench, &piece, &mut tally)?;
     if !tally.findings().is_empty() {

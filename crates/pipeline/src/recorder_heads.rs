@@ -28,7 +28,7 @@ pub fn tree(heights: &Heights) -> Option<Tree> {
 /// at a time.
 ///
 /// # Errors
-/// Errors of vault and ledger.
+/// Errors of the store.
 pub fn state(
     plant: &Plant,
     owner: Address,

@@ -113,7 +113,7 @@ impl Sealer {
     ) -> Result<(), Panicked> {
         let mut pause = Duration::from_millis(100);
         let names = loop {
-            let tried = match self.plant.takes_records() {
+            let tried = match self.plant.ledger.takes_records() {
                 // What waits is noted, and nothing but room changes anything.
                 Err(full) if self.losses.is_noted() => Ok(Err(full.into())),
                 _ => {
@@ -277,7 +277,6 @@ fn gathering((taken, bytes): (usize, usize), took: Duration, capacity: usize) ->
 fn cause(error: &PipelineError) -> LossReason {
     match error {
         PipelineError::Store(StoreError::DiskFull { .. }) => LossReason::Disk,
-        PipelineError::Store(StoreError::Backlog { .. }) => LossReason::Backlog,
         _ => LossReason::Memory,
     }
 }

@@ -14,8 +14,7 @@ use crate::pipeline::network_pin_in;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::store::vault::{self, Gravity};
-use crate::store::{Glance, SiteLock, files, snapshot};
+use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
 /// none runs.
@@ -27,9 +26,9 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     tokio::task::block_in_place(|| {
         home_folder(home, &mut sheet);
         keys(home, &mut sheet);
-        ledger(home, &mut sheet);
+        store(home, &mut sheet);
         disk(home, &mut sheet);
-        vault(home, config, &mut sheet);
+        cache(config, &mut sheet);
         ros_master(config, &mut sheet);
         // A running site of this home is in the domain already, and says below what it sees.
         if !runs {
@@ -286,7 +285,7 @@ fn look_at_modes(path: &Path, open: &mut Vec<String>, looked: &mut u64, depth: u
 
 fn is_secret(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    ["profiles", "vault", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
+    ["profiles", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
 }
 
 /// Every profile's keyring.
@@ -313,30 +312,24 @@ fn keys(home: &Home, sheet: &mut Sheet) {
 /// What to do about a damaged file.
 const DAMAGED: &str = "keep a copy of the home, then restore the last backup: authros restore FILE";
 
-/// Whether the ledger is well-formed, and what is noted in it can be read.
-fn ledger(home: &Home, sheet: &mut Sheet) {
-    if !home.ledger().exists() && home.chain().join("chain.db").exists() {
-        let text = format!("{} is gone, and the embedded chain of this home is there", home.ledger().display());
+/// Whether the store is well-formed, and what is noted in it can be read.
+fn store(home: &Home, sheet: &mut Sheet) {
+    let path = home.ledger();
+    if !path.exists() && home.chain().join("chain.db").exists() {
+        let text = format!("{} is gone, and the embedded chain of this home is there", path.display());
         let advice = "restore the last backup: authros restore FILE; without one, name the contract with --contract";
-        return sheet.fail("ledger", &text, advice);
+        return sheet.fail("store", &text, advice);
     }
-    database("ledger", &home.ledger(), sheet);
-    if home.ledger().exists() {
-        match Glance::at(&home.ledger()).and_then(|ledger| ledger.check_notes()) {
-            Ok(count) => sheet.ok("notes", &format!("{count} notes in the ledger can be read")),
-            Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
-        }
-    }
-}
-
-/// Whether a database is well-formed.
-fn database(name: &str, path: &Path, sheet: &mut Sheet) {
     if !path.exists() {
-        return sheet.ok(name, &format!("{} does not exist yet", path.display()));
+        return sheet.ok("store", &format!("{} does not exist yet", path.display()));
     }
-    match snapshot::examine(path) {
-        Ok(bytes) => sheet.ok(name, &format!("{} is well-formed, {bytes} bytes", path.display())),
-        Err(error) => sheet.fail(name, &error.to_string(), DAMAGED),
+    match snapshot::examine(&path) {
+        Ok(bytes) => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
+        Err(error) => return sheet.fail("store", &error.to_string(), DAMAGED),
+    }
+    match Glance::at(&path).and_then(|ledger| ledger.check_notes()) {
+        Ok(count) => sheet.ok("notes", &format!("{count} notes in the store can be read")),
+        Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
     }
 }
 
@@ -366,30 +359,16 @@ fn disk(home: &Home, sheet: &mut Sheet) {
 const LOOK: Duration = Duration::from_secs(6);
 const TICK: Duration = Duration::from_millis(50);
 
-/// The vault: the embedded file, or Redis with its policy and persistence.
-fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
-    let Some(url) = &config.vault_url else {
-        return database("vault", &home.vault().join("vault.db"), sheet);
-    };
-    match vault::examine(Some(url)) {
-        Ok(findings) => {
-            if findings.is_empty() {
-                let text = format!("{} answers, does not evict and has an append-only file", without_secrets(url));
-                sheet.ok("vault", &text);
-            }
-            for finding in findings {
-                let text = format!("Redis at {} {}", finding.server, finding.text);
-                match finding.gravity {
-                    Gravity::Warning => sheet.warn("vault", &text, &finding.advice),
-                    Gravity::Refused => sheet.fail("vault", &text, &finding.advice),
-                }
-            }
+/// The cache, if there is one: whether it answers.
+fn cache(config: &Config, sheet: &mut Sheet) {
+    let Some(url) = config.cache_url.clone() else { return };
+    match cache::examine(&CacheSettings { url, roots: config.cache_roots.clone() }) {
+        Ok(shown) => sheet.ok("cache", &format!("{shown} answers")),
+        Err(StoreError::CacheAway { url, detail }) => {
+            let advice = "start it, correct cache.url, or leave that empty; records are read from the store meanwhile";
+            sheet.warn("cache", &format!("{url} does not answer: {detail}"), advice);
         }
-        Err(error) => {
-            let text = error.to_string();
-            let (text, advice) = text.split_once(';').unwrap_or((&text, "start it or correct vault.url"));
-            sheet.fail("vault", text.trim(), advice.trim());
-        }
+        Err(error) => sheet.fail("cache", &error.to_string(), "correct cache.url and cache.roots in the settings"),
     }
 }
 

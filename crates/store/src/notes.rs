@@ -86,10 +86,6 @@ notes! {
     SeenForeign {} = "foreign anchors": ForeignAnchors, "the anchors that this home did not send";
     /// Up to which text of [`crate::WaitingFile`] its losses are counted.
     LossesCounted {} = "losses counted": u64, "up to where losses are counted";
-    /// The runs of the vault's server, as it was compared last.
-    VaultRuns {} = "vault runs": String, "which run of the vault was compared";
-    /// How many verified records the vault lacks.
-    VaultGone {} = "vault gone": u64, "how many records the vault lacks";
     /// Behind which record verified ones are hashed again.
     ScrubbedUpTo {} = "scrubbed": u64, "up to where records were hashed again";
 

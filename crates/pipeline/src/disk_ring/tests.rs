@@ -15,7 +15,7 @@ use crate::pipeline::sealer::Sealer;
 use crate::pipeline::tests::body_of;
 use crate::pipeline::{Author, CaptureSession, Losses, Recorder};
 use crate::ros::MessageSink as _;
-use crate::store::{Ledger, RecordQuery, RecordRow, open_vault};
+use crate::store::{Ciphertext, Ledger, RecordQuery, RecordRow};
 
 const SECOND: u64 = 1_000_000_000;
 const CAMERA: &str = "/camera";
@@ -37,12 +37,12 @@ impl Robot {
     fn new(home: &Path) -> Self {
         let ours = provider(ProviderName::default());
         let notes = Arc::new(Notes::default());
+        let ledger = Ledger::open(&home.join("ledger.db")).expect("ledger");
         let plant = Plant {
-            ledger: Ledger::open(&home.join("ledger.db")).expect("ledger"),
-            vault: open_vault(None, home).expect("vault"),
+            ciphertext: Ciphertext::of(&ledger),
+            ledger,
             provider: ours,
             observer: Arc::clone(&notes) as Arc<dyn crate::pipeline::Observer>,
-            backlog: u64::MAX,
         };
         let signing = SmKeyPair::generate(ours).expect("pair");
         let (key, index) = (SealingKey::Epoch(EpochKey::new([1; 32])), IndexKey::new([2; 32]));
@@ -86,7 +86,7 @@ impl Robot {
     }
 
     fn body(&self, row: &RecordRow) -> Vec<u8> {
-        let blob = self.plant.vault.get(row.digest).expect("vault").expect("stored");
+        let blob = self.plant.ciphertext.get(row.digest).expect("read").expect("stored");
         body_of(self.plant.provider, &self.keys, row, &blob)
     }
 }

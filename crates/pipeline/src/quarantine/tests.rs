@@ -7,17 +7,17 @@ use super::super::tests::owner_with_keys;
 use super::*;
 use crate::crypto::{ProviderName, provider};
 use crate::model::{RecordState, SignerId};
-use crate::store::{HeldQuery, Ledger, NewRecord, open_vault};
+use crate::store::{Ciphertext, HeldQuery, Ledger, NewRecord};
 
 const MINUTE: u64 = 60_000_000_000;
 
 fn plant(home: &std::path::Path) -> Plant {
+    let ledger = Ledger::open(&home.join("ledger.db")).expect("ledger");
     Plant {
-        ledger: Ledger::open(&home.join("ledger.db")).expect("ledger"),
-        vault: open_vault(None, home).expect("vault"),
+        ciphertext: Ciphertext::of(&ledger),
+        ledger,
         provider: provider(ProviderName::RustCrypto),
         observer: Arc::new(Notes::default()),
-        backlog: u64::MAX,
     }
 }
 
@@ -39,13 +39,12 @@ fn record(owner: Address, topic: u8, seq: u64, at: u64) -> NewRecord {
         captured_at: Timestamp(at),
         simulated: false,
         state: RecordState::Quarantined,
-        local_copy: None,
+        blob: Some(b"ciphertext".to_vec()),
     }
 }
 
 fn keep(plant: &Plant, record: NewRecord) -> Digest {
     let digest = record.digest;
-    plant.vault.put(&[(digest, b"ciphertext")]).expect("stored");
     let hold = Hold { digest, reason: "new", publisher: "/evil@h:a/B:0".to_owned() };
     plant.ledger.quarantine.append_held(vec![record], vec![hold]).expect("held");
     digest
@@ -70,7 +69,7 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
     assert!(rows.iter().all(|row| row.kind == RecordKind::Quarantine && row.topic == TOPIC));
     let mut found = Vec::new();
     for row in &rows {
-        let blob = plant.vault.get(row.digest).expect("read").expect("there");
+        let blob = plant.ciphertext.get(row.digest).expect("read").expect("there");
         let keys = owner.sealing().expect("keys");
         let body = super::super::tests::body_of(plant.provider, &keys, row, &blob);
         found.push((row.digest, QuarantineReport::parse(&body).expect("a report")));
@@ -113,8 +112,8 @@ fn what_is_discarded_is_gone_and_still_counted() {
     assert_eq!(report(&plant, &owner.author, u64::MAX).expect("counted"), 1);
     assert_eq!(discard(&plant, &digests[..2]).expect("discarded"), 2);
     assert_eq!(discard(&plant, &digests[..2]).expect("again"), 0);
-    assert_eq!(plant.vault.get(digests[0]), Ok(None));
-    assert!(plant.vault.get(digests[2]).expect("read").is_some());
+    assert_eq!(plant.ciphertext.get(digests[0]), Ok(None));
+    assert!(plant.ciphertext.get(digests[2]).expect("read").is_some());
     let counts = plant.ledger.counts(Some(owner.address)).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.dropped, topic.quarantined, topic.pending), (3, 2, 1, 0));

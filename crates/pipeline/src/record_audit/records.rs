@@ -17,7 +17,7 @@ use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
 use crate::columns::Keys;
 use crate::crypto::Provider;
-use crate::model::{Digest, RecordState, Timestamp, clean};
+use crate::model::{RecordState, Timestamp, clean};
 use crate::store::{AuditedRecord, StoreError};
 
 /// Rows per page.
@@ -37,8 +37,6 @@ pub(super) struct Bench<'a> {
     /// Whether there is a chain that could not be queried.
     pub blind: bool,
     pub deep: bool,
-    /// Whether the vault can be asked for headers.
-    pub headers: bool,
     /// The keys for comparing names.
     pub keys: Option<&'a (dyn Keys + Send + Sync)>,
 }
@@ -65,8 +63,7 @@ pub(super) fn compare(
     runtime: &Handle,
     tally: &mut Tally,
 ) -> Result<Reading, StoreError> {
-    let headers = scope.deep || vault_answers(plant, tally)?;
-    let bench = Bench { plant, network, blind, deep: scope.deep, headers, keys: Some(&*scope.keys) };
+    let bench = Bench { plant, network, blind, deep: scope.deep, keys: Some(&*scope.keys) };
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
     let begun = Instant::now();
     let (pieces, waiting) = sync_channel::<Vec<Looked>>(threads);
@@ -85,23 +82,10 @@ pub(super) fn compare(
         };
         tally.join(one.ok_or_else(lost)??);
     }
-    if headers && scope.since.0 == 0 {
+    if scope.since.0 == 0 {
         compare_index(plant, tally)?;
     }
     Ok(Reading { seconds: begun.elapsed().as_secs_f64(), threads })
-}
-
-/// Whether headers can be read; if not, that is reported once.
-fn vault_answers(plant: &Plant, tally: &mut Tally) -> Result<bool, StoreError> {
-    match plant.vault.fronts(&[Digest([0; 32])], 1) {
-        Ok(_) => Ok(true),
-        Err(error @ StoreError::Unreachable { .. }) => {
-            let text = format!("rows could not be compared with the headers of their records: {error}");
-            tally.find(FindingKind::Unreachable, "vault", &text);
-            Ok(false)
-        }
-        Err(error) => Err(error),
-    }
 }
 
 /// Whether the index of tags has entries that no header supports.
@@ -259,24 +243,17 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
         tally.records += 1;
         tally.last = tally.last.max(record.number);
         tally.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
-        if is_missed(bench, record)? {
-            let text = "its stored bytes are missing from the vault, and there is no local copy";
-            // A deep audit finds it among the bytes.
-            if !bench.deep {
-                tally.find(FindingKind::Missing, &subject(record), text);
-            }
-        } else if let Some(text) = row_fault(bench, record, *uploaded) {
+        // What is missing is found among the bytes.
+        if !is_missed(record)
+            && let Some(text) = row_fault(bench, record, *uploaded)
+        {
             tally.find(FindingKind::Tampered, &subject(record), &text);
         }
         if !bench.deep {
             tally.bytes += record.row.bytes;
         }
     }
-    match (bench.deep, bench.headers) {
-        (true, _) => look_deep(bench, piece, tally),
-        (false, true) => look_at_headers(bench, piece, tally),
-        (false, false) => Ok(()),
-    }
+    if bench.deep { look_deep(bench, piece, tally) } else { look_at_headers(bench, piece, tally) }
 }
 
 /// The same records as they are now.
@@ -304,9 +281,8 @@ pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedR
 }
 
 /// Whether it is known as tampered because its bytes are no longer stored.
-fn is_missed(bench: Bench<'_>, record: &AuditedRecord) -> Result<bool, StoreError> {
-    let known = record.row.state == RecordState::Tampered && record.row.deleted_at.is_none() && !record.has_copy;
-    Ok(known && !bench.plant.vault.contains(record.row.digest)?)
+fn is_missed(record: &AuditedRecord) -> bool {
+    record.row.state == RecordState::Tampered && record.row.deleted_at.is_none() && !record.is_stored
 }
 
 pub(super) fn subject(record: &AuditedRecord) -> String {

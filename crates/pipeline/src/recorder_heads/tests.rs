@@ -42,7 +42,7 @@ impl Home {
         let query = RecordQuery { topic: Some(TOPIC.to_owned()), ..RecordQuery::default() };
         let rows = self.plant.ledger.list(&query).expect("listed").rows;
         let read = |row: &crate::store::RecordRow| {
-            let blob = self.plant.vault.get(row.digest).expect("read").expect("stored");
+            let blob = self.plant.ciphertext.get(row.digest).expect("read").expect("stored");
             (row.type_name.clone(), body_of(self.plant.provider, &self.keys(), row, &blob), row.digest)
         };
         let mut rows: Vec<_> = rows;

@@ -12,7 +12,7 @@ use crate::crypto::{CryptoError, IndexKey, Provider, ProviderName, SealingKey, S
 use crate::model::{Address, Domain, PublicKey, RecordKind, RecordState, Signature, Token};
 use crate::pipeline::Author;
 use crate::pipeline::epoch::EpochKeys;
-use crate::store::{Ledger, RecordQuery, open_vault};
+use crate::store::{Ciphertext, Ledger, RecordQuery};
 
 /// A text on which [`Trap`] panics.
 const BAD: &[u8] = b"the bad one";
@@ -79,12 +79,12 @@ impl Line {
     fn new(home: &Path) -> Self {
         let ours = provider(ProviderName::default());
         let notes = Arc::new(Notes::default());
+        let ledger = Ledger::open(&home.join("ledger.db")).expect("ledger");
         let plant = Plant {
-            ledger: Ledger::open(&home.join("ledger.db")).expect("ledger"),
-            vault: open_vault(None, home).expect("vault"),
+            ciphertext: Ciphertext::of(&ledger),
+            ledger,
             provider: Box::leak(Box::new(Trap(ours))),
             observer: Arc::clone(&notes) as Arc<dyn super::super::Observer>,
-            backlog: u64::MAX,
         };
         let signing = SmKeyPair::generate(ours).expect("pair");
         let (key, index) = (SealingKey::Epoch(crate::crypto::EpochKey::new([1; 32])), IndexKey::new([2; 32]));
@@ -123,7 +123,7 @@ impl Line {
             .rows
             .iter()
             .map(|row| {
-                let blob = plant.vault.get(row.digest).expect("vault").expect("stored");
+                let blob = plant.ciphertext.get(row.digest).expect("read").expect("stored");
                 (row.seq, row.kind, body_of(plant.provider, &self.keys, row, &blob))
             })
             .collect();

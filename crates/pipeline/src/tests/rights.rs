@@ -122,20 +122,6 @@ async fn a_batch_that_was_passed_over_is_anchored_again_under_another_root() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_a_vault_forgets_between_two_looks_is_not_tampered_with() {
-    let mut line = Line::new().await;
-    let lanes = [line.owner.eoa()];
-    line.plant.vault = super::keeping::Forgetful::over(&line.plant.vault, 3);
-    let kept = |seq| NewRecord { local_copy: Some(vec![9; 100]), ..record(&line.owner, 1, seq) };
-    let digests: Vec<Digest> = (1..=3).map(|seq| kept(seq).digest).collect();
-    line.plant.ledger.append((1..=3).map(kept).collect()).expect("acknowledged");
-    line.until_confirmed(3, true, &lanes).await;
-    assert_eq!(verify_round(&line.plant, &line.network).expect("a round"), 0, "nothing is decided");
-    assert_eq!((line.count(RecordState::Confirmed), line.count(RecordState::Tampered)), (3, 0));
-    assert_eq!(line.plant.vault.contains_many(&digests), Ok(vec![true; 3]), "given anew, from the copies");
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn records_of_a_recalled_device_wait_and_go_on_when_it_is_lent_again() {
     let line = Line::new().await;
     let lanes = [line.owner.eoa()];

@@ -139,7 +139,7 @@ impl Site {
             block: self.block_figures(),
             grants: self.grant_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
-            backlog: (ledger.sealed()?, ledger.backlog()?),
+            cache: self.plant.ciphertext.cache(),
             untold_gaps: ledger.untold_gaps()?,
             audit_lines,
             audit_unanchored,

@@ -11,9 +11,7 @@ use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, without_
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
-use crate::pipeline::storer::Condition;
 use crate::pipeline::watcher::foreign;
-use crate::service::hub::lacking;
 use crate::service::reply::{
     ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, SiteView, WaitingView,
 };
@@ -38,17 +36,31 @@ impl Site {
         let (process, tasks) = (std::process::id(), self.parts.supervisor.views());
         let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
         let (alerts, alerts_over) = self.alerts.shown();
-        let queue = self.queue_view();
-        Ok(SiteView { health, life, robots, profiles, process, tasks, queue, verified_after, alerts, alerts_over })
+        let (queue, cache) = (self.queue_view(), self.plant.ciphertext.cache());
+        Ok(SiteView {
+            health,
+            life,
+            robots,
+            profiles,
+            process,
+            tasks,
+            cache,
+            queue,
+            verified_after,
+            alerts,
+            alerts_over,
+        })
     }
 
     /// What is not well now, and what is: the one place used by status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         if let Some(original) = self.home().original() {
             let text = format!("{} cannot be written: this is what is in it, and nothing goes on", original.display());
-            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.vault_health()]);
+            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.store_health()]);
         }
-        let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
+        let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()];
+        health.extend(self.cache_health());
+        health.push(self.gateway_health());
         health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
@@ -107,22 +119,21 @@ impl Site {
         part("chain", level, &text)
     }
 
-    fn vault_health(&self) -> PartHealth {
-        let name = self.parts.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_secrets);
-        if let Some((level, text)) = self.storage.room_health() {
-            return part("vault", level, &text);
+    fn store_health(&self) -> PartHealth {
+        match self.storage.room_health() {
+            Some((level, text)) => part("store", level, &text),
+            None => part("store", HealthLevel::Ok, "rows and ciphertext in one file"),
         }
-        match self.parts.hub.vault_condition() {
-            (Condition::Takes, _) => part("vault", HealthLevel::Ok, &name),
-            (Condition::Lacks(count), since) => {
-                PartHealth { since, ..part("vault", HealthLevel::Failed, &lacking(count)) }
-            }
-            (Condition::Waits { why, records }, since) => {
-                let at = since.map_or_else(String::new, |at| format!(", since {} UTC", at.clock()));
-                let text = format!("retry in 1 s: {records} records wait on disk{at}: {why}");
-                PartHealth { since, retry: Some(1), ..part("vault", HealthLevel::Failed, &text) }
-            }
-        }
+    }
+
+    /// The cache, if there is one. One that is away costs time alone.
+    fn cache_health(&self) -> Option<PartHealth> {
+        let state = self.plant.ciphertext.cache()?;
+        let (level, since) = match &state.away {
+            Some(away) => (HealthLevel::Absent, Some(away.since)),
+            None => (HealthLevel::Ok, None),
+        };
+        Some(PartHealth { since, ..part("cache", level, &state.line()) })
     }
 
     /// The state of the home's accounts, if there is something to report.
@@ -173,7 +184,6 @@ impl Site {
         let dropped = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
             captured: counts.captured(),
-            sealed: at_least(RecordState::Sealed) + tampered + right_ended,
             stored: at_least(RecordState::Stored) + tampered + right_ended,
             anchored: at_least(RecordState::Mined) + tampered,
             confirmed: at_least(RecordState::Confirmed) + tampered,

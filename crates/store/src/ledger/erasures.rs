@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::append::add;
 use super::batches::take_in;
-use super::database::{self, whole};
+use super::database::whole;
 use super::retention::{is_held, name};
 use super::rows::{LEARNED_NAME, state, unsigned};
 use super::{Ledger, NewRecord, RootSighting};
@@ -252,7 +252,7 @@ fn found(connection: &Connection, digest: Digest) -> Result<Option<(RecordState,
     })?)
 }
 
-/// Whether bytes of a record in this state may be given up: not while they wait for the vault, or an operator decides.
+/// Whether bytes of a record in this state may be given up: not while an operator decides.
 fn may_go(state: RecordState) -> bool {
     use RecordState::{Batched, Confirmed, Mined, Stored, Submitted, Tampered, Verified};
     matches!(state, Stored | Batched | Submitted | Mined | Confirmed | Verified | Tampered)
@@ -444,25 +444,5 @@ impl Ledger {
             let sql = "SELECT record FROM retained WHERE deleted_at IS NULL LIMIT 1";
             Ok(connection.find(sql, [], |_| Ok(()))?.is_some())
         })
-    }
-
-    /// Overwrites the local copies of these records, in the file and in its log.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; [`StoreError::Database`] while somebody reads an earlier state.
-    pub fn scour_local_copies(&self, digests: &[Digest]) -> Result<(), StoreError> {
-        if digests.is_empty() {
-            return Ok(());
-        }
-        let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
-            database::overwriting(session.connection, |connection| {
-                let sql = "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-                let mut statement = connection.prepare_cached(sql)?;
-                digests.iter().try_for_each(|digest| Ok(statement.execute([digest.0]).map(drop)?))
-            })
-        })?;
-        // Also when nothing was left to delete: an earlier attempt may have failed at the log.
-        database::empty_log(self.path())
     }
 }

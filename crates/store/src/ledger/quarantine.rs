@@ -161,45 +161,35 @@ impl Quarantine {
         })
     }
 
-    /// Releases quarantined records: to stored, or to sealed if their bytes are not in the vault yet. Returns how many.
+    /// Releases quarantined records to stored; returns how many.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none is released.
     pub fn release(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        const COPY: &str = "EXISTS (SELECT 1 FROM copies WHERE record = n)";
-        let (copied, stored) = (COPY.to_owned(), format!("NOT {COPY}"));
-        self.decide(digests, "released", vec![(RecordState::Sealed, copied), (RecordState::Stored, stored)])
+        self.decide(digests, "released", RecordState::Stored)
     }
 
-    /// Discards quarantined records: they are dropped and their local copies deleted; digests, signatures and reasons
-    /// stay. The caller must delete the vault's bytes. Returns how many were discarded.
+    /// Drops quarantined records; digests, signatures and reasons stay. The caller discards their ciphertext first.
+    /// Returns how many were dropped.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is discarded.
+    /// [`StoreError::DiskFull`] and the like; then none is dropped.
     pub fn discard(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        self.decide(digests, "discarded", vec![(RecordState::Dropped, "1".to_owned())])
+        self.decide(digests, "discarded", RecordState::Dropped)
     }
 
-    fn decide(
-        &self,
-        digests: &[Digest],
-        decision: &'static str,
-        ways: Vec<(RecordState, String)>,
-    ) -> Result<u64, StoreError> {
+    fn decide(&self, digests: &[Digest], decision: &'static str, to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Quarantined;
-        if let Some((to, _)) = ways.iter().find(|(to, _)| !may(By::Operator, from, *to)) {
-            return Err(StoreError::IllegalEdge { from, to: *to });
+        if !may(By::Operator, from, to) {
+            return Err(StoreError::IllegalEdge { from, to });
         }
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             let mut decided = 0;
             for digest in &digests {
-                let mut moved = 0;
-                for (to, condition) in &ways {
-                    let sql = format!("UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND {condition}");
-                    moved += count(connection.run(&sql, params![digest.0, from.code(), to.code()])?);
-                }
+                let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
+                let moved = count(connection.run(sql, params![digest.0, from.code(), to.code()])?);
                 if moved > 0 {
                     note(connection, *digest, decision, now)?;
                 }
@@ -228,10 +218,6 @@ fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
 fn note(connection: &Connection, digest: Digest, decision: &str, now: i64) -> Result<(), StoreError> {
     let sql = "UPDATE held SET decision = ?2, decided_at = ?3 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     connection.run(sql, params![digest.0, decision, now])?;
-    if decision == "discarded" {
-        let sql = "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-        connection.run(sql, [digest.0])?;
-    }
     Ok(())
 }
 

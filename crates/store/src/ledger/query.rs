@@ -428,8 +428,7 @@ pub struct LastSeen {
 }
 
 /// The states of a record that is here but in no block.
-const UNANCHORED: [RecordState; 4] =
-    [RecordState::Sealed, RecordState::Stored, RecordState::Batched, RecordState::Submitted];
+const UNANCHORED: [RecordState; 3] = [RecordState::Stored, RecordState::Batched, RecordState::Submitted];
 
 /// The newest record of a signer, as far as it is here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,12 +1,11 @@
 //! Records whose ciphertext is deleted: named in a retention record first, deleted once that is anchored. Digest,
 //! signature, place in the batch and public header stay.
 
-use std::collections::HashSet;
 use std::path::PathBuf;
 
 use rusqlite::{Connection, params};
 
-use super::append::{add, count};
+use super::append::add;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use super::{Erasure, Ledger, NewRecord, database::whole};
 use crate::StoreError;
@@ -178,7 +177,7 @@ impl Ledger {
         })
     }
 
-    /// Notes that the ciphertext of these is deleted, and deletes their local copies.
+    /// Notes that the ciphertext of these is deleted.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -191,7 +190,6 @@ impl Ledger {
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
                      WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
-                    "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                     // Listed from now on: a reader that is past the earlier number reads it again.
                     "REPLACE INTO erasures (record, statement, account, taken)
                      SELECT record, statement, account, taken FROM erasures
@@ -238,40 +236,6 @@ impl Ledger {
         })
     }
 
-    /// Those of these records whose ciphertext is deleted or named to be: it is not to be stored again. Only records from
-    /// elsewhere are looked up: this ledger's own are sealed once.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn retained_among(&self, records: &[NewRecord]) -> Result<HashSet<Digest>, StoreError> {
-        let foreign: Vec<Digest> =
-            records.iter().filter(|record| record.foreign.is_some()).map(|record| record.digest).collect();
-        Ok(self.retained_of(&foreign)?.into_iter().collect())
-    }
-
-    /// Those of these digests whose ciphertext is deleted or named to be.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn retained_of(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
-        if digests.is_empty() {
-            return Ok(Vec::new());
-        }
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT 1 FROM records WHERE digest = ?1
-                 AND (deleted_at IS NOT NULL OR EXISTS (SELECT 1 FROM retained WHERE record = n))",
-            )?;
-            let mut retained = Vec::new();
-            for digest in digests {
-                if statement.exists(params![digest.0])? {
-                    retained.push(*digest);
-                }
-            }
-            Ok(retained)
-        })
-    }
-
     /// How many messages of an owner retention has deleted.
     ///
     /// # Errors
@@ -281,20 +245,6 @@ impl Ledger {
             let sql =
                 "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
             Ok(connection.one(sql, [owner.0], |row| unsigned(row, 0))?)
-        })
-    }
-
-    /// Deletes local copies of records that were verified and captured before a given time; returns how many.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
-    pub fn drop_old_copies(&self, before: Timestamp, limit: usize) -> Result<u64, StoreError> {
-        let (before, limit) = (whole("time", before.0)?, i64::try_from(limit).unwrap_or(i64::MAX));
-        self.write(move |session| {
-            let sql = "DELETE FROM copies WHERE record IN (SELECT record FROM copies JOIN records ON n = record
-                       WHERE state = ?1 AND captured_at < ?2 ORDER BY record LIMIT ?3)";
-            let values = params![RecordState::Verified.code(), before, limit];
-            Ok(count(session.connection.run(sql, values)?))
         })
     }
 }

@@ -13,7 +13,7 @@ use crate::chain::merkle::Leaf;
 use crate::crypto::SealedRecord;
 use crate::database::Statements as _;
 use crate::model::RecordState::{
-    self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Sealed, Stored, Submitted, Tampered, Verified,
+    self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Stored, Submitted, Tampered, Verified,
 };
 use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
@@ -68,10 +68,10 @@ pub struct NewRecord {
     pub captured_at: Timestamp,
     /// Whether a simulated robot sent it, as far as known here.
     pub simulated: bool,
-    /// [`RecordState::Sealed`], [`RecordState::Stored`] or [`RecordState::Quarantined`].
+    /// [`RecordState::Stored`] or [`RecordState::Quarantined`].
     pub state: RecordState,
-    /// The stored bytes, if they are not durable in the vault yet.
-    pub local_copy: Option<Vec<u8>>,
+    /// The stored bytes, written in the commit of the row; `None` if they were erased before the record came here.
+    pub blob: Option<Vec<u8>>,
 }
 
 impl NewRecord {
@@ -95,8 +95,8 @@ impl NewRecord {
             bytes: header.body_length.saturating_sub(TAG_LENGTH as u64),
             captured_at: header.captured_at,
             simulated: false,
-            state: RecordState::Sealed,
-            local_copy: Some(blob),
+            state: RecordState::Stored,
+            blob: Some(blob),
         }
     }
 
@@ -339,13 +339,10 @@ pub(super) enum By {
     Right,
 }
 
-const EDGES: [(RecordState, RecordState, By); 52] = [
-    (Sealed, Stored, By::Worker),
-    (Sealed, Quarantined, By::Worker),
+const EDGES: [(RecordState, RecordState, By); 41] = [
     (Stored, Quarantined, By::Worker),
     (Stored, Batched, By::Batch),
     (Confirmed, Verified, By::Worker),
-    (Sealed, Tampered, By::Worker),
     (Stored, Tampered, By::Worker),
     (Batched, Tampered, By::Worker),
     (Submitted, Tampered, By::Worker),
@@ -353,20 +350,12 @@ const EDGES: [(RecordState, RecordState, By); 52] = [
     (Confirmed, Tampered, By::Worker),
     (Verified, Tampered, By::Worker),
     (Quarantined, Tampered, By::Worker),
-    (Tampered, Quarantined, By::Worker),
     (Quarantined, Stored, By::Operator),
-    (Quarantined, Sealed, By::Operator),
     (Quarantined, Dropped, By::Operator),
-    (Tampered, Stored, By::Worker),
-    (Tampered, Batched, By::Worker),
-    (Tampered, Submitted, By::Worker),
-    (Tampered, Mined, By::Worker),
-    (Tampered, Confirmed, By::Worker),
     (Stored, Submitted, By::Submit),
     (Batched, Submitted, By::Submit),
     (Submitted, Stored, By::Close),
     (Submitted, Batched, By::Close),
-    (Sealed, Mined, By::Sight),
     (Stored, Mined, By::Sight),
     (Batched, Mined, By::Sight),
     (Submitted, Mined, By::Sight),
@@ -517,7 +506,7 @@ mod edges_tests {
             assert!(!EDGES[..index].contains(edge), "{edge:?}");
             assert_ne!(edge.0, edge.1);
         }
-        for state in [Sealed, Stored, Batched, Submitted, Mined, Confirmed] {
+        for state in [Stored, Batched, Submitted, Mined, Confirmed] {
             assert!(EDGES.iter().any(|edge| edge.0 == state && edge.1 > state && edge.1 <= Verified), "{state:?}");
         }
     }

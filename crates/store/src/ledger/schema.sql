@@ -1,4 +1,4 @@
--- The ledger: one row per record, and what moves it along its path.
+-- The store: a row and the ciphertext of each record, and what moves it along its path.
 
 -- The one row about this file. `clean` is 0 while a process has it open.
 -- `recorder` is the prefix of the ids of its own recorders.
@@ -29,8 +29,8 @@ CREATE TABLE records (
 CREATE INDEX records_by_state ON records (state, stream, captured_at);
 CREATE INDEX records_by_time ON records (captured_at);
 
--- Sealed bytes that are not in a durable vault yet.
-CREATE TABLE copies (record INTEGER PRIMARY KEY, blob BLOB NOT NULL);
+-- Stored bytes of records, written in the commit of their rows. Beside the rows, not in them: lists read rows alone.
+CREATE TABLE ciphertext (record INTEGER PRIMARY KEY, bytes BLOB NOT NULL);
 
 -- Filter ids of records, as their headers have them, and the streams that ever had records with one: a search skips
 -- all others.
@@ -100,11 +100,14 @@ CREATE INDEX batches_anchored ON batches (block) WHERE block IS NOT NULL;
 CREATE INDEX batches_unproven ON batches (block) WHERE block IS NOT NULL AND proof IS NULL;
 CREATE INDEX batches_without_proof ON batches (block) WHERE proof = 2;
 
--- A record's place in its batch and its path to the root, 32 bytes a step.
+-- A record's place in its batch, and what leads from there to the root: eight leaves beside each other are a branch, whose
+-- `path` has the nodes of its lowest three levels and the steps above them, 32 bytes each.
 CREATE TABLE leaves (
-    record INTEGER PRIMARY KEY, batch INTEGER NOT NULL, leaf INTEGER NOT NULL, path BLOB NOT NULL,
-    UNIQUE (batch, leaf)
+    record INTEGER PRIMARY KEY, batch INTEGER NOT NULL, leaf INTEGER NOT NULL, UNIQUE (batch, leaf)
 );
+CREATE TABLE branches (
+    batch INTEGER NOT NULL, branch INTEGER NOT NULL, path BLOB NOT NULL, PRIMARY KEY (batch, branch)
+) WITHOUT ROWID;
 
 -- Records that left the batch they were placed in, each with its place there: nobody sent the batch, or the block that
 -- has its root does not count for them.

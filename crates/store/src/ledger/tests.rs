@@ -26,12 +26,14 @@ use sm3::{Digest as _, Sm3};
 
 pub(super) use self::numbered::numbered;
 use super::*;
+use crate::chain::merkle::{Leaf, Tree};
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
     Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
     SignerId, Timestamp, TopicId,
 };
 use crate::notes::Revoking;
+use crate::{Ciphertext, Usage};
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
 pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
@@ -53,7 +55,7 @@ pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
         captured_at: Timestamp(1_000 + seq),
         simulated: topic.is_multiple_of(2),
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     }
 }
 
@@ -146,11 +148,11 @@ fn a_damaged_file_is_refused_after_an_unclean_end() {
 #[test]
 fn appending_twice_changes_nothing_and_contradictions_are_refused() {
     let (_home, ledger) = open();
-    let first = NewRecord { local_copy: Some(vec![1, 2, 3]), state: RecordState::Sealed, ..record(1, 1, 1) };
+    let first = NewRecord { blob: Some(vec![1, 2, 3]), ..record(1, 1, 1) };
     ledger.append(vec![first.clone(), first.clone()]).expect("acknowledged");
     ledger.append(vec![first.clone()]).expect("idempotent");
     assert_eq!(ledger.counts(None).expect("counts").captured(), 1);
-    assert_eq!(ledger.local_copy(first.digest), Ok(Some(vec![1, 2, 3])));
+    assert_eq!(Ciphertext::of(&ledger).get(first.digest), Ok(Some(vec![1, 2, 3])));
 
     let twin = NewRecord { digest: Digest([5; 32]), ..record(1, 1, 1) };
     let renamed = NewRecord { topic: "/other".to_owned(), ..record(1, 1, 2) };
@@ -212,7 +214,7 @@ fn a_full_disk_acknowledges_nothing_and_takes_all_later() {
     };
     limit(1).expect("no page more than there are");
     let large: Vec<NewRecord> =
-        (2..=9).map(|seq| NewRecord { local_copy: Some(vec![1; 50_000]), ..record(1, 1, seq) }).collect();
+        (2..=9).map(|seq| NewRecord { blob: Some(vec![1; 50_000]), ..record(1, 1, seq) }).collect();
     let error = ledger.append(large.clone()).expect_err("full");
     assert!(matches!(error, StoreError::DiskFull { .. }) && error.to_string().contains("ledger.db"), "{error}");
     assert_eq!(ledger.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])), Ok(2));
@@ -247,11 +249,9 @@ fn confirmed(ledger: &Ledger, block: u64) -> usize {
 #[test]
 fn a_record_walks_its_life_line() {
     let (_home, ledger) = open();
-    let one = NewRecord { state: RecordState::Sealed, ..record(1, 1, 1) };
+    let one = record(1, 1, 1);
     ledger.append(vec![one.clone()]).expect("acknowledged");
     let digests = [one.digest];
-    assert_eq!(ledger.advance(&digests, RecordState::Sealed, RecordState::Stored), Ok(1));
-    assert_eq!(ledger.advance(&digests, RecordState::Sealed, RecordState::Stored), Ok(0), "compare and set");
     let leap = ledger.advance(&digests, RecordState::Stored, RecordState::Verified);
     assert!(matches!(leap, Err(StoreError::IllegalEdge { .. })));
     ledger.lanes.submit(transaction(3, &digests)).expect("kept");
@@ -263,6 +263,7 @@ fn a_record_walks_its_life_line() {
     assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(0));
     assert_eq!((confirmed(&ledger, 9), confirmed(&ledger, 10)), (0, 1));
     assert_eq!(ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(1));
+    assert_eq!(ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(0), "compare and set");
     let row = ledger.record_by_id(&one.digest.to_hex()[..16]).expect("read").expect("there");
     assert_eq!((row.state, row.block, row.transaction), (RecordState::Verified, Some(10), Some(Hash([9; 32]))));
     assert_eq!(row.block_hash, Some(Hash([10; 32])));
@@ -322,23 +323,6 @@ fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
     assert_eq!(ledger.lanes.open_transactions(Address([1; 20])).expect("open").len(), 1);
     assert_eq!((ledger.unverify(20), state_of(&ledger, &all[3])), (Ok(1), Submitted));
     assert_eq!(ledger.mined(&[sighting(&all[0], 21)]), Ok(1), "and it is mined again");
-}
-
-#[test]
-fn tampered_records_go_back_to_where_they_belong() {
-    let (_home, ledger) = open();
-    let all: Vec<NewRecord> = (1..=3).map(|seq| record(1, 1, seq)).collect();
-    let digests: Vec<Digest> = all.iter().map(|record| record.digest).collect();
-    ledger.append(all.clone()).expect("acknowledged");
-    ledger.lanes.submit(transaction(3, &digests[1..2])).expect("kept");
-    ledger.mined(&[sighting(&all[2], 5)]).expect("seen");
-    for from in [RecordState::Stored, RecordState::Submitted, RecordState::Mined] {
-        assert_eq!(ledger.advance(&digests, from, RecordState::Tampered), Ok(1));
-    }
-    assert_eq!(ledger.mined(&[sighting(&all[1], 6)]), Ok(0), "an anchor cures nothing");
-    assert_eq!(ledger.heal(&digests), Ok(3));
-    let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
-    assert_eq!(states, [RecordState::Stored, RecordState::Mined, RecordState::Mined]);
 }
 
 #[test]
@@ -408,16 +392,27 @@ fn small_state_is_kept() {
 }
 
 #[test]
-fn held_copies_are_paged_for_a_vault_that_came_back_empty() {
-    let (_home, ledger) = open();
-    let all: Vec<NewRecord> = (1..=5).map(|seq| NewRecord { local_copy: Some(vec![1]), ..record(1, 1, seq) }).collect();
-    ledger.append(all.clone()).expect("acknowledged");
-    let first = ledger.held_copies(None, 2).expect("page");
-    assert_eq!(first, [all[0].digest, all[1].digest]);
-    assert_eq!(ledger.drop_local_copies(&[all[2].digest]), Ok(1));
-    assert_eq!(ledger.drop_local_copies(&[all[2].digest]), Ok(0));
-    assert_eq!(ledger.held_copies(first.last().copied(), 9), Ok(vec![all[3].digest, all[4].digest]));
-    assert_eq!(ledger.local_copy(all[2].digest), Ok(None));
+fn a_path_is_read_as_it_was_kept_however_many_leaves_there_are() {
+    for count in (1..=40).chain([63, 64, 65, 100]) {
+        let (_home, ledger) = open();
+        let all: Vec<NewRecord> = (1..=count).map(|seq| record(1, 1, seq)).collect();
+        ledger.append(all.clone()).expect("acknowledged");
+        let leaves = ledger.stored_leaves(Address([1; 20]), 1_000).expect("leaves");
+        let tree = Tree::new(Leaf::hashes(&leaves)).expect("a tree");
+        let paths: Vec<_> = leaves.iter().enumerate().map(|(at, leaf)| (leaf.digest, tree.path(at))).collect();
+        let batch = NewBatch { owner: Address([1; 20]), root: tree.root(), leaves: paths.clone() };
+        ledger.close_batch(batch).expect("closed");
+        let digests: Vec<Digest> = paths.iter().map(|(digest, _)| *digest).collect();
+        let placed = ledger.placed_all(&digests).expect("placed");
+        let audited = ledger.inspection.audit_page(0, Timestamp(0), 1_000).expect("a page").records;
+        for (((leaf, (_, path)), placed), audited) in leaves.iter().zip(&paths).zip(placed).zip(audited) {
+            let place = placed.and_then(|placed| placed.place).expect("a place").inclusion;
+            assert_eq!(place.path, *path, "{count}");
+            assert!(place.proves(leaf), "{count}");
+            let audited = audited.expect("a row").place.and_then(|place| place.inclusion);
+            assert_eq!(audited, Some(place), "{count}");
+        }
+    }
 }
 
 /// The state after a crash: the files as they are while the writer is in the middle of a transaction.
@@ -440,8 +435,8 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
                 let mut seq = 0;
                 while !stop.load(Ordering::Relaxed) {
                     seq += 1;
-                    let copy = Some(vec![writer; 3_000]);
-                    ledger.append(vec![NewRecord { local_copy: copy, ..record(writer, 1, seq) }]).expect("append");
+                    let blob = Some(vec![writer; 3_000]);
+                    ledger.append(vec![NewRecord { blob, ..record(writer, 1, seq) }]).expect("append");
                 }
             }
         };
@@ -465,7 +460,7 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
                 assert!(found >= next, "writer {writer}: {found} after the crash, {next} before");
                 for seq in 1..next {
                     let row = after.record(record(writer, 1, seq).digest).expect("read").expect("acknowledged");
-                    assert_eq!(after.local_copy(row.digest).expect("read"), Some(vec![writer; 3_000]));
+                    assert_eq!(Ciphertext::of(&after).get(row.digest), Ok(Some(vec![writer; 3_000])));
                 }
             }
         }

@@ -30,8 +30,6 @@ fn samples() -> Vec<(Kind, String)> {
         of::<ForeignHistory>(12),
         of::<SeenForeign>(foreign),
         of::<LossesCounted>(12),
-        of::<VaultRuns>(text()),
-        of::<VaultGone>(12),
         of::<ScrubbedUpTo>(12),
         of::<MissedFrom>(12),
         of::<UnsureBlocks>(vec![UnsureBlock { block: 12, hash, events: 3, times: 1 }]),

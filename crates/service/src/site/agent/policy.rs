@@ -469,7 +469,7 @@ mod kept_policy_tests {
             (not_text, "did not sign"),
             (signed(&account, 1, WATCH), "lower than 2"),
             (signed(&account, 2, ""), "same version 2"),
-            (signed(&account, 3, "vault.url = \"redis://evil\"\n"), "no 'vault.url'"),
+            (signed(&account, 3, "cache.url = \"redis://evil\"\n"), "no 'cache.url'"),
             (signed(&account, 4, "ring.keep = \"much\"\nring.topics = [\"/a\"]\n"), "ring.keep"),
             (signed(&account, 5, "[["), "not valid TOML"),
         ] {

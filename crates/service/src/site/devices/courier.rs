@@ -181,8 +181,8 @@ impl Devices {
     fn uploads(&self, rows: &[RecordRow]) -> Result<Vec<Upload>, Failure> {
         let mut uploads = Vec::with_capacity(rows.len());
         for row in rows {
-            let blob = self.plant.vault.get(row.digest)?;
-            let gone = || refused(format!("the notice {} is not in the vault any more", row.id));
+            let blob = self.plant.ciphertext.get(row.digest)?;
+            let gone = || refused(format!("the notice {} is not in the store any more", row.id));
             uploads.push(Upload { signature: row.signature, blob: blob.ok_or_else(gone)? });
         }
         Ok(uploads)
@@ -252,7 +252,7 @@ impl Enrolments {
     /// and within it by the account. Called again, it does what is left.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub(in crate::site) fn tell_owner_key(
         &self,
         owner: &Owner,
@@ -279,7 +279,7 @@ impl Enrolments {
     /// Seals a notice that asks a robot for a span of its ring.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub(super) fn ask_for_ring(
         &self,
         owner: &Owner,

@@ -175,7 +175,7 @@ impl Devices {
 
     /// A record that a robot signed, if its bytes are here and whole.
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
-        let (signer, blob) = (robot.key, self.plant.vault.get(row.digest).ok()??);
+        let (signer, blob) = (robot.key, self.plant.ciphertext.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
         let topic_id: Option<TopicId> = Some(row.topic_id);
         let names = Names::Derived(owner.index());
@@ -188,7 +188,7 @@ impl super::enrolled::Enrolments {
     /// Seals the notice that sets a robot's policy.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     fn send_policy(
         &self,
         owner: &Owner,

@@ -216,16 +216,15 @@ fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) 
     notes
 }
 
-/// Whether a record is not in the vault yet.
+/// Whether a record is not in the store yet.
 fn is_early(row: &RecordRow) -> bool {
-    matches!(row.state, RecordState::Captured | RecordState::Sealed)
+    row.state == RecordState::Captured
 }
 
 /// Whether no block is known to anchor a record.
 fn is_unanchored(row: &RecordRow) -> bool {
     match row.state {
         RecordState::Captured
-        | RecordState::Sealed
         | RecordState::Stored
         | RecordState::Batched
         | RecordState::Submitted
@@ -245,9 +244,9 @@ fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider
     page::page(bundle, &verify(bundle, trust.as_ref(), provider), about)
 }
 
-/// Whether a record's ciphertext should be in the vault.
+/// Whether a record's ciphertext should be in the store.
 fn is_stored(row: &RecordRow) -> bool {
-    !matches!(row.state, RecordState::Captured | RecordState::Sealed | RecordState::Quarantined | RecordState::Dropped)
+    !matches!(row.state, RecordState::Captured | RecordState::Quarantined | RecordState::Dropped)
 }
 
 /// How often to look for batches without a proof.

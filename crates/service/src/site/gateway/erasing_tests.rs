@@ -12,7 +12,7 @@ use crate::crypto::{
 };
 use crate::gateway::{ErasedRecord, Fetched};
 use crate::model::head::Compression;
-use crate::model::{Domain, Hash, Head, RecordKind, RecorderPrefix, Signature, Timestamp, Token, TopicId};
+use crate::model::{Domain, Hash, Head, RecordKind, RecordState, RecorderPrefix, Signature, Timestamp, Token, TopicId};
 use crate::pipeline::Owner;
 use crate::site::gateway::GatewayDesk;
 use crate::site::testing::{registered, site_of};
@@ -115,7 +115,7 @@ impl Ground {
     }
 
     fn bytes(&self, sealed: &SealedRecord) -> Option<Vec<u8>> {
-        self.site.plant.vault.get(sealed.digest).expect("read")
+        self.site.plant.ciphertext.get(sealed.digest).expect("read")
     }
 
     async fn gone(&self, sealed: &SealedRecord) {
@@ -233,7 +233,6 @@ async fn what_its_owner_had_erased_elsewhere_is_overwritten_here_and_stays_away(
         ground.bring(sealed);
     }
     until("overwritten again", || ground.bytes(&copy).is_none() && ground.bytes(&absent).is_none()).await;
-    assert_eq!(ledger.local_copy(copy.digest), Ok(None));
     ground.site.stop().await;
 }
 

@@ -167,14 +167,7 @@ impl GatewayDesk {
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
         let placed = plant.ledger.placed(row.digest).map_err(&internal)?;
-        let blob = match row.deleted_at {
-            // Deleted is deleted, even where an earlier version took the bytes in again.
-            Some(_) => None,
-            None => match plant.vault.get(row.digest).map_err(&internal)? {
-                Some(blob) => Some(blob),
-                None => plant.ledger.local_copy(row.digest).map_err(&internal)?,
-            },
-        };
+        let blob = plant.stored_bytes(&row).map_err(&internal)?;
         let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)))?;
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
             return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
@@ -236,11 +229,9 @@ fn record_query(query: &Query, reach: &ReadingRight, reader: &Address) -> Result
 fn standing(state: RecordState) -> Standing {
     match state {
         RecordState::Captured | RecordState::Dropped => Standing::Unknown,
-        RecordState::Sealed
-        | RecordState::Stored
-        | RecordState::Batched
-        | RecordState::Submitted
-        | RecordState::RightEnded => Standing::Acknowledged,
+        RecordState::Stored | RecordState::Batched | RecordState::Submitted | RecordState::RightEnded => {
+            Standing::Acknowledged
+        }
         RecordState::Mined | RecordState::Confirmed => Standing::Anchored,
         RecordState::Verified => Standing::Verified,
         RecordState::Tampered => Standing::Tampered,

@@ -34,7 +34,7 @@ fn capture(ground: &Ground, owner: Address, topic: &str, second: u64) {
         captured_at: Timestamp::from_seconds(second),
         simulated: false,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     };
     ground.parts.plant.ledger.append(vec![record]).expect("acknowledged");
 }

@@ -62,7 +62,7 @@ impl Quarantine {
                 return;
             }
             // It is counted once records are acknowledged again.
-            if block_in_place(|| self.plant.takes_records()).is_err() {
+            if block_in_place(|| self.plant.ledger.takes_records()).is_err() {
                 continue;
             }
             for owner in self.owners.all() {

@@ -1,10 +1,10 @@
 //! Quarantined records: kept from the chain until they are released, and always counted.
 
 use super::*;
-use RecordState::{Dropped, Mined, Quarantined, Sealed, Tampered};
+use RecordState::{Dropped, Mined, Quarantined, Tampered};
 
 fn held(seq: u64, copy: bool) -> NewRecord {
-    NewRecord { state: Quarantined, local_copy: copy.then(|| vec![1, 2]), ..record(1, 1, seq) }
+    NewRecord { state: Quarantined, blob: copy.then(|| vec![1, 2]), ..record(1, 1, seq) }
 }
 
 fn hold(record: &NewRecord) -> Hold {
@@ -34,12 +34,9 @@ fn held_records_are_neither_batched_nor_submitted_nor_moved_by_a_worker() {
     let counts = ledger.counts(None).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.quarantined, topic.pending), (2, 1, 1));
-    // Found damaged and intact again, it is still quarantined.
+    // Found damaged, it is never released.
     assert_eq!(ledger.advance(&[bad.digest], Quarantined, Tampered), Ok(1));
-    assert_eq!((ledger.heal(&[bad.digest]), state_of(&ledger, &bad)), (Ok(1), Quarantined));
-    assert_eq!(ledger.quarantine.release(&[bad.digest]), Ok(1));
-    assert_eq!(ledger.advance(&[bad.digest], Stored, Tampered), Ok(1));
-    assert_eq!((ledger.heal(&[bad.digest]), state_of(&ledger, &bad)), (Ok(1), Stored));
+    assert_eq!(ledger.quarantine.release(&[bad.digest]), Ok(0));
 }
 
 #[test]
@@ -48,13 +45,12 @@ fn released_ones_go_on_and_discarded_ones_never() {
     let records = [held(1, false), held(2, true), held(3, true), held(4, false)];
     let holds = records.iter().map(hold).collect();
     ledger.quarantine.append_held(records.to_vec(), holds).expect("acknowledged");
-    let [stored, sealed, gone, left] = records.each_ref().map(|record| record.digest);
-    assert_eq!((ledger.quarantine.release(&[stored, sealed]), ledger.quarantine.release(&[stored])), (Ok(2), Ok(0)));
+    let [stored, whole, gone, left] = records.each_ref().map(|record| record.digest);
+    assert_eq!((ledger.quarantine.release(&[stored, whole]), ledger.quarantine.release(&[stored])), (Ok(2), Ok(0)));
     assert_eq!((ledger.quarantine.discard(&[gone]), ledger.quarantine.discard(&[gone, stored])), (Ok(1), Ok(0)));
     let states: Vec<_> = records.iter().map(|record| state_of(&ledger, record)).collect();
-    assert_eq!(states, [Stored, Sealed, Dropped, Quarantined]);
-    let copies = [sealed, gone].map(|digest| ledger.local_copy(digest).expect("read").is_some());
-    assert_eq!((copies, ledger.quarantine.release(&[gone])), ([true, false], Ok(0)));
+    assert_eq!(states, [Stored, Stored, Dropped, Quarantined]);
+    assert_eq!(ledger.quarantine.release(&[gone]), Ok(0));
     let counts = ledger.counts(None).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.pending, topic.quarantined, topic.dropped), (4, 2, 1, 1));

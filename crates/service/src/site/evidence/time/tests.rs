@@ -155,7 +155,7 @@ fn close(ground: &Ground, number: u8) -> Hash {
         captured_at: Timestamp::from_seconds(BEGIN),
         simulated: false,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     };
     let ledger = &ground.parts.plant.ledger;
     ledger.append(vec![record]).expect("acknowledged");

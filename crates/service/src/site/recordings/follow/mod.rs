@@ -123,7 +123,7 @@ impl Ended {
         if place.digest == Some(hashed.digest()) {
             return None;
         }
-        let note = place::changed(&place, &self.file.file);
+        let note = place::changed(place, &self.file.file);
         self.file.is_altered = true;
         self.file.notes.push(note.clone());
         Some(note)

@@ -20,14 +20,14 @@ const MOST_AGAIN: u32 = 64;
 
 /// What there is to say of a file that is no longer what was sealed to its end.
 pub(super) fn changed(place: &FilePlace, name: &str) -> String {
-        let (name, messages) = (clean(name, 80), place.stored.saturating_sub(1));
-        let when = place.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
-        format!(
-            "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
+    let (name, messages) = (clean(name, 80), place.stored.saturating_sub(1));
+    let when = place.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
+    format!(
+        "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
              it was then. If nobody was to change it, put a copy of that in its place; to seal it as it is now, move \
              {name}.authros away and follow the folder again"
-        )
-    }
+    )
+}
 
 /// The key of a file in the ledger, and the tag of its records.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -114,6 +114,7 @@ mod tests {
     use std::io::{Seek, SeekFrom, Write};
 
     use super::*;
+    use crate::store::Ledger;
 
     struct Case {
         _home: tempfile::TempDir,
@@ -163,7 +164,10 @@ mod tests {
         let mut case = Case::new();
         case.write(&[1; 1000]);
         assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::TooShort)));
-        assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, true), Ok(Known::Here(..))), "it is all there is");
+        assert!(
+            matches!(known(&case.ledger.notes, OWNER, &case.file, true), Ok(Known::Here(..))),
+            "it is all there is"
+        );
         case.write(&[2; 9000]);
         let (key, place, is_another) = case.here();
         assert_eq!((place.stored, is_another, key.tag.len()), (0, false, 16));
@@ -186,7 +190,9 @@ mod tests {
         case.file.write_all_at(&[1], 7999).expect("as it was");
         assert_eq!(case.here().0, key);
         case.file.set_len(7000).expect("shorter");
-        assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000));
+        assert!(
+            matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000)
+        );
     }
 
     #[test]

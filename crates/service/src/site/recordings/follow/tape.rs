@@ -452,7 +452,7 @@ fn changed_before(
     let proven = sealed.filter(|_| proof::beside(path).symlink_metadata().is_ok());
     view.is_altered |= proven.is_some();
     let note = match &proven {
-        Some(place) => place::changed(&place, &view.file),
+        Some(place) => place::changed(place, &view.file),
         None => "its place on the disk held what was sealed before and is altered now, or another file that began alike: it is \
                  sealed from its beginning"
             .to_owned(),
