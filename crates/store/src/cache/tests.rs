@@ -169,7 +169,7 @@ fn one_without_room_takes_what_it_can_and_evicts_what_it_likes() {
 
 #[test]
 fn a_password_is_needed_where_one_is_set_and_is_never_shown() {
-    let arguments = ["--user", "me on >s3cret ~authros:* +@all", "--user", "default off"];
+    let arguments = ["--user", "me", "on", ">s3cret", "~authros:*", "+@all", "--user", "default", "off"];
     let Some(server) = Server::start(&arguments) else { return };
     let at = server.url().replace("redis://", "");
     let mut store = Store::behind(&format!("redis://me:s3cret@{at}"));
