@@ -114,7 +114,7 @@ impl Field {
     fn scanned(&self) -> u64 {
         let flags = rusqlite::OpenFlags::SQLITE_OPEN_READ_ONLY;
         let ledger = rusqlite::Connection::open_with_flags(&self.ledger, flags).expect("the ledger");
-        let block = ledger.query_row("SELECT block FROM cursors WHERE name = 'watcher'", [], |row| row.get(0));
+        let block = ledger.query_row("SELECT block FROM cursor", [], |row| row.get(0));
         block.map_or(0, i64::cast_unsigned)
     }
 

@@ -309,7 +309,7 @@ fn spoil(home: &Home, digest: &str) {
     let script = "import sqlite3, sys\n\
                   store = sqlite3.connect(sys.argv[1], timeout=30)\n\
                   key = bytes.fromhex(sys.argv[2])\n\
-                  (n, blob) = store.execute('SELECT record, bytes FROM ciphertext JOIN records ON n = record WHERE digest = ?', (key,)).fetchone()\n\
+                  (n, blob) = store.execute('SELECT record, ciphertext.bytes FROM ciphertext JOIN records ON n = record WHERE digest = ?', (key,)).fetchone()\n\
                   blob = blob[:-1] + bytes([blob[-1] ^ 1])\n\
                   store.execute('UPDATE ciphertext SET bytes = ? WHERE record = ?', (blob, n))\n\
                   store.commit()\n";

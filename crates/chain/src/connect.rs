@@ -183,6 +183,14 @@ impl Chain {
         Ok(self.set_pin(self.pin_of(contract, code_hash, deployed_at)))
     }
 
+    /// Whether a contract of this program is at an address.
+    ///
+    /// # Errors
+    /// Errors of the node.
+    pub async fn has_contract(&self, contract: Address) -> Result<bool, ChainError> {
+        Ok(self.code_hash(contract).await? == Some(artefact()?.code_hash))
+    }
+
     /// The address of the contract that an account creates with its transaction of this nonce.
     pub fn created_by(&self, account: Address, nonce: u64) -> Address {
         Address(ethers::utils::get_contract_address(H160(account.0), nonce).0)

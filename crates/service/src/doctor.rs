@@ -307,10 +307,12 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     let profiles = home.profiles();
     let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();
     let faults = keyring_faults(home, &known.unwrap_or_default());
-    for fault in &faults {
-        sheet.fail("keyring", fault, "restore it from a backup: authros restore FILE");
+    for (profile, fault) in &faults {
+        sheet.fail(&format!("keys {profile}"), fault, "restore it from a backup: authros restore FILE");
     }
-    if !faults.is_empty() {
+    let profiles: Vec<_> =
+        profiles.into_iter().filter(|one| !faults.iter().any(|(profile, _)| profile == one)).collect();
+    if !faults.is_empty() && profiles.is_empty() {
         return;
     }
     if profiles.is_empty() {

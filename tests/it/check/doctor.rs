@@ -65,7 +65,7 @@ fn the_doctor_looks_at_a_home_without_a_passphrase_and_names_what_is_wrong() {
         fs::write(&path, bytes).expect("torn");
     };
     let found = damaged(&home, "ledger.db", tear, || examined(&authros, INCOMPLETE));
-    assert_eq!(status(&found, "ledger"), "fail", "{found}");
+    assert_eq!(status(&found, "store"), "fail", "{found}");
 
     fs::rename(home.root().join("kept"), home.path().join("profiles/default/passphrase")).expect("moved back");
     let site = authros.serve(&home);

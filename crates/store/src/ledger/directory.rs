@@ -7,12 +7,13 @@ use std::path::Path;
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
 use super::append::count;
+use super::query::Glance;
 use super::rows::{self, By, may, unsigned};
 use super::writer::Session;
 use super::{Database, Ledger};
 use crate::StoreError;
 use crate::chain::merkle::Leaf;
-use crate::database::{Statements as _, open_reader, whole};
+use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Domain, RecordState, RecorderId, SignerId, Token, TopicId};
 
 /// The subject of an event, as far as it matters here.
@@ -101,8 +102,9 @@ pub(super) const ENDING: [&str; 3] = [
 ];
 /// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
+/// How the contract is found again.
+pub(super) const PIN: &str = "SELECT pin FROM contract";
 /// Notes the last event.
-const PIN: &str = "SELECT pin FROM contract";
 const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
 
 /// Who may do what: events of the contract, and envelopes.
@@ -147,8 +149,7 @@ impl Rights {
         if !path.exists() {
             return Ok(None);
         }
-        let connection = open_reader(path)?;
-        connection.find(PIN, [], |row| row.get(0)).map_err(|error| StoreError::from(error).in_file(path))
+        Glance::at(path)?.contract_pin()
     }
 
     /// Stores events in the chain's order, all in one commit; those already there are skipped.

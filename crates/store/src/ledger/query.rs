@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Ledger;
 use super::database::whole;
+use super::directory;
 use super::filters::FilterChoice;
 use super::rows::{self, RecordRow, Stream, Which};
 use crate::StoreError;
@@ -618,6 +619,14 @@ impl Glance {
     /// [`StoreError::Note`] if it cannot be read, [`StoreError::Database`] and its kin.
     pub fn note<N: Note>(&self, note: &N) -> Result<Option<N::Value>, StoreError> {
         notes::read_in(&self.0, note).map_err(|error| self.named(error))
+    }
+
+    /// See [`super::Rights::contract_pin`].
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
+        self.0.find(directory::PIN, [], |row| row.get(0)).map_err(|error| self.named(error.into()))
     }
 
     fn named(&self, error: StoreError) -> StoreError {

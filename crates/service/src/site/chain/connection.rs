@@ -193,9 +193,13 @@ async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
     if sent == 0 {
         return Ok(());
     }
-    let contract = (0..sent.min(MOST_COMPARED)).map(|nonce| chain.created_by(owner.address, nonce));
-    let known = contract.into_iter().find(|contract| domains.contains(&chain.domain_of(*contract)));
-    let contract = known.map_or_else(|| "the address of its contract".to_owned(), |contract| contract.to_string());
+    let mut contracts = (0..sent.min(MOST_COMPARED)).map(|nonce| chain.created_by(owner.address, nonce));
+    let Some(contract) = contracts.find(|contract| domains.contains(&chain.domain_of(*contract))) else {
+        return Ok(());
+    };
+    if !chain.has_contract(contract).await? {
+        return Ok(());
+    }
     Err(refused(format!(
         "the account of '{}' has used a contract on this chain before, and this home does not know it any more: restore \
          the last backup of the home, or name the contract with --contract (or chain.contract): {contract}; nothing was \

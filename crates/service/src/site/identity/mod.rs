@@ -221,7 +221,7 @@ impl Profiles {
     }
 
     /// What is wrong with the keyrings of the profiles that this home knows.
-    pub(in crate::site) fn keyring_faults(&self) -> Result<Vec<String>, Failure> {
+    pub(in crate::site) fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>, Failure> {
         let known = block_in_place(|| self.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default();
         Ok(keyring_faults(&self.home, &known))
     }
@@ -294,8 +294,11 @@ impl Profiles {
 type Accounts = BTreeMap<ProfileName, Vec<Address>>;
 
 /// What is wrong with the keyrings of these profiles.
-pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<String> {
-    known.iter().filter_map(|(profile, accounts)| keyring_fault(home, profile, accounts)).collect()
+pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<(ProfileName, String)> {
+    let fault = |(profile, accounts): (&ProfileName, &Vec<Address>)| {
+        Some((profile.clone(), keyring_fault(home, profile, accounts)?))
+    };
+    known.iter().filter_map(fault).collect()
 }
 
 /// What is wrong with the keyring of a profile that had one of these accounts.
