@@ -144,7 +144,15 @@ pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Fai
     }
 }
 
-/// The passphrase given, or a new random one stored beside the keyring, which is reported.
+/// Deletes a passphrase that was new, of keys that were not made then. Any other may open a keyring that is put back.
+pub fn forget_unused(is_new: bool, home: &Home, profile: &ProfileName) {
+    if is_new && !home.keyring(profile).exists() {
+        // Nothing is lost if it stays.
+        drop(std::fs::remove_file(home.passphrase(profile)));
+    }
+}
+
+/// The passphrase given, or a new random one stored beside the keyring, which is reported; `true` if it is new.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -153,9 +161,9 @@ pub fn given_or_new(
     home: &Home,
     profile: &ProfileName,
     output: &Output,
-) -> Result<SecretText, Failure> {
+) -> Result<(SecretText, bool), Failure> {
     if let Some(secret) = given(global, home, profile)? {
-        return Ok(secret);
+        return Ok((secret, false));
     }
     let passphrase = Passphrase::random()?;
     let path = home.passphrase(profile);
@@ -168,5 +176,5 @@ pub fn given_or_new(
          keyring has the keys",
         path.display()
     ));
-    Ok(SecretText::new(passphrase.expose().to_owned()))
+    Ok((SecretText::new(passphrase.expose().to_owned()), true))
 }

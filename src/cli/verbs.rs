@@ -100,12 +100,14 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u
 pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(NEITHER).await?;
     let told = async {
-        let passphrase = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
-        Ok(Question::from(CreateIdentity { passphrase }).ask(&connection.client).await)
+        let (passphrase, is_new) = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
+        Ok((Question::from(CreateIdentity { passphrase }).ask(&connection.client).await, is_new))
     };
     let told: Result<_, Failure> = told.await;
     connection.close().await;
-    told?.print(None, output)
+    let (told, is_new) = told?;
+    let printed = told.print(None, output);
+    printed.inspect_err(|_| passphrase::forget_unused(is_new, &context.home, &context.profile))
 }
 
 /// `identity …`

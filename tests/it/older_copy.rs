@@ -142,9 +142,16 @@ fn a_keyring_that_is_gone_or_another_accounts_is_named_and_nothing_takes_its_pla
         let status = alice.run(&["status"]);
         assert!(status.code != Some(0), "{status}");
     };
+    let words = folder.join("passphrase");
+    let before = fs::read(&words).expect("a passphrase");
+    fs::rename(folder.join("keyring"), home.root().join("keyring")).expect("moved away");
+    refused("is gone");
+    assert_eq!(fs::read(&words).expect("it may open the keyring once that is back"), before);
+    fs::rename(home.root().join("keyring"), folder.join("keyring")).expect("put back");
     fs::rename(&folder, &kept).expect("moved away");
     refused("is gone");
-    fs::create_dir(&folder).expect("made");
+    assert!(!folder.join("passphrase").exists(), "no passphrase of keys that were not made");
+    fs::create_dir_all(&folder).expect("made");
     fs::set_permissions(&folder, fs::metadata(&kept).expect("there").permissions()).expect("as it was");
     for name in ["keyring", "passphrase"] {
         fs::copy(home.path().join("profiles/bob").join(name), folder.join(name)).expect("copied");
