@@ -1,4 +1,4 @@
-//! A damaged note is named by whoever needs it and by the doctor; it is never an empty list, and nothing takes its place.
+//! A damaged note is named by each command that needs it and by the doctor; it is never an empty list, and nothing takes its place.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;

@@ -1,4 +1,4 @@
-//! The only way for a sealed record into a site, whoever sealed it: the reserve is checked, then row and bytes are written
+//! The only way for a sealed record into a site, this owner's or another's: the reserve is checked, then row and bytes are written
 //! in one commit, which acknowledges it, and only then the cache is told, which nobody waits for.
 
 use crate::store::{NewRecord, RecordRow, StoreError};

@@ -264,7 +264,7 @@ impl Recorder {
         }
     }
 
-    /// The definition of messages that were sealed without it; whoever comes later has it with each message.
+    /// The definition of messages that were sealed without it; a publisher that comes later has it with each message.
     fn offer_definition(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
         let is_wanted = interest.watched || !interest.sessions.is_empty();
         if !is_wanted || !interest.wants(&message.type_name) {

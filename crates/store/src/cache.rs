@@ -1,7 +1,7 @@
 //! Redis as a cache in front of the store: written after the commit, filled on a miss, and believed only where SM3 of what
 //! it answers is the digest asked for. Whatever it does costs time and nothing else.
 //!
-//! A thread of its own writes. It is told digests alone and reads their bytes from the store itself: so nothing waits in
+//! A thread of its own writes. It gets only digests and reads their bytes from the store itself: so nothing waits in
 //! memory twice, and what is deleted from the store meanwhile is not put into the cache again.
 
 mod address;

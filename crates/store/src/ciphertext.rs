@@ -1,5 +1,5 @@
 //! Ciphertext of a home: in the file of the rows, and written in the commit of its row. It is addressed by digest, and
-//! checked by whoever reads it: nothing here says that bytes are what was anchored.
+//! checked when it is read: nothing here says that bytes are what was anchored.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -79,7 +79,7 @@ impl Ciphertext {
     }
 
     /// The bytes under a digest for a reader: from the cache where it has them right, and from the store otherwise. For
-    /// opening and serving alone: whoever proves what lies on the disk asks [`Self::get`].
+    /// opening and serving alone; a proof of what lies on the disk needs [`Self::get`].
     ///
     /// # Errors
     /// See [`Self::get`]; a cache has none.

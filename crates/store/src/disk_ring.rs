@@ -1,5 +1,5 @@
 //! The ring that a robot keeps on its disk, of topics that nobody watches: sealed records in files of their own, beside
-//! ledger and vault. The oldest file goes when time or size is reached; what goes with it is counted. Nobody reads it
+//! the store. The oldest file goes when time or size is reached; what goes with it is counted. Nobody reads it
 //! until its owner asks for a span.
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ fn is_away(load: &Load) -> bool {
 }
 
 fn until_away(load: &Load, records: &[Value]) {
-    wait_until(60, "it is told to be away", || {
+    wait_until(60, "the cache is said to be away", || {
         open_all(load, records);
         is_away(load).then_some(())
     });

@@ -46,7 +46,7 @@ impl Definitions {
     /// Like [`Reader::definition_text`].
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub async fn text(
         &mut self,
         reader: &Reader<'_>,
@@ -84,7 +84,7 @@ impl Reader<'_> {
     /// gave it; for a message that names an empty one, a text that has its type's hash.
     ///
     /// # Errors
-    /// Errors of ledger and vault. `None` if no readable record holds it.
+    /// Errors of the store. `None` if no readable record holds it.
     pub async fn definition_text(
         &self,
         row: &RecordRow,

@@ -66,7 +66,7 @@ impl Provider for Trap {
     }
 }
 
-/// A sealer with its ledger and vault, and one author.
+/// A sealer with its store, and one author.
 struct Line {
     sealer: Sealer,
     losses: Arc<Losses>,

@@ -1,4 +1,4 @@
-//! Row and bytes are one commit: what is not accepted leaves no bytes, whoever owns the records.
+//! Row and bytes are one commit: what is not accepted leaves no bytes, of this owner's records or of others'.
 
 use super::*;
 use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};

@@ -73,7 +73,7 @@ pub(crate) fn unpack(
     }
 }
 
-/// What a decoder's own words come to for whoever reads a notice.
+/// A decoder's own words, in those of a notice.
 pub(crate) const SPOILT: &str = "its compressed data is damaged";
 
 /// Why a read failed: the disk's own words, but none of a decoder's.

@@ -453,7 +453,7 @@ impl Ledger {
         })
     }
 
-    /// The records acknowledged last, at most `limit`, that should be in the vault and were not deleted by retention.
+    /// The records acknowledged last, at most `limit`, whose ciphertext should be there: retention did not delete it.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
