@@ -54,6 +54,23 @@ fn follower(authros: &Authros, folder: &Path, options: &[&str]) -> Running {
     authros.with(&["--json"]).spawn(&[&["bag", "follow", utf8(folder)], options].concat())
 }
 
+/// Kills a follower this often within these seconds, and begins it again each time.
+fn killed_and_begun_again(
+    authros: &Authros,
+    folder: &Path,
+    options: &[&str],
+    mut following: Running,
+    (seconds, kills): (u64, u32),
+) -> Running {
+    for _ in 0..kills {
+        std::thread::sleep(Duration::from_secs(seconds) / (kills + 1));
+        following.signal("KILL");
+        drop(following.wait(60));
+        following = follower(authros, folder, options);
+    }
+    following
+}
+
 fn sum(view: &Value, field: &str) -> u64 {
     list(view, "files").iter().map(|file| count(file, field)).sum()
 }
@@ -127,13 +144,7 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
     // The recorder makes the folder, as rosbag2 does: it refuses one that is there.
     following.wait_for_text("to appear", 120);
     let recording = recorder(&folder, seconds, rate, split, "zstd");
-    let pause = Duration::from_secs(seconds) / (kills + 1);
-    for _ in 0..kills {
-        std::thread::sleep(pause);
-        following.signal("KILL");
-        drop(following.wait(60));
-        following = follower(&authros, &folder, &options);
-    }
+    following = killed_and_begun_again(&authros, &folder, &options, following, (seconds, kills));
     let recorded = recording.wait(seconds + 120).expect_code(0).document();
     let view = following.wait(seconds + 600).expect_code(0).document();
     let messages = count(&recorded, "messages");
@@ -190,12 +201,7 @@ fn a_database_is_sealed_when_it_is_closed_and_its_recorder_notices_nothing() {
     let recording = database_recorder(&folder, seconds, rate, split);
     following.wait_for_text("is sealed once it is closed", 120);
     assert!(!following.stderr().contains("following run_0.db3"), "it is still recorded: {}", following.stderr());
-    for _ in 0..kills {
-        std::thread::sleep(Duration::from_secs(seconds) / (kills + 1));
-        following.signal("KILL");
-        drop(following.wait(60));
-        following = follower(&authros, &folder, &options);
-    }
+    following = killed_and_begun_again(&authros, &folder, &options, following, (seconds, kills));
     // A lock of somebody else's would have ended it.
     let recorded = recording.wait(seconds + 120).expect_code(0).document();
     let outcome = following.wait(seconds + 600).expect_code(0);

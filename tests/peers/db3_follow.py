@@ -15,6 +15,8 @@ import struct
 import sys
 import time
 
+import rosbag2_description
+
 SCHEMA = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
 CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
@@ -76,12 +78,7 @@ def main():
             database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", (topic + 1, stamp, data))
             sent.write(f"{TOPICS[topic]} {stamp} {hashlib.sha256(data).hexdigest()}\n")
     end(database)
-    with open(os.path.join(folder, "metadata.yaml"), "w") as description:
-        names = "".join(f"    - {name}_{number}.db3\n" for number in range(files))
-        description.write(
-            f"rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: sqlite3\n  relative_file_paths:\n{names}"
-            f"  starting_time:\n    nanoseconds_since_epoch: 1790000000000000000\n  message_count: {total}\n"
-        )
+    rosbag2_description.write(folder, "db3", files, total)
     print(json.dumps({"messages": total, "files": files}))
 
 

@@ -12,6 +12,7 @@ import struct
 import sys
 import time
 
+import rosbag2_description
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
@@ -95,12 +96,7 @@ def main():
     writer.add_metadata("rosbag2", {"serialized_metadata": "version: 9\n"})
     writer.finish()
     out.close()
-    with open(os.path.join(folder, "metadata.yaml"), "w") as description:
-        names = "".join(f"    - {name}_{number}.mcap\n" for number in range(files))
-        description.write(
-            f"rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n  relative_file_paths:\n{names}"
-            f"  starting_time:\n    nanoseconds_since_epoch: 1790000000000000000\n  message_count: {total}\n"
-        )
+    rosbag2_description.write(folder, "mcap", files, total)
     print(json.dumps({"messages": total, "files": files}))
 
 

@@ -21,7 +21,7 @@ mod retention;
 mod rows;
 mod sightings;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod transactions;
 mod writer;
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use self::server::Server;
 use super::*;
-use crate::model::{Address, RecordKind, RecordState, Signature, SignerId, TopicId};
+use crate::ledger::tests::record;
 use crate::{Ledger, NewRecord};
 
 /// How long a busy machine may take for what takes a moment.
@@ -35,25 +35,7 @@ impl Store {
         self.numbers += 1;
         let bytes: Vec<u8> = self.numbers.to_be_bytes().into_iter().cycle().take(length).collect();
         let digest = Digest(sm3(&[&bytes]));
-        let record = NewRecord {
-            digest,
-            owner: Address([1; 20]),
-            topic_id: TopicId([1; 16]),
-            seq: self.numbers,
-            foreign: None,
-            epoch: 1,
-            kind: RecordKind::Data,
-            signer: SignerId([1; 32]),
-            signature: Signature([7; 64]),
-            filters: Vec::new(),
-            topic: "/odom".to_owned(),
-            type_name: "a/B".to_owned(),
-            bytes: 9,
-            captured_at: Timestamp(self.numbers),
-            simulated: false,
-            state: RecordState::Stored,
-            blob: Some(bytes.clone()),
-        };
+        let record = NewRecord { digest, blob: Some(bytes.clone()), ..record(1, 1, self.numbers) };
         self.ledger.append(vec![record]).expect("acknowledged");
         self.behind.written([digest]);
         (digest, bytes)

@@ -36,7 +36,7 @@ use crate::notes::Revoking;
 use crate::{Ciphertext, Usage};
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
-pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
+pub(crate) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
     let name = [&[owner, topic][..], &seq.to_be_bytes()].concat();
     NewRecord {
         digest: Digest(Sm3::digest(&name).into()),
