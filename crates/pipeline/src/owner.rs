@@ -253,9 +253,7 @@ impl Owner {
 
     /// Whether an epoch of this owner was seen on the chain.
     pub fn has_registered_epoch(&self, domain: Domain) -> bool {
-        let keyring = self.keyring();
-        let network = keyring.keys().networks.get(&domain);
-        network.is_some_and(|network| network.epochs.values().any(|secret| matches!(secret.state, EpochState::Active)))
+        self.confirmed_epoch(domain) > 0
     }
 
     /// The last epoch of this owner that was seen on the chain; 0 if none was.

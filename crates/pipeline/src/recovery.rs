@@ -5,7 +5,7 @@
 use crate::crypto::{
     EoaSecret, EpochKey, GrantedKeys, IndexKey, SmKeyPair, WrappedKeys, hand_over, take_over, token, unwrap, wrap,
 };
-use crate::model::{GrantTerms, Identity, Scope};
+use crate::model::{GrantTerms, Identity, PublicKey, Scope};
 use crate::store::KeptEnvelope;
 
 use super::directory::kept;
@@ -127,8 +127,8 @@ fn open_own(
 /// pairs.
 pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
     let registered = network.directory.identity(owner.address)?;
-    let (goal, held) = ((registered.signing, registered.envelope), owner.public_keys());
-    if held == goal || owner.next_public_keys() == goal {
+    let goal = (registered.signing, registered.envelope);
+    if holds_pairs(owner, goal) {
         return Ok(false);
     }
     let (eoa, mut known) = (owner.eoa(), owner.envelopes());
@@ -156,9 +156,13 @@ pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<
 /// [`PipelineError::Unregistered`].
 pub fn is_ahead(network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
     let registered = network.directory.identity(owner.address)?;
-    let goal = (registered.signing, registered.envelope);
-    let holds = owner.public_keys() == goal || owner.next_public_keys() == goal;
+    let holds = holds_pairs(owner, (registered.signing, registered.envelope));
     Ok(!holds && owner.envelopes().iter().any(|pair| pair.public == registered.envelope))
+}
+
+/// Whether the keyring has these as its pairs, or as the next ones.
+fn holds_pairs(owner: &Owner, pairs: (PublicKey, PublicKey)) -> bool {
+    owner.public_keys() == pairs || owner.next_public_keys() == pairs
 }
 
 fn opens(

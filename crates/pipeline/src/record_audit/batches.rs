@@ -8,6 +8,7 @@ use tokio::task::JoinSet;
 
 use super::report::{FindingKind, Tally};
 use super::{Network, Plant, Scope};
+use crate::PipelineError;
 use crate::chain::{Chain, ChainError, Event, EventAt};
 use crate::chain_proofs::is_root_in;
 use crate::model::{Address, Digest, Hash, Timestamp};
@@ -210,20 +211,18 @@ impl Walk {
             }
             from = to + 1;
         }
-        self.judge_later(&network.chain).await
+        self.judge_later(network).await
     }
 
     /// What was anchored between the backup and its restoring may be in the home that went on then. What came after is
     /// this home's own, and lost.
-    async fn judge_later(&mut self, chain: &Chain) -> Result<Result<(), ChainError>, StoreError> {
-        let mut times: HashMap<u64, u64> = HashMap::new();
+    async fn judge_later(&mut self, network: &Network) -> Result<Result<(), ChainError>, StoreError> {
         for (subject, block) in std::mem::take(&mut self.later) {
-            let time = match times.get(&block) {
-                Some(time) => *time,
-                None => match chain.block(block).await {
-                    Ok(found) => *times.entry(block).or_insert(found.map_or(0, |found| found.timestamp)),
-                    Err(error) => return Ok(Err(error)),
-                },
+            let time = match network.ask_time(block).await {
+                Ok(time) => time.seconds(),
+                Err(PipelineError::Chain(error)) => return Ok(Err(error)),
+                // The chain has no such block any more.
+                Err(_) => 0,
             };
             if time <= self.restored_at.seconds().saturating_add(CLOCKS) {
                 self.elsewhere += 1;

@@ -334,18 +334,22 @@ impl Node {
         }
     }
 
+    fn keep(&self, connection: Connection) {
+        let mut idle = self.idle();
+        if idle.len() < MOST_IDLE {
+            idle.push(connection);
+        }
+    }
+
     fn settle<T>(&self, connection: Connection, done: RedisResult<T>) -> Result<T, Failure> {
         match done {
             Ok(done) => {
-                let mut idle = self.idle();
-                if idle.len() < MOST_IDLE {
-                    idle.push(connection);
-                }
+                self.keep(connection);
                 Ok(done)
             }
             // Another node has the record, now or soon: nothing is wrong with this one.
             Err(error) if matches!(error.code(), Some("MOVED" | "ASK" | "TRYAGAIN")) => {
-                self.idle().push(connection);
+                self.keep(connection);
                 Err(Failure::Other)
             }
             Err(error) => Err(self.failed(&error)),
@@ -378,7 +382,7 @@ impl Node {
         let asked = self.connect().and_then(|mut connection| ping(&mut connection).map(|_| connection));
         match asked {
             Ok(connection) => {
-                self.idle().push(connection);
+                self.keep(connection);
                 *self.away() = None;
             }
             Err(error) => drop(self.failed(&error)),

@@ -1,13 +1,12 @@
 //! A profile's keys: shown, loaded, exported, and its SM2 pairs replaced.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::Profiles;
+use super::{Accounts, Profiles};
 use crate::chain::Call;
 use crate::command::{KeyKind, SecretBytes, SecretText};
 use crate::crypto::{
@@ -16,7 +15,7 @@ use crate::crypto::{
 use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
-use crate::model::{Address, ProfileName, RecordState, SignerId};
+use crate::model::{RecordState, SignerId};
 use crate::pipeline::{Network, Owner, PipelineError, recovery};
 use crate::reply::{EpochView, Failure, KeysView};
 use crate::site::blocking;
@@ -149,7 +148,7 @@ impl Profiles {
         let key =
             blocking(self, move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
         let (profile, address) = (owner.profile.clone(), key.address());
-        let also = |accounts: &mut BTreeMap<ProfileName, Vec<Address>>| {
+        let also = |accounts: &mut Accounts| {
             accounts.entry(profile).or_default().push(address);
             Ok::<(), StoreError>(())
         };

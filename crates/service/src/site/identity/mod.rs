@@ -215,15 +215,18 @@ impl Profiles {
 
     /// Refuses a profile whose keyring is gone or another account's: what it sealed before would be nobody's.
     fn check_account(&self, profile: &ProfileName) -> Result<(), Failure> {
-        let known = block_in_place(|| self.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default();
+        let known = self.known_accounts()?;
         let fault = known.get(profile).and_then(|accounts| keyring_fault(&self.home, profile, accounts));
         fault.map_or(Ok(()), |text| Err(refused(text)))
     }
 
     /// What is wrong with the keyrings of the profiles that this home knows.
     pub(in crate::site) fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>, Failure> {
-        let known = block_in_place(|| self.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default();
-        Ok(keyring_faults(&self.home, &known))
+        Ok(keyring_faults(&self.home, &self.known_accounts()?))
+    }
+
+    fn known_accounts(&self) -> Result<Accounts, Failure> {
+        Ok(block_in_place(|| self.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default())
     }
 
     /// Seals under the newest epoch of the keyring until the chain's state is known, so that a start loses no message

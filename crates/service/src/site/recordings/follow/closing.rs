@@ -104,7 +104,13 @@ pub(super) struct Stamp(u64, i64, i64);
 impl Stamp {
     /// Of a file; `None` if it is not there.
     pub fn of(path: &Path) -> Option<Self> {
-        fs::metadata(path).ok().map(|found| Self(found.len(), found.mtime(), found.mtime_nsec()))
+        fs::metadata(path).ok().as_ref().map(Self::from)
+    }
+}
+
+impl From<&fs::Metadata> for Stamp {
+    fn from(found: &fs::Metadata) -> Self {
+        Self(found.len(), found.mtime(), found.mtime_nsec())
     }
 }
 
@@ -127,7 +133,7 @@ impl Waiting {
     /// Looks at the file, without opening it, whether its recorder is done with it.
     pub fn is_over(&mut self, path: &Path, files: &[PathBuf]) -> bool {
         let Ok(found) = fs::metadata(path) else { return false };
-        let stamp = Stamp::of(path);
+        let stamp = Some(Stamp::from(&found));
         if self.stamp != stamp {
             (self.stamp, self.since) = (stamp, Instant::now());
         }
