@@ -226,6 +226,7 @@ pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
         plant.ledger.scour_local_copies(&digests)?;
         plant.vault.scour(&digests)?;
         plant.ledger.deleted(&digests)?;
+        plant.observer.erased();
         plant.observer.records_changed();
     }
     Ok(digests.len() as u64)
@@ -249,6 +250,7 @@ pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
     plant.ledger.drop_local_copies(&digests)?;
     plant.vault.discard(&digests)?;
     plant.ledger.deleted(&digests)?;
+    plant.observer.erased();
     plant.observer.records_changed();
     Ok(digests.len() as u64)
 }

@@ -10,6 +10,7 @@ mod chain_proofs;
 mod counts;
 mod directory;
 mod erasures;
+mod feed;
 mod forwarding;
 mod incidents;
 mod inspect;
@@ -35,6 +36,7 @@ pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, Stam
 pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
 pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights, WaitingSigner};
 pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
+pub use self::feed::{Feed, FeedFilter, FeedPage, FeedPlace, FeedRow};
 pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
 pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
 pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
@@ -227,7 +229,11 @@ pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
 fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     database::quick_check(connection, path)?;
     let transaction = connection.unchecked_transaction()?;
-    transaction.execute("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
+    transaction.execute(
+        "UPDATE about SET recorder = ?1, clean = 1, feed = randomblob(16)",
+        [random_prefix(path)?.as_bytes()],
+    )?;
+    // Whoever followed the original reads anew: numbers that it gave since would be given again.
     // The first of several restores counts: anything anchored since may be in another home.
     transaction.execute(
         "INSERT OR IGNORE INTO settings SELECT ?1, max(block) FROM cursors HAVING max(block) IS NOT NULL",
@@ -255,6 +261,6 @@ fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
 
 fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderPrefix, StoreError> {
     let prefix = random_prefix(path)?;
-    connection.execute("INSERT INTO about VALUES (1, ?1, 0)", [prefix.as_bytes()])?;
+    connection.execute("INSERT INTO about VALUES (1, ?1, 0, randomblob(16))", [prefix.as_bytes()])?;
     Ok(prefix)
 }

@@ -24,14 +24,14 @@ pub use crate::error::StoreError;
 pub use crate::files::{ConsoleLock, SiteLock, atomic_write};
 pub use crate::ledger::{
     AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, Coverage, CoveragePart,
-    CoverageQuery, Erasure, ErasurePage, FilterChoice, Foreign, GapRow, Glance, HashedNode, HeldMinute, HeldQuery,
-    HeldRow, Hold, IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptEnvelope, KeptErasure, KeptProof,
-    KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Loss, NewBatch, NewRecord,
-    NewTransaction, NewestRecord, OldRecord, OpenTransaction, PinRow, PlacedRecord, ProofCounts, RecordPage,
-    RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting,
-    SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts, StatedErasure, TakenErased, ToldErased,
-    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch,
-    WaitingSigner,
+    CoverageQuery, Erasure, ErasurePage, Feed, FeedFilter, FeedPage, FeedPlace, FeedRow, FilterChoice, Foreign, GapRow,
+    Glance, HashedNode, HeldMinute, HeldQuery, HeldRow, Hold, IncidentNote, IncidentRow, IncidentSpan, KeptBinding,
+    KeptEnvelope, KeptErasure, KeptProof, KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount,
+    LastSeen, Ledger, Loss, NewBatch, NewRecord, NewTransaction, NewestRecord, OldRecord, OpenTransaction, PinRow,
+    PlacedRecord, ProofCounts, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent,
+    RightKind, RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts,
+    StatedErasure, TakenErased, ToldErased, TopicCounts, TransactionOutcome, TransactionRow, TransactionState,
+    UnprovenBatch, Unstated, WaitingBatch, WaitingSigner,
 };
 pub use crate::reserve::{RESERVE_BYTES, Reserve, Waiting, WaitingFile};
 pub use crate::vault::{Stored, Usage, Vault, open_vault};
