@@ -11,7 +11,7 @@ use crate::error::{Code, Refusal};
 use crate::feed::{Feed, FeedPage};
 use crate::frame::Message;
 use crate::gateway::command::relay::{LONGEST_FOR_VISITOR, LONGEST_RESULT};
-use crate::gateway::command::{Answer, Command, DeviceNotice, Notice, RelayCall, Relayed, Request, Upload};
+use crate::gateway::command::{Answer, Command, DeviceNotice, Found, Notice, RelayCall, Relayed, Request, Upload};
 use crate::gateway::desk::{Binding, BoundDevice, Caller, Desk};
 use crate::gateway::hello::Agreed;
 use crate::gateway::identity_check::{
@@ -135,7 +135,15 @@ impl Commands {
             _ => check_account(desk, &self.binding).await?,
         }
         match request {
-            Request::Records(bytes, digests) => desk.records(&self.caller, &digests, bytes).await.map(Answer::Records),
+            Request::Records(bytes, digests) => {
+                let found = desk.records(&self.caller, &digests, bytes).await?;
+                for (digest, found) in digests.iter().zip(&found).filter(|_| bytes) {
+                    if let Found::Missing(code) = found {
+                        shared.refused(self.caller.peer, &Refusal::new(*code, format_args!("record {digest}")));
+                    }
+                }
+                Ok(Answer::Records(found))
+            }
             Request::Notice(notice) => {
                 if let Notice::Device(notice) = &notice {
                     shared.provider().check_public_key(&notice.key).map_err(Refusal::because(Code::Malformed))?;
@@ -186,6 +194,9 @@ impl Commands {
             }
             Err(refusal) => return Some((waiting.request, Err(refusal))),
         };
+        for (owner, code) in &page.refused {
+            shared.refused(self.caller.peer, &Refusal::new(*code, format_args!("records of {owner}")));
+        }
         let signed = page.sign(shared.provider(), &shared.context.domain, &shared.identity);
         let answer = signed.map(|page| Answer::Feed(Box::new(page))).map_err(Refusal::because(Code::Internal));
         Some((waiting.request, answer))

@@ -13,10 +13,12 @@ use crate::site::chain::link::Link;
 use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::gateway::{Code, GatewayError};
+use crate::model::Address;
 use crate::pipeline::intake::{Anchors, sources};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::NoticeLevel;
@@ -180,6 +182,8 @@ impl Joined {
         remote.note(&owner.profile, Mirrored::Behind);
         let mut rights = self.hub.feed.subscribe();
         let mut is_slow_told = false;
+        let has_others =
+            |followed: &BTreeSet<Address>| sources(network, owner).keys().any(|source| !followed.contains(source));
         while !client.is_spent() && !self.life.is_stopping() && self.owners.is_open(owner) && !owner.is_locked() {
             rights.mark_unchanged();
             if following.adjust()? {
@@ -195,14 +199,14 @@ impl Joined {
                         () = self.life.stopped() => return Ok(()),
                         Ok(()) = rights.changed() => {
                             // Somebody shares from now on: what is asked for next includes that.
-                            if sources(network, owner).keys().any(|source| !followed.contains(source)) {
+                            if has_others(&followed) {
                                 remote.note(&owner.profile, Mirrored::Behind);
                             }
                         }
                     }
                 }
             };
-            if following.take(&mut client, page).await? {
+            if following.take(&mut client, page).await? && !has_others(&followed) {
                 remote.note(&owner.profile, Mirrored::Caught);
             }
             self.tell_erasures(&mut client, (remote, owner, network), told).await?;
