@@ -157,7 +157,7 @@ class Session:
                 whole += more
             need(len(whole) == total, "the length of a message in parts")
         need(request == self.requests, "the number of an answer")
-        need(answered != REFUSE + 128, f"refused with code {number(whole)}")
+        need(answered != REFUSE + 128, f"refused with code {whole[:2].hex()}")
         need(answered == command + 128, "the Command of an answer")
         return whole
 
