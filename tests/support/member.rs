@@ -8,7 +8,8 @@ use authros::crypto::{
     provider, random_bytes, seal, token, topic_id, topic_key,
 };
 use authros::gateway::{
-    Applicant, Client, Context, Credentials, Endpoint, Feed, FeedEntry, Fetched, Follow, GatewayError, Trust, Upload,
+    Applicant, Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, Fetched, Follow, GatewayError, Trust,
+    Upload,
 };
 use authros::model::head::Compression;
 use authros::model::{
@@ -146,13 +147,17 @@ pub async fn connect(gateway: &Gateway, credentials: &Credentials) -> Client {
     Client::connect(&gateway.endpoint(), &mut gateway.trust(), credentials).await.expect("connects")
 }
 
+/// How long a gateway may take to know its newest block.
+const PATIENCE: Duration = Duration::from_secs(5);
+
 /// Everything that a gateway tells of this, from the beginning.
 ///
 /// # Errors
 /// The gateway's refusal.
 pub async fn told(client: &mut Client, feed: &Feed) -> Result<Vec<FeedEntry>, GatewayError> {
     let (mut follow, mut told) = (Follow::new(feed.clone()), Vec::new());
-    while let Some(page) = follow.next(client, Duration::ZERO).await? {
+    // A busy gateway may not know its newest block in this very moment.
+    while let Some(page) = follow.next(client, PATIENCE).await? {
         if let (Some((_, code)), true) = (page.refused.first(), page.entries.is_empty()) {
             return Err(GatewayError::Refused(*code));
         }
@@ -191,7 +196,7 @@ impl Live {
     /// The gateway's refusal.
     pub async fn begin(client: &mut Client, feed: Feed) -> Result<Self, GatewayError> {
         let mut follow = Follow::new(feed);
-        while let Some(page) = follow.next(client, Duration::ZERO).await? {
+        while let Some(page) = follow.next(client, PATIENCE).await? {
             follow.took(&page, page.upto);
             if page.upto == page.head {
                 break;
@@ -212,8 +217,14 @@ impl Live {
         let end = Instant::now() + patience;
         loop {
             if let Some(entry) = self.told.pop_front() {
-                let record = client.fetch(&entry.digest).await?;
-                return Ok((entry, record));
+                match client.fetch(&entry.digest).await {
+                    Err(GatewayError::Refused(Code::Stale)) if Instant::now() < end => {
+                        self.told.push_front(entry);
+                        tokio::time::sleep(Duration::from_millis(100)).await;
+                        continue;
+                    }
+                    record => return Ok((entry, record?)),
+                }
             }
             let left = end.saturating_duration_since(Instant::now());
             if left.is_zero() {

@@ -261,6 +261,6 @@ fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
 
 fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderPrefix, StoreError> {
     let prefix = random_prefix(path)?;
-    connection.execute("INSERT INTO about VALUES (1, ?1, 0, randomblob(16))", [prefix.as_bytes()])?;
+    connection.execute("INSERT INTO about VALUES (1, ?1, 0, randomblob(16), 0)", [prefix.as_bytes()])?;
     Ok(prefix)
 }

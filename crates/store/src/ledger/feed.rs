@@ -84,15 +84,15 @@ impl Feed<'_> {
 
 /// An owner's notice was stored: a row for it.
 pub(super) fn note(connection: &Connection, record: i64, topic: i64) -> Result<(), StoreError> {
-    let sql = "INSERT INTO feed (record, topic, fact) VALUES (?1, ?2, ?3)";
+    connection.run("UPDATE about SET head = head + 1", [])?;
+    let sql = "INSERT INTO feed SELECT head, ?1, ?2, ?3 FROM about";
     connection.run(sql, params![record, topic, Fact::Stored.code()])?;
     Ok(())
 }
 
 fn page(connection: &Connection, id: &[u8; 16], filter: &FeedFilter, limit: usize) -> Result<FeedPage, StoreError> {
-    let own: [u8; 16] = connection.one("SELECT feed FROM about", [], |row| row.get(0))?;
-    let sql = "SELECT seq FROM sqlite_sequence WHERE name = 'feed'";
-    let head = connection.find(sql, [], |row| unsigned(row, 0))?.unwrap_or(0);
+    let sql = "SELECT feed, head FROM about";
+    let (own, head): ([u8; 16], u64) = connection.one(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))?;
     let place = |after: u64| if own == *id && after <= head { after } else { 0 };
     let topics = topics(connection, filter, place)?;
     let first = filter.places.iter().map(|wanted| place(wanted.after)).min().unwrap_or(head);
