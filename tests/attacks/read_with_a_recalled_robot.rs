@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use authros::gateway::{Client, Code, Feed, GatewayError};
-use authros::model::Digest;
+use authros::model::{Digest, RecorderId};
 
 use crate::enrolled_robot::{Robot, Scene, notices, session};
 use crate::judge;
@@ -12,7 +12,7 @@ use crate::support::member::Live;
 
 /// Asks for everything there is.
 async fn ask(parts: &mut Parts, client: &mut Client, robot: &authros::crypto::Enrolment, known: Digest) {
-    let own = Feed { signers: vec![robot.device_id()], ..Feed::of(robot.owner) };
+    let own = Feed { recorders: vec![RecorderId([1; 16])], ..Feed::of(robot.owner) };
     let asked = [("the owner's feed", Feed::of(robot.owner)), ("notices", notices(robot)), ("its own records", own)];
     for (what, feed) in asked {
         let answer = client.feed(&feed).await.map(|page| format!("{} records", page.entries.len()));

@@ -87,7 +87,7 @@ impl Desk for Liar {
             kind: header.kind,
             proof: Vec::new(),
         });
-        let told: Vec<FeedEntry> = told.filter(|_| !asked.signers.is_empty()).take(256).collect();
+        let told: Vec<FeedEntry> = told.filter(|_| !asked.recorders.is_empty()).take(256).collect();
         let upto = told.last().map_or(0, |last| last.number);
         Ok(FeedPage::new([7; 16], (upto, upto), Vec::new(), told))
     }

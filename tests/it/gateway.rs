@@ -199,7 +199,7 @@ async fn devices_sign_while_they_are_lent_and_names_belong_to_one_account() {
     assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "lent, but its key is not known");
     robot.device(&owner.keyring.signing, notice).await.expect("noted");
     robot.upload(vec![upload.clone()]).await.expect("accepted");
-    let signed_by_it = Feed { signers: vec![id], ..Feed::of(owner.address()) };
+    let signed_by_it = Feed { recorders: vec![owner.recorder.of_signer(&id)], ..Feed::of(owner.address()) };
     until_verified(&mut robot, signed_by_it, &[digest(&owner, &upload)]).await;
     let opened = alice.json(&["shared", "open", &digest(&owner, &upload).to_string()]);
     assert_eq!(opened["verdict"], "verified", "the owner reads what her device signed: {opened}");

@@ -10,15 +10,13 @@ use crate::command::answer::{LONGEST_PROOF, read_code};
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
 use crate::error::{Code, GatewayError};
 use crate::model::wire::{Reader, WireError};
-use crate::model::{
-    Address, Digest, Domain, Fact, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp, TopicId,
-};
+use crate::model::{Address, Digest, Domain, Fact, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId};
 
 /// The most entries on a page: with their proofs they fit into one frame.
 pub const MOST_ENTRIES: usize = 256;
 /// The most owners followed by one request.
 pub const MOST_OWNERS: usize = 1024;
-/// The most signers, and topics, that one request may name.
+/// The most recorders, and topics, that one request may name.
 pub const MOST_NAMED: usize = 32;
 /// The longest that a request waits for something to tell.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
@@ -26,7 +24,7 @@ pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 /// The id of a feed; zeros where none is known yet.
 pub type FeedId = [u8; 16];
 
-/// What to tell next: feed id (16) || wait (2, milliseconds) || kind (1, 0 for any) || topics (1), 16 each || signers (1), 32 each ||
+/// What to tell next: feed id (16) || wait (2, milliseconds) || kind (1, 0 for any) || topics (1), 16 each || recorders (1), 16 each ||
 /// owners (2), each: owner (20) || number (8).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Feed {
@@ -38,8 +36,8 @@ pub struct Feed {
     pub kind: Option<RecordKind>,
     /// Of these topics only; empty for all.
     pub topics: Vec<TopicId>,
-    /// Signed by one of these; empty for any. It is how a device asks for its own.
-    pub signers: Vec<SignerId>,
+    /// Numbered by one of these; empty for any. It is how a device asks for its own: nobody else knows them.
+    pub recorders: Vec<RecorderId>,
     /// The owners, each with the number after which.
     pub places: Vec<(Address, u64)>,
 }
@@ -47,8 +45,8 @@ pub struct Feed {
 impl Feed {
     /// Everything of one owner, from the beginning.
     pub fn of(owner: Address) -> Self {
-        let (wait, topics, signers) = (Duration::ZERO, Vec::new(), Vec::new());
-        Self { id: FeedId::default(), wait, kind: None, topics, signers, places: vec![(owner, 0)] }
+        let (wait, topics, recorders) = (Duration::ZERO, Vec::new(), Vec::new());
+        Self { id: FeedId::default(), wait, kind: None, topics, recorders, places: vec![(owner, 0)] }
     }
 
     /// The same request after a page that had nothing to tell.
@@ -65,8 +63,8 @@ impl Feed {
         let counted = |length: usize| u8::try_from(length.min(MOST_NAMED)).unwrap_or(0);
         out.push(counted(self.topics.len()));
         self.topics.iter().take(MOST_NAMED).for_each(|topic| out.extend_from_slice(&topic.0));
-        out.push(counted(self.signers.len()));
-        self.signers.iter().take(MOST_NAMED).for_each(|signer| out.extend_from_slice(&signer.0));
+        out.push(counted(self.recorders.len()));
+        self.recorders.iter().take(MOST_NAMED).for_each(|recorder| out.extend_from_slice(&recorder.0));
         let owners = u16::try_from(self.places.len().min(MOST_OWNERS)).unwrap_or(0);
         out.extend_from_slice(&owners.to_be_bytes());
         for (owner, number) in self.places.iter().take(MOST_OWNERS) {
@@ -88,15 +86,15 @@ impl Feed {
         };
         let count = named(reader.u8("topic count")?, "topic count")?;
         let topics = (0..count).map(|_| reader.array("topic id").map(TopicId)).collect::<Result<_, _>>()?;
-        let count = named(reader.u8("signer count")?, "signer count")?;
-        let signers = (0..count).map(|_| reader.array("signer").map(SignerId)).collect::<Result<_, _>>()?;
+        let count = named(reader.u8("recorder count")?, "recorder count")?;
+        let recorders = (0..count).map(|_| reader.array("recorder").map(RecorderId)).collect::<Result<_, _>>()?;
         let count = usize::from(reader.u16("owner count")?);
         if !(1..=MOST_OWNERS).contains(&count) || wait > LONGEST_WAIT {
             return Err(WireError::Value("owner count or wait"));
         }
         let mut place = || Ok((Address(reader.array("owner")?), reader.u64("number")?));
         let places = (0..count).map(|_| place()).collect::<Result<_, WireError>>()?;
-        Ok(Self { id, wait, kind, topics, signers, places })
+        Ok(Self { id, wait, kind, topics, recorders, places })
     }
 }
 
@@ -316,7 +314,7 @@ pub struct Follow {
 }
 
 impl Follow {
-    /// From the beginning, with the kind, topics and signers of `filter` and its owners.
+    /// From the beginning, with the kind, topics and recorders of `filter` and its owners.
     pub fn new(filter: Feed) -> Self {
         let places = filter.places.iter().copied().collect();
         Self { filter, places, resting: BTreeMap::new(), asked: BTreeSet::new() }
@@ -388,9 +386,9 @@ impl Follow {
         self.resting.insert(owner, Resting { again: Instant::now() + pause, pause });
     }
 
-    /// Asks for records of these signers from now on.
-    pub fn set_signers(&mut self, signers: Vec<SignerId>) {
-        self.filter.signers = signers;
+    /// Asks for records of these recorders from now on.
+    pub fn set_recorders(&mut self, recorders: Vec<RecorderId>) {
+        self.filter.recorders = recorders;
     }
 
     /// Everything on a page was dealt with, as far as this number of it. Returns whether the feed is another one than it was.

@@ -35,9 +35,9 @@ pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Ref
 pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
     let Some(device) = &caller.device else { return Ok(()) };
     let may = match request {
-        // Its own records, or notices to it; whether the signers are devices of its owner the desk decides.
+        // Its own records, or notices to it; whether devices of its owner signed them the desk decides.
         Request::Feed(feed) => {
-            let own = !feed.signers.is_empty() && feed.places.iter().all(|(owner, _)| *owner == caller.account);
+            let own = !feed.recorders.is_empty() && feed.places.iter().all(|(owner, _)| *owner == caller.account);
             own || device.asks_for_notices(&caller.account, feed)
         }
         Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) => false,

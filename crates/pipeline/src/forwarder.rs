@@ -322,7 +322,7 @@ const PLACE: &str = "outbox feed";
 /// After how many checks of the feed the gateway is asked whether it still has what it signed for.
 const SWEEP: u32 = 60;
 
-/// What a robot is told of its records: the gateway's feed, cut to what was signed here.
+/// What a robot is told of its records: the gateway's feed, cut to what was numbered here.
 #[derive(Debug)]
 struct Proofs {
     follow: Follow,
@@ -392,8 +392,8 @@ impl Line<'_> {
         if block_in_place(|| ledger.forwarded(None, 1))?.rows.is_empty() {
             return Ok(false);
         }
-        let signers = block_in_place(|| ledger.signers(MOST_NAMED))?;
-        self.proofs.follow.set_signers(signers);
+        let recorders = block_in_place(|| ledger.recorders(MOST_NAMED))?;
+        self.proofs.follow.set_recorders(recorders);
         self.proofs.go_back();
         for _ in 0..MOST_PAGES {
             let Some(page) = self.proofs.follow.next(client, Duration::ZERO).await? else { break };

@@ -28,7 +28,7 @@ fn feed() -> Feed {
         wait: Duration::from_millis(1_500),
         kind: Some(RecordKind::Key),
         topics: vec![TopicId([2; 16])],
-        signers: vec![SignerId([3; 32])],
+        recorders: vec![RecorderId([3; 16])],
         places: vec![(Address([4; 20]), 5)],
     }
 }

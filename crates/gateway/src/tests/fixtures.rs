@@ -162,7 +162,7 @@ fn feed() -> Feed {
         wait: Duration::from_millis(1_500),
         kind: Some(RecordKind::Key),
         topics: vec![TopicId([2; 16]); 2],
-        signers: vec![SignerId([3; 32]); 3],
+        recorders: vec![RecorderId([3; 16]); 3],
         places: vec![(Address([4; 20]), 5), (Address([6; 20]), u64::MAX)],
     }
 }

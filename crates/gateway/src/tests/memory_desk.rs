@@ -240,7 +240,7 @@ impl Desk for MemoryDesk {
             let header = &record.header;
             if after(&header.owner).is_some_and(|after| number > after)
                 && (asked.topics.is_empty() || asked.topics.contains(&header.topic_id))
-                && (asked.signers.is_empty() || asked.signers.contains(&header.signer))
+                && (asked.recorders.is_empty() || asked.recorders.contains(&header.recorder))
                 && asked.kind.is_none_or(|kind| kind == header.kind)
             {
                 entries.push(state.told((number, *fact), record));

@@ -9,7 +9,7 @@ use crate::gateway::{Client, Upload};
 use crate::gateway_stage::{Member, Stage, context, notice_of, pair};
 use crate::model::{Header, RecordKind, RecordState};
 use crate::pipeline::fixture::Notes;
-use crate::store::{Ledger, NewRecord, StateCounts, open_vault};
+use crate::store::{Foreign, Ledger, NewRecord, StateCounts, open_vault};
 use relay::Relay;
 
 mod addresses;
@@ -142,7 +142,7 @@ impl Scene {
             owner: header.owner,
             topic_id: header.topic_id,
             seq: header.seq,
-            foreign: None,
+            foreign: Some(Foreign { recorder: header.recorder, keeper: header.owner }),
             epoch: header.epoch,
             kind: RecordKind::Data,
             signer: header.signer,

@@ -10,7 +10,7 @@ use super::rows::{out_of_range, unsigned};
 use super::{Ledger, PlacedRecord};
 use crate::StoreError;
 use crate::database::Statements as _;
-use crate::model::{Address, Digest, Fact, RecordKind, SignerId, TopicId};
+use crate::model::{Address, Digest, Fact, RecordKind, RecorderId, TopicId};
 
 /// The most rows looked at for one page: a filter that fits few of them must not hold the ledger for long.
 const MOST_LOOKED_AT: i64 = 20_000;
@@ -33,8 +33,8 @@ pub struct FeedFilter {
     pub places: Vec<FeedPlace>,
     /// Of one kind only.
     pub kind: Option<RecordKind>,
-    /// Signed by one of these; empty for any.
-    pub signers: Vec<SignerId>,
+    /// Numbered by one of these; empty for any.
+    pub recorders: Vec<RecorderId>,
 }
 
 /// A row with its record.
@@ -138,15 +138,15 @@ fn topics(
     place: impl Fn(u64) -> u64,
 ) -> Result<HashMap<i64, u64>, StoreError> {
     let mut statement = connection.prepare_cached(
-        "SELECT t.key, t.topic_id, r.signer FROM topics t JOIN recorders r ON r.key = t.recorder WHERE t.owner = ?1",
+        "SELECT t.key, t.topic_id, r.id FROM topics t JOIN recorders r ON r.key = t.recorder WHERE t.owner = ?1",
     )?;
     let mut found = HashMap::new();
     for FeedPlace { owner, after, topics } in &filter.places {
         let mut rows = statement.query([owner.0])?;
         while let Some(row) = rows.next()? {
-            let (topic, signer) = (TopicId(row.get(1)?), SignerId(row.get(2)?));
+            let (topic, recorder) = (TopicId(row.get(1)?), RecorderId(row.get(2)?));
             let is_wanted = topics.as_ref().is_none_or(|topics| topics.contains(&topic))
-                && (filter.signers.is_empty() || filter.signers.contains(&signer));
+                && (filter.recorders.is_empty() || filter.recorders.contains(&recorder));
             if is_wanted {
                 found.insert(row.get(0)?, place(*after));
             }

@@ -10,7 +10,9 @@ use super::{Ledger, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::bytes::hex;
-use crate::model::{Address, Digest, ProfileName, PublicKey, RecordState, Signature, SignerId, Timestamp, TopicId};
+use crate::model::{
+    Address, Digest, ProfileName, PublicKey, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
+};
 
 /// A gateway's signed receipt for records.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -87,15 +89,15 @@ impl Ledger {
         })
     }
 
-    /// The keys that signed records here, the newest first.
+    /// Who numbered records here, the newest first.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn signers(&self, limit: usize) -> Result<Vec<SignerId>, StoreError> {
+    pub fn recorders(&self, limit: usize) -> Result<Vec<RecorderId>, StoreError> {
         self.read(|connection| {
-            let sql = "SELECT signer FROM recorders GROUP BY signer ORDER BY max(key) DESC LIMIT ?1";
+            let sql = "SELECT id FROM recorders ORDER BY key DESC LIMIT ?1";
             let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            Ok(connection.list(sql, [limit], |row| row.get(0).map(SignerId))?)
+            Ok(connection.list(sql, [limit], |row| row.get(0).map(RecorderId))?)
         })
     }
 

@@ -255,7 +255,7 @@ impl Desk for GatewayDesk {
 
     async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal> {
         // A robot asks about its own records, and learns nothing that its recall should end.
-        if caller.device.is_none() || asked.signers.is_empty() {
+        if caller.device.is_none() || asked.recorders.is_empty() {
             self.freshen().await?;
         }
         if is_new && caller.device.is_none() {

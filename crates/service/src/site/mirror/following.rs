@@ -55,7 +55,7 @@ impl Place {
     fn read(name: String, text: &str) -> Self {
         let (id, owners) = parse(text).unwrap_or_default();
         let places = owners.iter().map(|(owner, (_, number))| (*owner, *number)).collect();
-        let filter = Feed { id, wait: WAIT, kind: None, topics: Vec::new(), signers: Vec::new(), places };
+        let filter = Feed { id, wait: WAIT, kind: None, topics: Vec::new(), recorders: Vec::new(), places };
         let known = owners.into_iter().map(|(owner, (known, _))| (owner, known)).collect();
         Self { name, follow: Follow::new(filter), known, saved: text.to_owned() }
     }

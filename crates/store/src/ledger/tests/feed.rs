@@ -174,7 +174,7 @@ proptest! {
 }
 
 #[test]
-fn a_page_is_cut_by_owner_topic_signer_and_kind_and_says_how_far_it_looked() {
+fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
     let (_home, ledger) = open();
     let mut records = Vec::new();
     for (owner, topic) in [(1, 1), (1, 2), (2, 3)] {
@@ -209,8 +209,10 @@ fn a_page_is_cut_by_owner_topic_signer_and_kind_and_says_how_far_it_looked() {
     assert_eq!(of(&scoped, 9), (facts(4..=5).collect(), 7, 7));
     let keys = FeedFilter { kind: Some(RecordKind::Key), ..places(0) };
     assert_eq!(of(&keys, 9).0, [(1, Fact::Stored)]);
-    let other = FeedFilter { signers: vec![SignerId([9; 32])], ..places(0) };
+    let other = FeedFilter { recorders: vec![RecorderId([9; 16])], ..places(0) };
     assert_eq!(of(&other, 9), (Vec::new(), 7, 7));
+    let own = FeedFilter { recorders: vec![ledger.recorder().of_signer(&SignerId([1; 32]))], ..places(0) };
+    assert_eq!(of(&own, 9).0, all);
     let mut both = places(4);
     both.places.push(FeedPlace { owner: Address([2; 20]), after: 0, topics: None });
     assert_eq!(of(&both, 9).0, facts(5..=7).collect::<Vec<_>>(), "each owner has a place of its own");
