@@ -93,7 +93,7 @@ HEADINGS = [
     "msg/s",
     "cores to take them",
     "gateways of two cores",
-    "vault GB/day",
+    "ciphertext GB/day",
     "hours in one Redis node",
     "transactions/day",
     "Ggas/day",

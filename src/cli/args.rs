@@ -152,7 +152,7 @@ pub enum Verb {
         #[arg(long, conflicts_with = "genesis")]
         verbose: bool,
     },
-    /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
+    /// Write profiles, store and chain, settings and pins into one encrypted file
     Backup(BackupArguments),
     /// Restore a home from a backup, into an empty place
     Restore {
@@ -369,9 +369,9 @@ pub struct Global {
     /// How the embedded chain seals: poa, poa:SIGNERS:PERIOD_MS, pow or pow:DIFFICULTY
     #[arg(long, global = true, value_name = "NAME")]
     pub consensus: Option<String>,
-    /// Real Redis, such as redis://host:6379
+    /// Redis as a cache in front of the store, such as redis://host:6379
     #[arg(long, global = true, value_name = "URL")]
-    pub vault: Option<String>,
+    pub cache: Option<String>,
     /// Simulated robots on the embedded master, 0 to 32
     #[arg(long, global = true, value_name = "N")]
     pub robots: Option<String>,
@@ -409,7 +409,7 @@ impl Global {
             "chain.url" => self.chain.clone(),
             "chain.contract" => self.contract.clone(),
             "chain.consensus" => self.consensus.clone(),
-            "vault.url" => self.vault.clone(),
+            "cache.url" => self.cache.clone(),
             "robots" => self.robots.clone(),
             "ros.robots_by" => self.robots_by.clone(),
             "confirmations" => self.confirmations.clone(),

@@ -209,7 +209,7 @@ fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
         chain,
         contract,
         consensus,
-        vault,
+        cache,
         robots,
         robots_by,
         confirmations,
@@ -230,7 +230,7 @@ fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
         ("--chain", chain),
         ("--contract", contract),
         ("--consensus", consensus),
-        ("--vault", vault),
+        ("--cache", cache),
         ("--robots", robots),
         ("--robots-by", robots_by),
         ("--confirmations", confirmations),
@@ -298,7 +298,7 @@ mod handover_tests {
             "http://node:8545",
             "--confirmations",
             "3",
-            "--vault",
+            "--cache",
             "redis://host:6379",
             "--site",
             "a:1",
@@ -314,7 +314,7 @@ mod handover_tests {
         let line = ["authros".into(), "serve".into()].into_iter().chain(words).chain(["--detach".into()]);
         let serve = Arguments::try_parse_from(line).expect("it parses").global;
         for setting in
-            ["robots", "ros.domain", "chain.url", "confirmations", "vault.url", "site.address", "anchor.mode"]
+            ["robots", "ros.domain", "chain.url", "confirmations", "cache.url", "site.address", "anchor.mode"]
         {
             assert_eq!(serve.setting(setting), console.setting(setting), "{setting}");
         }

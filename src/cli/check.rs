@@ -11,7 +11,7 @@ use crate::model::ErrorKind;
 use crate::service::command::{BackUp, ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
-use crate::service::{Failure, Needs, doctor, restoring, socket};
+use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
 use crate::store::SiteLock;
 use authros_output::{Output, table};
 
@@ -28,7 +28,7 @@ pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
 
 /// What an audit of records needs: the chain, if the home is bound to one.
 pub fn audit_needs(context: &Context) -> Needs {
-    Needs { ros: false, chain: context.home.pin().exists() }
+    Needs { ros: false, chain: is_bound(&context.home) }
 }
 
 fn rounded(value: f64) -> String {
@@ -39,13 +39,17 @@ fn rounded(value: f64) -> String {
 pub fn audit(audit: &RecordAudit) -> String {
     let how = if audit.deep { "re-hashed, signatures checked" } else { "compared (rows, proofs, chain)" };
     let megabytes = rounded(audit.megabytes_per_second);
+    let alone = match audit.sm3_megabytes_per_second {
+        // Nothing was hashed.
+        0.0 => String::new(),
+        reached => format!("; SM3 alone reaches {} MB/s on as many", rounded(reached)),
+    };
     let mut lines = vec![
         format!("{} records {how}, {} bytes, in {:.1} s", audit.records, audit.bytes, audit.seconds),
         format!(
-            "{} records/s, {megabytes} MB/s on {} threads; SM3 alone reaches {} MB/s on as many",
+            "{} records/s, {megabytes} MB/s on {} threads{alone}",
             rounded(audit.records_per_second),
-            audit.threads,
-            rounded(audit.sm3_megabytes_per_second)
+            audit.threads
         ),
         format!("{} batches checked against the chain, {} audit log lines", audit.batches, audit.audit_lines),
     ];

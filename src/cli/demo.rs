@@ -130,6 +130,8 @@ pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<temp
     // The settings of the standard home do not apply to this one.
     let global = context.global.clone();
     context.config = Config::resolve(&|name| global.setting(name), &|name| std::env::var(name).ok(), None)?;
+    // What the mission alters lies on the disk, and is to be noticed there.
+    context.config.cache_url = None;
     Ok(directory)
 }
 
@@ -256,13 +258,13 @@ pub struct Genuine {
 }
 
 impl Genuine {
-    /// Takes a record of `owner` from the vault.
+    /// Takes a record of `owner` from the store.
     ///
     /// # Errors
     /// If it is not there.
     pub fn take(plant: &Plant, network: &Network, owner: &Owner, row: RecordRow) -> Result<Self, Failure> {
         let missing = || crate::pipeline::PipelineError::Missing(row.id.clone());
-        let blob = plant.vault.get(row.digest)?.ok_or_else(missing)?;
+        let blob = plant.ciphertext.get(row.digest)?.ok_or_else(missing)?;
         let key = Reader { plant, network, reader: owner }.topic_key(&row)?;
         let expected = Expected::any_of(network.domain, owner.address, Names::Derived(owner.index()));
         Ok(Self { blob, key, pair: owner.signing(), expected, row })

@@ -23,7 +23,7 @@ const TELLING: Duration = Duration::from_secs(30);
 /// `bag follow …`
 #[derive(Debug, Args)]
 pub struct FollowArguments {
-    /// The folder into which a recorder writes MCAP files; it need not exist yet
+    /// The folder into which a recorder writes MCAP or .db3 files; it need not exist yet
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
     /// Only topics matching this pattern, such as /robot*/odom; repeatable [default: all topics]
@@ -141,7 +141,7 @@ fn code(view: &FollowView, until_closed: bool, output: &Output) -> u8 {
     // Who ends it while it is recorded has what he wanted, where everything read was sealed.
     let is_sound = |file: &FollowedFile| is_whole(file) || !until_closed && file.digest.is_none() && file.lost == 0;
     if view.files.is_empty() {
-        output.note("authros: no MCAP file appeared there");
+        output.note("authros: no recording appeared there");
     }
     if view.files.iter().all(is_sound) && !(until_closed && view.ended_early) {
         return 0;

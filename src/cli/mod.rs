@@ -61,6 +61,10 @@ pub fn main() -> ExitCode {
     let arguments = match Arguments::try_parse_from(args::with_values_joined(std::env::args_os())) {
         Ok(arguments) => arguments,
         Err(error) => {
+            if error.use_stderr() && std::env::args_os().any(|argument| argument == "--json") {
+                Output::new(true).failure(&misused(&error));
+                return ExitCode::from(ErrorKind::Usage.exit_code());
+            }
             let code = error.exit_code();
             // If stdout or stderr is closed there is nobody to inform.
             drop(error.print());
@@ -89,6 +93,14 @@ pub fn main() -> ExitCode {
             ExitCode::from(failure.kind.exit_code())
         }
     }
+}
+
+/// What the parser of arguments says, in one line.
+fn misused(error: &clap::Error) -> Failure {
+    let text = error.to_string();
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    let text = lines.join("; ");
+    Failure::new(ErrorKind::Usage, text.strip_prefix("error: ").unwrap_or(&text))
 }
 
 /// Every verb has its arm here, so one that nothing runs does not compile. Some need no home and do not touch one.

@@ -130,7 +130,7 @@ fn text(view: &PlayedView) -> String {
 
 fn code(view: &PlayedView, output: &Output) -> u8 {
     if view.missing > 0 {
-        output.note(&format!("authros: {} records are missing from the vault: not published", view.missing));
+        output.note(&format!("authros: {} records are missing from the store: not published", view.missing));
     }
     for (why, count) in &view.reasons {
         output.note(&format!("authros: {count} records not published: {why}"));

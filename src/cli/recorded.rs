@@ -70,11 +70,11 @@ impl Recording {
             (true, _) => format!("the recording is '{name}' as record {record} states it: all {} bytes", stated.length),
             (false, Some(first)) => format!(
                 "the recording DIFFERS from '{name}' as record {record} states it: {differing} of {chunks} chunks, the \
-                 first at byte {first}"
+                 first at byte {first}; the proof holds for the file as it was, of which there may be a copy"
             ),
             (false, None) => format!(
                 "the recording DIFFERS from '{name}' as record {record} states it, though its {chunks} chunks do not: it \
-                 has {} bytes, and had {}",
+                 has {} bytes, and had {}; the proof holds for the file as it was, of which there may be a copy",
                 compared.length, stated.length
             ),
         };

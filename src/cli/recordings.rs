@@ -290,7 +290,7 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
     let refused = view.refused;
     let words = [
         (refused.tampered, "differ from what was anchored"),
-        (refused.missing, "are missing from the vault"),
+        (refused.missing, "are missing from the store"),
         (refused.false_names, "have a false name, written by their signers"),
         (refused.unanchored, "are not confirmed by the chain now (--unanchored writes them too)"),
         (refused.no_key, "cannot be opened with this profile's keys"),

@@ -22,7 +22,7 @@ use super::connect::{Context, ProfileNeed};
 use crate::model::ErrorKind;
 use crate::service::command::{ChainStatus, Register};
 use crate::service::event::NoticeLevel;
-use crate::service::{Event, Failure, Needs};
+use crate::service::{Event, Failure, Needs, is_bound};
 use crate::store::files;
 
 /// `serve …`
@@ -98,7 +98,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
     // Problems during startup are shown too.
     let events = connection.client.events();
     // If it worked here before, no chain is needed to start.
-    let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
+    let known = is_bound(&context.home) && context.home.keyring(&context.profile).exists();
     let prepared = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
         connection.client.ask(Register).await

@@ -25,18 +25,7 @@ use crate::service::{Failure, doctor};
 /// If there is no such profile, or neither a site nor the home's files answer.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
-    let connection = match context.connect(NEITHER).await {
-        Ok(connection) => connection,
-        // Nothing can be said of the records, but of all other parts.
-        Err(failure)
-            if failure.kind == ErrorKind::Unreachable
-                && context.operator.is_none()
-                && context.config.vault_url.is_some() =>
-        {
-            return without_vault(&context, &failure, output).await;
-        }
-        Err(failure) => return Err(failure),
-    };
+    let connection = context.connect(NEITHER).await?;
     let asked = connection.client.ask(SiteStatus).await;
     // Of a home that cannot be written, the chain is opened in its copy too.
     let peers = match connection.site.as_ref().map(|site| site.place()) {
@@ -53,18 +42,6 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     }
     output.result(&view, || text(&view));
     Ok(code(&view))
-}
-
-/// The parts' health where no site runs and the vault does not answer.
-async fn without_vault(context: &Context, failure: &Failure, output: &Output) -> Result<u8, Failure> {
-    let mut health = doctor::peers(&context.home, &context.config).await;
-    let text = failure.message.clone();
-    health.push(PartHealth { part: "vault".to_owned(), level: HealthLevel::Failed, text, since: None, retry: None });
-    output.result(&serde_json::json!({ "health": health }), || {
-        let unknown = "the states of the records are not known without the vault".to_owned();
-        health.iter().map(row).chain([unknown]).collect::<Vec<_>>().join("\n")
-    });
-    Ok(ErrorKind::Unreachable.exit_code())
 }
 
 /// The interval of `--watch`.
@@ -221,7 +198,7 @@ mod tests {
     use super::*;
 
     fn view(level: HealthLevel, tampered: u64) -> SiteView {
-        let part = PartHealth { part: "vault".to_owned(), level, text: String::new(), since: None, retry: None };
+        let part = PartHealth { part: "store".to_owned(), level, text: String::new(), since: None, retry: None };
         SiteView {
             health: vec![part],
             life: LifeLine { tampered, conserved: true, ..LifeLine::default() },
@@ -230,6 +207,7 @@ mod tests {
             profiles: Vec::new(),
             tasks: Vec::new(),
             queue: crate::service::reply::QueueView::default(),
+            cache: None,
             verified_after: Vec::new(),
             alerts: Vec::new(),
             alerts_over: Vec::new(),

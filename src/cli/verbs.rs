@@ -22,7 +22,7 @@ use authros_output::Output;
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
 /// Only ROS.
 pub const ROS: Needs = Needs { ros: true, chain: false };
-/// Ledger and vault are enough.
+/// The store is enough.
 pub const NEITHER: Needs = Needs { ros: false, chain: false };
 
 /// A verb as a request to the site.

@@ -1,4 +1,4 @@
-//! To fill the memory of a site with an answer that never ends, as its node or as its Redis.
+//! To fill the memory of a site with an answer that never ends, as its node or as its cache.
 
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
@@ -83,13 +83,13 @@ fn answer_without_an_end_as_a_node() {
 }
 
 #[test]
-fn answer_without_an_end_as_a_redis() {
+fn answer_without_an_end_as_a_cache() {
     for (attack, begin, piece, words) in [
-        ("answer-without-an-end-as-a-redis", &b"$9000000000000\r\n"[..], &b"0"[..], ["more than 72 MiB", "Redis"]),
-        ("a-list-without-an-end-as-a-redis", b"*600000\r\n", b"$4\r\nabcd\r\n", ["list of 600000 values", "Redis"]),
-        ("lists-in-lists-without-an-end-as-a-redis", b"*1\r\n", b"*1\r\n", ["deeper than any reply", "Redis"]),
+        ("answer-without-an-end-as-a-cache", &b"$9000000000000\r\n"[..], &b"0"[..], ["more than 72 MiB", "cache"]),
+        ("a-list-without-an-end-as-a-cache", b"*600000\r\n", b"$4\r\nabcd\r\n", ["list of 600000 values", "cache"]),
+        ("lists-in-lists-without-an-end-as-a-cache", b"*1\r\n", b"*1\r\n", ["deeper than any reply", "cache"]),
     ] {
-        let options = |port| ["--vault".to_owned(), format!("redis://127.0.0.1:{port}")];
+        let options = |port| ["--cache".to_owned(), format!("redis://127.0.0.1:{port}")];
         judge_peer(attack, options, endless(begin, piece), &words);
     }
 }

@@ -1,5 +1,5 @@
-//! Someone who gets the disk of a site looks for the bytes of a recording that was erased: in the vault's file, its log,
-//! the ledger and everything else in the home, while the site runs and after it has ended.
+//! Someone who gets the disk of a site looks for the bytes of a recording that was erased: in the store's file, its log
+//! and everything else in the home, while the site runs and after it has ended.
 
 use crate::support::erased::{pieces_of, with_any};
 use crate::support::{Home, is_verified, text, wait_until};

@@ -26,6 +26,7 @@ mod freeze_the_contract_for_ever;
 mod grant_to_a_gateways_key;
 mod grow_the_directory;
 mod hold_all_handshake_places;
+mod lie_through_the_cache;
 mod parts;
 mod pass_off_an_old_chain;
 mod poison_the_numbers;

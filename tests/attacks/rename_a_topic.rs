@@ -18,7 +18,7 @@ const TRUE: (&str, &str) = ("/robot1/odom", "nav_msgs/Odometry");
 const FALSE: (&str, &str) = ("/emergency_stop_released", "std_msgs/Bool");
 /// Printed as it is, it looks like the last lines of `uploads show`.
 const LINES: &str =
-    "/odom, captured now\nsignature  SM2 by signer of the owner herself\nverified  read back from the vault";
+    "/odom, captured now\nsignature  SM2 by signer of the owner herself\nverified  read back from the store";
 
 /// What a robot of all topics has.
 struct Thief {

@@ -12,7 +12,7 @@ use authros::gateway::{
     Notice, Received, Refusal, Registration, Schedule, Server,
 };
 use authros::model::{Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
-use authros::store::open_vault;
+use authros::store::{Ciphertext, Ledger};
 use serde_json::Value;
 use tokio::sync::watch;
 
@@ -158,8 +158,8 @@ async fn take_the_robots_only_copy() {
     let outcome = agent.stop("TERM", 20);
     let last: Value = serde_json::from_str(outcome.stdout.lines().last().expect("a document")).expect("JSON");
     drop(server);
-    let vault = open_vault(None, &robot.home.path().join("vault")).expect("opens");
-    let (captured, kept) = (count(&last, "captured"), vault.usage().expect("reads").entries);
+    let store = Ciphertext::of(&Ledger::open(&robot.home.path().join("ledger.db")).expect("opens"));
+    let (captured, kept) = (count(&last, "captured"), store.usage().expect("reads").entries);
     let told =
         format!("{captured} records captured, {} said to be verified, {kept} kept by the robot", last["verified"]);
     let doubted = outcome.stderr.lines().find(|line| line.contains("its proofs do not show them")).map(str::to_owned);

@@ -141,10 +141,7 @@ fn four_robots_of_two_accounts_through_one_gateway() {
         assert!(seqs.values().all(|robots| *robots == 2), "each of two robots has each number once: {seqs:?}");
     }
     nothing_shows(&wire.recorded(), &robots);
-    assert!(robots.iter().all(|robot| {
-        let vault = robot.home.path().join("vault").join("vault.db");
-        vault.exists()
-    }));
+    assert!(robots.iter().all(|robot| { robot.home.path().join("ledger.db").exists() }));
 }
 
 /// The traffic between robots and gateway contains no key and no word of theirs.

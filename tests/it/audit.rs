@@ -178,8 +178,7 @@ fn heads_are_anchored_while_the_log_changes_and_find_what_was_cut_off() {
     let removed = forged(&home, &authros, "DELETE FROM audit WHERE line = 3");
     assert_eq!(count(&removed, "broken_line"), 3, "{removed}");
     // The note in the ledger goes with it: the record on the chain still reveals it.
-    let cut =
-        format!("DELETE FROM audit WHERE line > {}; DELETE FROM settings WHERE key LIKE 'audit-head:%'", covered - 3);
+    let cut = format!("DELETE FROM audit WHERE line > {}; DELETE FROM notes WHERE kind = 'audit head'", covered - 3);
     let found = forged(&home, &authros, &cut);
     // Opening the keyring for the check wrote a line in place of those cut off.
     let told = text(&found, "text");

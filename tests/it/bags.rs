@@ -303,17 +303,17 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     );
 }
 
-/// Changes one byte of a record's ciphertext in the vault.
+/// Changes one byte of a record's ciphertext in the store.
 fn spoil(home: &Home, digest: &str) {
-    let vault = home.path().join("vault").join("vault.db");
+    let store = home.path().join("ledger.db");
     let script = "import sqlite3, sys\n\
-                  vault = sqlite3.connect(sys.argv[1], timeout=30)\n\
+                  store = sqlite3.connect(sys.argv[1], timeout=30)\n\
                   key = bytes.fromhex(sys.argv[2])\n\
-                  (blob,) = vault.execute('SELECT bytes FROM blobs WHERE digest = ?', (key,)).fetchone()\n\
+                  (n, blob) = store.execute('SELECT record, bytes FROM ciphertext JOIN records ON n = record WHERE digest = ?', (key,)).fetchone()\n\
                   blob = blob[:-1] + bytes([blob[-1] ^ 1])\n\
-                  vault.execute('UPDATE blobs SET bytes = ? WHERE digest = ?', (blob, key))\n\
-                  vault.commit()\n";
-    support::process::output_of("/usr/bin/python3", &["-c", script, utf8(&vault), digest]);
+                  store.execute('UPDATE ciphertext SET bytes = ? WHERE record = ?', (blob, n))\n\
+                  store.commit()\n";
+    support::process::output_of("/usr/bin/python3", &["-c", script, utf8(&store), digest]);
 }
 
 #[test]

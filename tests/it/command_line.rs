@@ -34,6 +34,9 @@ fn a_wrong_call_is_a_usage_error_and_prints_no_result() {
     {
         let outcome = home.authros().run(arguments).expect_code(USAGE);
         assert!(outcome.stdout.is_empty() && !outcome.stderr.is_empty(), "{outcome}");
+        let outcome = home.authros().with(&["--json"]).run(arguments).expect_code(USAGE);
+        let document: Value = serde_json::from_str(&outcome.stdout).expect("one document");
+        assert_eq!(document["error"]["kind"], "usage", "{outcome}");
     }
     assert!(!home.path().exists(), "and makes no home");
 }
@@ -127,7 +130,7 @@ fn a_peer_that_is_set_but_does_not_answer_is_never_replaced_by_an_embedded_part(
     // All at once: each waits until its patience ends.
     let mut waiting = Vec::new();
     for port in [closed, mute] {
-        for (flag, scheme) in [("--ros-master", "http"), ("--chain", "http"), ("--chain", "ws"), ("--vault", "redis")] {
+        for (flag, scheme) in [("--ros-master", "http"), ("--chain", "http"), ("--chain", "ws")] {
             let (home, url) = (Home::new(), format!("{scheme}://127.0.0.1:{port}"));
             let capture = ["capture", "--topic", "/a", "--count", "1", flag, &url, "--json"];
             waiting.push((home.authros().spawn(&capture), home, port));
@@ -177,7 +180,7 @@ fn settings_come_from_flag_then_environment_then_file() {
     let sources =
         [&from_file, &from_environment, &from_flag].map(|authros| text(&setting(authros, "ros.master"), "source"));
     assert_eq!(sources, ["config.toml line 2", "environment ROS_MASTER_URI", "flag"]);
-    assert_eq!(setting(&from_file, "vault.url")["source"], "default");
+    assert_eq!(setting(&from_file, "cache.url")["source"], "default");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use authros::ros::recording::BESIDE;
 use serde_json::Value;
-use support::ros2::{beside_by_others, others_can_read, read_by_others, recorder};
+use support::ros2::{beside_by_others, database_recorder, others_can_read, read_by_others, recorder};
 use support::{Authros, Home, Outcome, Running, count, list, skipped, text, wait_until};
 
 use crate::audit::{fill, on_small_disk};
@@ -38,7 +38,7 @@ fn recordings(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).expect("listed").map(|entry| entry.expect("an entry").path());
     let is_recording = |path: &PathBuf| {
         let name = path.to_string_lossy();
-        path.extension().is_some_and(|end| end == "mcap") && !name.ends_with(".authros.mcap")
+        path.extension().is_some_and(|end| end == "mcap" || end == "db3") && !name.ends_with(".authros.mcap")
     };
     let mut found: Vec<PathBuf> = entries.filter(is_recording).collect();
     // `run_9` is before `run_10`.
@@ -163,6 +163,119 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
     assert_eq!((sum(&again, "sealed"), sum(&again, "already")), (0, messages + beside), "{again}");
     let tagged = authros.records(&["uploads", "list", "--tag", "mission=harbour", "--topic", "/numbers"]);
     assert_eq!(tagged.len() as u64, messages.div_ceil(3));
+}
+
+/// Topic, time and SHA-256 of every message of a recording of others.
+fn contents(recording: &Path) -> Vec<String> {
+    let line =
+        |message: &Value| format!("{} {} {}", text(message, "topic"), message["logged"], text(message, "sha256"));
+    let mut lines: Vec<String> = read_by_others(recording).iter().map(line).collect();
+    lines.sort_unstable();
+    lines
+}
+
+#[test]
+fn a_database_is_sealed_when_it_is_closed_and_its_recorder_notices_nothing() {
+    if !others_can_read() {
+        skipped!("no mcap of Python in target/peers (tests/run installs it)");
+    }
+    let (seconds, rate, split, kills) = if support::long() { (600, 2_000, 30, 20) } else { (15, 200, 5, 3) };
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "0"]);
+    authros.enrol();
+    let folder = home.root().join("run");
+    let options = ["--until-closed", "--attach"];
+    let mut following = follower(&authros, &folder, &options);
+    following.wait_for_text("to appear", 120);
+    let recording = database_recorder(&folder, seconds, rate, split);
+    following.wait_for_text("is sealed once it is closed", 120);
+    assert!(!following.stderr().contains("following run_0.db3"), "it is still recorded: {}", following.stderr());
+    for _ in 0..kills {
+        std::thread::sleep(Duration::from_secs(seconds) / (kills + 1));
+        following.signal("KILL");
+        drop(following.wait(60));
+        following = follower(&authros, &folder, &options);
+    }
+    // A lock of somebody else's would have ended it.
+    let recorded = recording.wait(seconds + 120).expect_code(0).document();
+    let outcome = following.wait(seconds + 600).expect_code(0);
+    let view = outcome.document();
+    let (messages, files) = (count(&recorded, "messages"), count(&recorded, "files"));
+    // One row of metadata in each.
+    let all = messages + files;
+    assert_eq!((sum(&view, "found"), sum(&view, "sealed") + sum(&view, "already")), (all, all), "{outcome}");
+    expect_proven(&folder, &view);
+    let names: Vec<String> =
+        fs::read_dir(&folder).expect("listed").map(|entry| text_of(&entry.expect("an entry").file_name())).collect();
+    assert_eq!(names.len() as u64, 2 * files + 1, "nothing but files, proofs and the description: {names:?}");
+    let sent = fs::read_to_string(folder.with_extension("sent")).expect("read");
+    let mut sent: Vec<String> = sent.lines().map(str::to_owned).collect();
+    sent.sort_unstable();
+    let back = folder.with_extension("back.mcap");
+    authros.json_within(600, &["shared", "export", "--mcap", utf8(&back)]);
+    assert_eq!(contents(&back), sent);
+    let again = follower(&authros, &folder, &options).wait(240).expect_code(0).document();
+    assert_eq!((sum(&again, "sealed"), sum(&again, "already")), (0, all), "{again}");
+    let imported = authros.json_within(240, &["bag", "import", utf8(&folder)]);
+    assert_eq!((count(&imported, "imported"), count(&imported, "already")), (0, messages), "{imported}");
+}
+
+fn text_of(name: &std::ffi::OsStr) -> String {
+    name.to_string_lossy().into_owned()
+}
+
+#[test]
+fn a_sealed_file_that_changes_later_is_told_by_every_run_until_somebody_decides() {
+    if !others_can_read() {
+        skipped!("no mcap of Python in target/peers (tests/run installs it)");
+    }
+    let home = Home::new();
+    let _site = home.authros().with(&["--robots", "0"]).serve(&home);
+    let authros = home.authros();
+    authros.enrol();
+    let folder = home.root().join("run");
+    recorder(&folder, 2, 200, 1, "zstd").wait(120).expect_code(0);
+    fs::write(folder.join("notmcap.mcap"), "no recording at all").expect("written");
+    let mut following = follower(&authros, &folder, &[]);
+    let [first, second] = [recordings_of(&folder, "run_0"), recordings_of(&folder, "run_1")];
+    let proof = PathBuf::from(format!("{}.authros", second.display()));
+    wait_until(120, "both proofs", || {
+        (proof.exists() && following.stderr().contains("run_0.mcap: its proof")).then_some(())
+    });
+    assert_eq!(following.stderr().matches("notmcap.mcap: it is no MCAP file").count(), 1, "{}", following.stderr());
+    // While it is followed, and then while it is not: a byte in its middle, and one more at its end.
+    let mut bytes = fs::read(&first).expect("read");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(&first, &bytes).expect("altered");
+    following.wait_for_text("run_0.mcap: it has changed since it was sealed at 20", 60);
+    let told = following.stop("INT", 120).expect_code(TAMPERED).document();
+    assert_eq!(list(&told, "files").iter().filter(|file| file["is_altered"] == true).count(), 1, "{told}");
+    let grown = [fs::read(&second).expect("read"), vec![0]].concat();
+    fs::write(&second, grown).expect("longer");
+    // A file of another inode in the place of the first.
+    fs::remove_file(&first).expect("removed");
+    fs::write(&first, &bytes).expect("written");
+    let next = follower(&authros, &folder, &["--until-closed"]).wait(240).expect_code(TAMPERED);
+    assert!(next.stderr.contains("run_1.mcap: it has changed since it was sealed at 20"), "{next}");
+    let view = next.document();
+    for file in list(&view, "files").iter().filter(|file| text(file, "file").starts_with("run_")) {
+        let note = file["notes"][0].as_str().unwrap_or_default();
+        assert!(note.starts_with("it has changed since it was sealed at 20"), "{next}");
+        assert!(note.contains(&format!("move {}.authros away", text(file, "file"))), "{next}");
+    }
+    assert_eq!(sum(&view, "sealed"), 0, "{next}");
+    let (outcome, _) = with_recording(&proof, &second);
+    outcome.expect_code(TAMPERED);
+    // Decided: it is sealed as it is now.
+    fs::rename(format!("{}.authros", first.display()), home.root().join("former.authros")).expect("moved");
+    let last = follower(&authros, &folder, &["--until-closed"]).wait(240).document();
+    let sealed = list(&last, "files").into_iter().find(|file| text(file, "file") == "run_0.mcap").expect("there");
+    assert!(count(&sealed, "sealed") > 0 && sealed["proof"].is_string(), "{last}");
+}
+
+fn recordings_of(folder: &Path, name: &str) -> PathBuf {
+    folder.join(name).with_extension("mcap")
 }
 
 /// Seals a copy of a recording in a profile of its own.
@@ -328,6 +441,8 @@ fn two_followers_a_file_that_shrinks_and_a_folder_that_goes_are_told_and_nothing
         let told = authros.fails(REFUSED, &["bag", "follow", utf8(&other)]);
         assert!(told.contains("already being followed"), "{told}");
     }
+    let told = authros.fails(REFUSED, &["bag", "import", utf8(&recordings(&folder)[0])]);
+    assert!(told.contains("is being followed and sealed now") && told.contains("end the follower"), "{told}");
     recording.stop("KILL", 60);
     let file = recordings(&folder).remove(0);
     // Less than the follower has read, however far behind the recorder it is.

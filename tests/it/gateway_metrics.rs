@@ -24,7 +24,7 @@ fn has_families(told: &str, names: &[&str]) {
     }
 }
 
-const EVERYWHERE: [&str; 17] = [
+const EVERYWHERE: [&str; 16] = [
     "authros_build_info",
     "authros_records_captured_total",
     "authros_records",
@@ -36,7 +36,6 @@ const EVERYWHERE: [&str; 17] = [
     "authros_audit_unanchored_age_seconds",
     "authros_clock_ahead_seconds",
     "authros_queue_messages",
-    "authros_vault_backlog_records",
     "authros_disk_free_bytes",
     "authros_disk_reserve_bytes",
     "authros_part_up",

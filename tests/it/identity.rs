@@ -7,7 +7,7 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use support::{Home, authros::files_below, free_port, text};
+use support::{Home, authros::files_below, text};
 
 fn mode(path: &Path) -> u32 {
     fs::metadata(path).expect("it exists").permissions().mode() & 0o777
@@ -45,16 +45,6 @@ fn a_second_identity_for_the_same_profile_is_refused_and_the_first_stays() {
     let outcome = authros.run(&["identity", "create"]);
     assert!(matches!(outcome.code, Some(3 | 5)), "{outcome}");
     assert_eq!(authros.json(&["identity", "show"])["address"], first["address"]);
-}
-
-#[test]
-fn without_its_vault_an_identity_leaves_no_passphrase_behind() {
-    let home = Home::new();
-    let vault = format!("redis://127.0.0.1:{}", free_port());
-    let message = home.authros().with(&["--robots", "0", "--vault", &vault]).fails(4, &["identity", "create"]);
-    assert!(message.contains("127.0.0.1"), "{message}");
-    assert!(!home.path().join("profiles/default/passphrase").exists());
-    home.authros().with(&["--robots", "0"]).run(&["identity", "create"]).expect_code(0);
 }
 
 #[test]

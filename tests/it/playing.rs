@@ -5,15 +5,15 @@ use crate::support;
 
 use std::path::Path;
 
+use authros::store::{Ciphertext, Ledger};
 use serde_json::Value;
 use support::{
-    Anvil, Authros, Console, Home, Redis, Roscore, Running, Terminal, count, heavy, is_verified, list, list_bag, long,
+    Anvil, Authros, Console, Home, Roscore, Running, Terminal, count, heavy, is_verified, list, list_bag, long,
     make_bag, skipped, text, two_profiles, wait_until,
 };
 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
 const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";
-const NO_REDIS: &str = "no redis-server and redis-cli";
 const TOPICS: [&str; 3] = ["/odom", "/words", LATCHED];
 const LATCHED: &str = "/calibration";
 const ODOM: &str = "/robot1/odom";
@@ -253,21 +253,18 @@ fn a_key_of_the_console_plays_the_topic_of_a_shared_record_and_ends_that() {
 
 #[test]
 fn what_was_tampered_with_or_is_gone_is_counted_and_never_played() {
-    let Some(redis) = Redis::start(&[]) else { skipped!(NO_REDIS) };
     let home = Home::new();
-    let _site = home.authros().with(&["--robots", "1", "--vault", &redis.url()]).serve(&home);
+    let _site = home.authros().with(&["--robots", "1"]).serve(&home);
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
     alice.json(&["grant", &bob_address]);
     alice.capture(&[ODOM], 6);
-    let keys: Vec<String> = alice
-        .records(&["uploads", "list"])
-        .iter()
-        .map(|record| format!("authros:{}", text(record, "digest")))
-        .collect();
-    redis.cli(&["APPEND", &keys[1], "x"]);
-    redis.cli(&["DEL", &keys[4]]);
+    let records = alice.records(&["uploads", "list"]);
+    let digest = |index: usize| text(&records[index], "digest").parse().expect("a digest");
+    let store = Ciphertext::of(&Ledger::open(&home.path().join("ledger.db")).expect("opens"));
+    assert_eq!(store.replace(digest(1), b"something else"), Ok(true));
+    store.discard(&[digest(4)]).expect("deleted");
     let play = ["--json", "shared", "play", "--prefix", "/shared/alice"];
     let played = bob.run(&play).expect_code(INCOMPLETE).document();
     let figures = ["published", "refused", "missing"].map(|figure| count(&played, figure));

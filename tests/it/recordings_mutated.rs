@@ -25,17 +25,17 @@ const PADDING: usize = 4110;
 const LONGEST: usize = 255;
 
 /// Time and bytes of the messages of each topic, ordered.
-type Topics = BTreeMap<String, Vec<(u64, String)>>;
+type Topics = BTreeMap<String, Vec<(i128, String)>>;
 
 /// What the other reader says of a file; messages as topic, nanoseconds, hex.
 #[derive(Deserialize)]
 struct Read {
     name: String,
-    index: Option<Vec<(String, u64, String)>>,
-    chunks: Option<Vec<(String, u64, String)>>,
+    index: Option<Vec<(String, i128, String)>>,
+    chunks: Option<Vec<(String, i128, String)>>,
 }
 
-fn by_topic(messages: impl IntoIterator<Item = (String, u64, String)>) -> Topics {
+fn by_topic(messages: impl IntoIterator<Item = (String, i128, String)>) -> Topics {
     let mut topics = Topics::new();
     for (topic, time, body) in messages {
         topics.entry(topic).or_default().push((time, body));
@@ -50,7 +50,7 @@ fn ours(path: &Path) -> Option<(Topics, Findings)> {
     let mut messages = Vec::new();
     while let Some(message) = recording.next_message().expect("a file of this disk") {
         if &*message.channel.topic != BESIDE {
-            messages.push((message.channel.topic.to_string(), message.time.0, hex(&message.body)));
+            messages.push((message.channel.topic.to_string(), i128::from(message.time.0), hex(&message.body)));
         }
     }
     Some((by_topic(messages), recording.findings().clone()))
@@ -144,7 +144,7 @@ fn rename(bytes: &mut [u8], chance: &mut Chance) -> &'static str {
 }
 
 /// Whether each message is among the others, as often at least; both are ordered.
-fn is_within(messages: &[(u64, String)], others: &[(u64, String)]) -> bool {
+fn is_within(messages: &[(i128, String)], others: &[(i128, String)]) -> bool {
     let mut others = others.iter();
     messages.iter().all(|message| others.any(|other| other == message))
 }
@@ -163,7 +163,7 @@ fn falsehood(path: &Path, read: &Read, original: &Topics) -> Option<String> {
         [&read.index, &read.chunks].into_iter().flatten().map(|way| by_topic(way.clone())).collect();
     if ways.is_empty() {
         // They give up: then it must be what was recorded, unless nothing in the file could show that it is not.
-        let strange = |(topic, messages): (&String, &Vec<(u64, String)>)| {
+        let strange = |(topic, messages): (&String, &Vec<(i128, String)>)| {
             let known: BTreeSet<_> = original.get(topic).into_iter().flatten().collect();
             messages.iter().any(|message| !known.contains(message)).then(|| topic.clone())
         };
@@ -315,7 +315,7 @@ fn of_an_altered_folder_is_sealed_what_was_recorded_or_damage_is_told() {
             if let Some((sealed, findings)) = ours(&folder)
                 && findings.is_whole()
             {
-                let is_known = |(topic, messages): (&String, &Vec<(u64, String)>)| {
+                let is_known = |(topic, messages): (&String, &Vec<(i128, String)>)| {
                     original.get(topic).is_some_and(|known| is_within(messages, known))
                 };
                 let is_all = sealed == original || file.ends_with("metadata.yaml") && sealed.iter().all(is_known);

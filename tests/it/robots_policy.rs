@@ -52,9 +52,9 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
     let file = site.home.root().join("scout.toml");
     let place = file.to_str().expect("UTF-8");
     let set = |policy: &str| std::fs::write(&file, policy).expect("written");
-    set("vault.url = \"redis://elsewhere\"\n");
+    set("cache.url = \"redis://elsewhere\"\n");
     let told = alice.fails(INPUT, &["robots", "policy", "scout", "--set", place]);
-    assert!(told.contains("vault.url"), "{told}");
+    assert!(told.contains("cache.url"), "{told}");
     assert_eq!(row(&alice, "scout")["wanted"], 0, "what is not valid is not sent");
 
     // Set while the robot is away: drift until its next contact.

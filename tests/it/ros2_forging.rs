@@ -28,6 +28,12 @@ fn a_publisher_of_another_make_is_quarantined_and_the_robot_goes_on() {
     wait_until(60, "the robot's words are verified", || (of("verified").len() >= 10).then_some(()));
     let pins = list(&alice.json(&["topics", "pins"]), "pins");
     assert_eq!((pins.len(), text(&pins[0], "caller_id")), (1, "/unnamed_cyclonedds".into()), "{pins:?}");
+    // It can be pinned by name, its type's hash included.
+    let [caller_id, host, kind, hash] = ["caller_id", "host", "type", "md5sum"].map(|field| text(&pins[0], field));
+    let robot = format!("{caller_id}@{host}:{kind}:RIHS01_{hash}");
+    assert_eq!(hash.len(), 64, "{pins:?}");
+    let view = alice.json(&["topics", "pin", TOPIC, "--publisher", &robot]);
+    assert!(list(&view, "pins").iter().all(|pin| text(pin, "md5sum") == hash), "{view}");
 
     let copy = home.root().join("copy");
     let arguments = [TOPIC, "string", "20", "20", "61", copy.to_str().expect("UTF-8")];

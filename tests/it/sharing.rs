@@ -281,7 +281,7 @@ fn each_grant_in_the_history_keeps_its_own_topics_and_terms() {
     two.alice.capture(&[odom], 1);
     two.site.stop("INT", 30).expect_code(0);
     let ledger = rusqlite::Connection::open(two.home.path().join("ledger.db")).expect("opens");
-    ledger.execute("DELETE FROM settings WHERE key LIKE 'granted-topic:%'", []).expect("gone");
+    ledger.execute("DELETE FROM notes WHERE kind = 'granted topic'", []).expect("gone");
     drop(ledger);
     let left = history();
     assert_eq!(left[0].2, names(&[odom]));

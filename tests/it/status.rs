@@ -1,4 +1,4 @@
-//! `status` without a running site: its exit code, and what it says about vault, chain, master and profile.
+//! `status` without a running site: its exit code, and what it says about store, cache, chain, master and profile.
 
 use serde_json::Value;
 
@@ -25,7 +25,7 @@ fn a_home_at_rest_is_well_and_says_that_no_site_runs() {
     assert_eq!((code, level.as_str()), (Some(0), "absent"), "{words}");
     assert!(words.contains("no site is running") && words.contains("authros serve"), "{words}");
     assert_eq!(part(&authros, "chain").1, "ok");
-    assert_eq!(part(&authros, "vault").1, "ok");
+    assert_eq!(part(&authros, "store").1, "ok");
     let shown = authros.run(&["status"]).expect_code(0).stdout;
     assert!(shown.contains("captured 2 = verified 2 + pending 0") && shown.contains(": balanced"), "{shown}");
 }
@@ -46,13 +46,10 @@ fn peers_that_are_away_are_told_without_a_site_too() {
         let shown = away.run(&["status"]).expect_code(UNREACHABLE).stdout;
         assert!(shown.lines().any(|line| line.starts_with(name) && line.contains("failed")), "{shown}");
     }
-    // Without its vault a home says nothing about its records.
-    let away = home.authros().with(&["--vault", &format!("redis://127.0.0.1:{port}")]);
-    let (code, level, words) = part(&away, "vault");
-    assert_eq!((code, level.as_str()), (Some(UNREACHABLE), "failed"), "{words}");
-    assert!(words.contains(&port), "{words}");
-    let shown = away.run(&["status"]).expect_code(UNREACHABLE).stdout;
-    assert!(shown.lines().any(|line| line.starts_with("chain")) && !shown.contains("captured"), "{shown}");
+    // A cache that is away costs time alone.
+    let away = home.authros().with(&["--cache", &format!("redis://127.0.0.1:{port}")]);
+    assert_eq!(part(&away, "store").1, "ok");
+    away.run(&["status"]).expect_code(0);
 }
 
 #[test]
@@ -61,10 +58,10 @@ fn peers_that_answer_are_well_without_a_site_too() {
         skipped!("no anvil or no redis-server")
     };
     let home = Home::new();
-    let authros = home.authros().with(&["--robots", "1", "--chain", &node.http(), "--vault", &redis.url()]);
+    let authros = home.authros().with(&["--robots", "1", "--chain", &node.http(), "--cache", &redis.url()]);
     authros.enrol();
     authros.capture(&["/robot1/odom"], 2);
-    for name in ["chain", "vault"] {
+    for name in ["chain", "store", "cache"] {
         let (code, level, words) = part(&authros, name);
         assert_eq!((code, level.as_str()), (Some(0), "ok"), "{name}: {words}");
     }

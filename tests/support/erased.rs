@@ -3,17 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use authros::model::Digest;
-use authros::store::open_vault;
+use authros::store::{Ciphertext, Ledger};
 use serde_json::Value;
 
 use super::{Home, holds, text};
 
 /// Pieces from the beginning, the middle and the end of each record's ciphertext: it lies on many pages.
 pub fn pieces_of(home: &Home, records: &[Value]) -> Vec<Vec<u8>> {
-    let vault = open_vault(None, &home.path().join("vault")).expect("the site's own file");
+    let store = Ciphertext::of(&Ledger::open(&home.path().join("ledger.db")).expect("the site's own file"));
     let parts = |record| {
         let digest: Digest = text(record, "digest").parse().expect("a digest");
-        let blob = vault.get(digest).expect("read").expect("stored");
+        let blob = store.get(digest).expect("read").expect("stored");
         [300, blob.len() / 2, blob.len() - 40].map(|at| blob[at..at + 32].to_vec())
     };
     records.iter().flat_map(parts).collect()

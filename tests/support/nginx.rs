@@ -108,7 +108,8 @@ fn settings(ports: &[u16; 4], node: u16) -> String {
     )
 }
 
-fn certificates(folder: &Path, faketime: &Path) {
+/// Writes an authority (`ca.pem`) and certificates with their keys into a folder: `good`, `own`, `expired`, `other`.
+pub fn certificates(folder: &Path, faketime: &Path) {
     let openssl = |program: &Path, words: &[&str]| {
         let outcome = Command::new(program).args(words).current_dir(folder).output().expect("openssl");
         assert!(outcome.status.success(), "{words:?}: {}", String::from_utf8_lossy(&outcome.stderr));

@@ -108,7 +108,7 @@ impl Redis {
         self.bus
     }
 
-    /// Its URL for `--vault`.
+    /// Its URL for `--cache`.
     pub fn url(&self) -> String {
         format!("redis://127.0.0.1:{}", self.port)
     }

@@ -261,6 +261,15 @@ pub fn recorder(folder: &Path, seconds: u64, rate: u64, split: u64, how: &str) -
     Running::start(command)
 }
 
+/// The same with `.db3` files; also writes a list of what was recorded beside the folder. It ends with an error where somebody
+/// else's lock is in its way.
+pub fn database_recorder(folder: &Path, seconds: u64, rate: u64, split: u64) -> Running {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/db3_follow.py");
+    let mut command = Command::new(python_with("mcap").expect("asked before"));
+    command.args(["-B", script]).arg(folder).args([seconds, rate, split].map(|number| number.to_string()));
+    Running::start(command)
+}
+
 /// Whether there are others who write and read folders of rosbag2 ([`folders_of_others`]).
 pub fn others_write_folders() -> bool {
     python_with("rosbags").is_some()

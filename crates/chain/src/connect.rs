@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use crate::call::artefact;
 use crate::crypto::EoaSecret;
 use crate::model::bytes::unhex;
-use crate::model::{Address, Hash, Wei, clean};
+use crate::model::{Address, Domain, Hash, Wei, clean};
 use crate::sender::{RawReceipt, sign_request, wallet};
 use crate::transport::Transport;
 use crate::{
@@ -181,6 +181,16 @@ impl Chain {
         }
         let deployed_at = self.deployment_block(contract).await?;
         Ok(self.set_pin(self.pin_of(contract, code_hash, deployed_at)))
+    }
+
+    /// The address of the contract that an account creates with its transaction of this nonce.
+    pub fn created_by(&self, account: Address, nonce: u64) -> Address {
+        Address(ethers::utils::get_contract_address(H160(account.0), nonce).0)
+    }
+
+    /// The domain of a contract on this chain.
+    pub fn domain_of(&self, contract: Address) -> Domain {
+        crate::crypto::domain(self.chain_id(), &self.genesis(), &contract)
     }
 
     pub(super) fn pin_of(&self, contract: Address, code_hash: Hash, deployed_at: u64) -> Pin {

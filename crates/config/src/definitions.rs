@@ -63,13 +63,12 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "capture.memory", "AUTHROS_CAPTURE_MEMORY", "256MiB":
         "memory for captured messages waiting to be stored, all topics together; messages that do not fit are dropped \
          and counted";
-    "vault.url", "AUTHROS_VAULT", "":
-        "redis://host:port, redis+unix:///path, redis+cluster://host:port,host:port or \
-         redis+sentinel://host:port,host:port/master; empty = embedded vault";
-    "vault.backlog", "AUTHROS_VAULT_BACKLOG", "4GiB":
-        "disk space for records waiting while Redis is unavailable";
-    "vault.local", "AUTHROS_VAULT_LOCAL", "always":
-        "how long a verified record also stays on this disk beside Redis: always, or a time such as 0s, 12h, 30d";
+    "cache.url", "AUTHROS_CACHE", "":
+        "Redis as a cache in front of the store: redis://host:port, redis+unix:///path, \
+         redis+cluster://host:port,host:port or redis+sentinel://host:port,host:port/master, with rediss for TLS; empty \
+         = none";
+    "cache.roots", "AUTHROS_CACHE_ROOTS", "":
+        "PEM file with the certificate authorities to accept for rediss; empty = those of this machine";
     "outbox.keep", "AUTHROS_OUTBOX_KEEP", "7d":
         "how long a robot keeps ciphertext after its gateway has proven and signed that it is verified: always, or a \
          time such as 0s, 12h, 30d; deleted earlier, oldest first, if less than one and a half times disk.reserve is \

@@ -39,8 +39,17 @@ use crate::model::{
     TopicPatterns, TopicRules, clean, without_secrets,
 };
 
-/// Prefixes of a vault's URL.
-const VAULTS: &[&str] = &["redis://", "redis+unix://", "unix://", "redis+cluster://", "redis+sentinel://"];
+/// Prefixes of a cache's URL.
+const CACHES: &[&str] = &[
+    "redis://",
+    "rediss://",
+    "redis+unix://",
+    "unix://",
+    "redis+cluster://",
+    "rediss+cluster://",
+    "redis+sentinel://",
+    "rediss+sentinel://",
+];
 
 /// Which topics' rates are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -104,12 +113,10 @@ pub struct Config {
     pub consensus: Option<Consensus>,
     /// Memory for captured messages waiting to be stored, bytes.
     pub capture_memory: u64,
-    /// A real Redis.
-    pub vault_url: Option<String>,
-    /// Disk space for records waiting for the vault, bytes.
-    pub vault_backlog: u64,
-    /// How long verified records stay on this disk beside a vault that is only a cache; `None` = always.
-    pub vault_local: Option<Duration>,
+    /// Redis as a cache in front of the store.
+    pub cache_url: Option<String>,
+    /// A PEM file with the authorities to accept for its TLS.
+    pub cache_roots: Option<PathBuf>,
     /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
     pub outbox_keep: Option<Duration>,
     /// What a robot keeps of topics that nobody watches.
@@ -248,9 +255,8 @@ impl Config {
             lanes: u8::try_from(number(&values, "anchor.lanes", 1, 8)?).unwrap_or(1),
             consensus: parsed(&values, "chain.consensus")?,
             capture_memory: bytes(&values, "capture.memory", 1 << 20)?,
-            vault_url: url(&values, "vault.url", VAULTS)?,
-            vault_backlog: bytes(&values, "vault.backlog", 0)?,
-            vault_local: span(&values, "vault.local", "always")?,
+            cache_url: url(&values, "cache.url", CACHES)?,
+            cache_roots: certificates(&values, "cache.roots")?,
             outbox_keep: span(&values, "outbox.keep", "always")?,
             ring: ring(&values)?,
             retention: parsed(&values, "retention")?.unwrap_or_default(),

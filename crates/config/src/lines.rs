@@ -72,11 +72,11 @@ mod tests {
 
     #[test]
     fn keys_of_the_same_name_are_told_apart() {
-        let text = "robots = 1\n[chain]\nurl = \"a\"\n\n[vault]\nurl = \"b\"\n[[watch]]\ntopic = \"/a\"\n\n[[watch]]\n# c\n\
+        let text = "robots = 1\n[chain]\nurl = \"a\"\n\n[cache]\nurl = \"b\"\n[[watch]]\ntopic = \"/a\"\n\n[[watch]]\n# c\n\
                     type = \"x\"\ndisk.reserve = \"1\"\n";
         let lines = Lines::of("f", text);
         let line = |name: &str| lines.line(name);
-        assert_eq!((line("robots"), line("chain.url"), line("vault.url"), line("watch.0.topic")), (1, 3, 6, 8));
+        assert_eq!((line("robots"), line("chain.url"), line("cache.url"), line("watch.0.topic")), (1, 3, 6, 8));
         assert_eq!((line("watch.1.type"), line("watch.1.disk.reserve")), (12, 13));
         assert_eq!((line("watch.1.topic"), line("nothing")), (10, 1), "what is not there is where it would stand");
         assert_eq!(Lines::of("f", "a = ").line("a"), 1);

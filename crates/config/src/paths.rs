@@ -200,11 +200,6 @@ impl Home {
         self.root.join("alerts.queue")
     }
 
-    /// Ciphertext of the embedded vault.
-    pub fn vault(&self) -> PathBuf {
-        self.root.join("vault")
-    }
-
     /// The ring of a robot: sealed records of topics that nobody watches.
     pub fn ring(&self) -> PathBuf {
         self.root.join("ring")
@@ -218,11 +213,6 @@ impl Home {
     /// Blocks of the embedded chain.
     pub fn chain(&self) -> PathBuf {
         self.root.join("chain")
-    }
-
-    /// The chain and contract this home is bound to.
-    pub fn pin(&self) -> PathBuf {
-        self.root.join("chain-pin.json")
     }
 
     /// What is known about the gateway through which this home joins.
@@ -252,9 +242,18 @@ impl Home {
 
     /// Names of the profiles that have a keyring.
     pub fn profiles(&self) -> Vec<ProfileName> {
+        self.profile_folders(true)
+    }
+
+    /// Names of the profiles whose folder is there and whose keyring is not.
+    pub fn profiles_without_keyring(&self) -> Vec<ProfileName> {
+        self.profile_folders(false)
+    }
+
+    fn profile_folders(&self, with_keyring: bool) -> Vec<ProfileName> {
         let entries = std::fs::read_dir(self.root.join("profiles")).into_iter().flatten().flatten();
         let mut names: Vec<ProfileName> = entries
-            .filter(|entry| entry.path().join("keyring").exists())
+            .filter(|entry| entry.path().join("keyring").exists() == with_keyring)
             .filter_map(|entry| entry.file_name().to_str().and_then(|name| name.parse().ok()))
             .collect();
         names.sort();

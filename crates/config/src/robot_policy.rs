@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn what_is_not_valid_is_refused_with_its_line() {
         for (text, told) in [
-            ("vault.url = \"redis://evil\"\n", "line 1: a robot's policy has no 'vault.url'"),
+            ("cache.url = \"redis://evil\"\n", "line 1: a robot's policy has no 'cache.url'"),
             ("\n[[watch]]\ntopic = \"odom odom\"\n", "line 2"),
             ("[[watch]]\ntopic = \"/a\"\ntype = \"x/Y\"\n", "line 3"),
             ("[[watch]]\ntopic = \"/a\"\n[[watch]]\ntopic = \"/a\"\n", "line 3"),

@@ -16,7 +16,7 @@ fn with_file(text: &str) -> Result<Config, ConfigError> {
 #[test]
 fn nothing_set_is_all_embedded() {
     let config = Config::resolve(&none, &none, None).expect("defaults");
-    assert_eq!((config.ros_master, config.chain_url, config.vault_url), (None, None, None));
+    assert_eq!((config.ros_master, config.chain_url, config.cache_url), (None, None, None));
     assert_eq!((config.robots, config.confirmations, config.meter), (4, 1, MeterMode::All));
 }
 
@@ -46,7 +46,7 @@ fn unknown_keys_and_bad_values_name_the_place() {
     assert_eq!(error, ConfigError::Unknown { file: "config.toml".into(), line: 3, name: "ros.mastr".into() });
     assert!(with_file("robots = 99").expect_err("range").to_string().contains("config.toml line 1"));
     assert!(matches!(with_file("robots = "), Err(ConfigError::Syntax { .. })));
-    assert!(with_file("[vault]\nurl = \"ftp://x\"").is_err());
+    assert!(with_file("[cache]\nurl = \"ftp://x\"").is_err());
     assert!(with_file("[chain]\ncontract = \"0x12\"").is_err());
 }
 
@@ -114,7 +114,7 @@ fn the_lowest_price_is_no_higher_than_the_highest() {
 
 #[test]
 fn passwords_are_hidden() {
-    let config = with_file("[vault]\nurl = \"redis://u:hunter2@127.0.0.1:1\"").expect("file");
+    let config = with_file("[cache]\nurl = \"redis://u:hunter2@127.0.0.1:1\"").expect("file");
     let shown = serde_json::to_string(&config.show()).expect("json");
     assert!(!shown.contains("hunter2") && shown.contains("127.0.0.1:1"));
 }

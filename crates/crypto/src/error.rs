@@ -47,7 +47,7 @@ pub enum CryptoError {
     #[error("the record was tampered with: its {0} does not match; keep it as evidence and fetch it again")]
     Tampered(&'static str),
     /// A record that is intact but is not the one requested.
-    #[error("the record is not the one asked for: its {0} differs; the vault may have swapped it")]
+    #[error("the record is not the one asked for: its {0} differs; the store may have swapped it")]
     NotAsked(&'static str),
     /// A record that is as it was sealed, but whose signer wrote a name into it that belongs to another pseudonym.
     #[error(

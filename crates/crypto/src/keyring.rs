@@ -114,21 +114,6 @@ impl Keyring {
         PublicIdentity { address: self.eoa.address(), signing: self.signing.public, envelope: self.envelope.public }
     }
 
-    /// Begins the next epoch of a network under K_C and a fresh salt, and makes it the current one. It is pending until
-    /// [`Self::confirm_epoch`]; save the keyring before sending its token.
-    ///
-    /// # Errors
-    /// [`CryptoError::Random`] if the random source fails.
-    pub fn start_epoch(&mut self, domain: &Domain) -> Result<u64, CryptoError> {
-        let owner = self.eoa.address();
-        let network = self.networks.entry(*domain).or_default();
-        let epoch = network.epochs.last_key_value().map_or(0, |(last, _)| *last) + 1;
-        let secret = EpochSecret::begin(&self.sm4, domain, &owner, epoch)?;
-        network.epochs.insert(epoch, secret);
-        network.current = epoch;
-        Ok(epoch)
-    }
-
     /// Notes that the chain confirmed an epoch's token.
     ///
     /// # Errors
@@ -138,17 +123,6 @@ impl Keyring {
         let secret = network.epochs.get_mut(&epoch).ok_or(CryptoError::NoEpoch(epoch))?;
         secret.state = EpochState::Active;
         Ok(())
-    }
-
-    /// The epoch that seals new records of a network.
-    pub fn current_epoch(&self, domain: &Domain) -> Option<u64> {
-        self.networks.get(domain).map(|network| network.current).filter(|epoch| *epoch > 0)
-    }
-
-    /// The epochs of a network whose transactions are not confirmed, oldest first.
-    pub fn pending_epochs(&self, domain: &Domain) -> Vec<u64> {
-        let epochs = self.networks.get(domain).into_iter().flat_map(|network| &network.epochs);
-        epochs.filter(|(_, secret)| secret.state == EpochState::Pending).map(|(epoch, _)| *epoch).collect()
     }
 
     /// EK of any past or present epoch, derived again.

@@ -24,15 +24,11 @@ pub const CHECKS: [&str; 9] =
 
 /// The places in a record's life that can be named, in order: at each transition before it, between its parts, and
 /// after it.
-pub const POINTS: [&str; 24] = [
+pub const POINTS: [&str; 19] = [
     "sealed",
-    "vault-put",
     "appended",
     "commit-begun",
     "committed",
-    "store-read",
-    "store-put",
-    "store-advanced",
     "batch-due",
     "batch-closed",
     "signed",
@@ -46,7 +42,6 @@ pub const POINTS: [&str; 24] = [
     "read-back",
     "checked",
     "verified",
-    "put-back",
     "block-due",
     "block-sealed",
 ];

@@ -36,6 +36,16 @@ struct File {
     list_digest: Digest,
 }
 
+impl File {
+    fn parse(path: &Path, bytes: &[u8]) -> Result<Self, CryptoError> {
+        serde_json::from_slice(bytes).map_err(|_| CryptoError::NotAKey {
+            path: shown(path),
+            wanted: "a note of a gateway",
+            found: "it is damaged; confirm the gateway's fingerprint and pin it again".to_owned(),
+        })
+    }
+}
+
 impl Trust {
     /// Trust in one gateway only.
     pub fn pinned(gateway: SignerId) -> Self {
@@ -53,11 +63,7 @@ impl Trust {
     /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] or [`CryptoError::NotAKey`].
     pub fn load(path: &Path) -> Result<Self, CryptoError> {
         let bytes = read_private(path, LONGEST)?;
-        let file: File = serde_json::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
-            path: shown(path),
-            wanted: "a note of a gateway",
-            found: "it is damaged; confirm the gateway's fingerprint and pin it again".to_owned(),
-        })?;
+        let file = File::parse(path, &bytes)?;
         let seen = ListSummary { version: file.list_version, digest: file.list_digest };
         Ok(Self { pinned: Some(file.gateway), first_use: false, seen: Some(seen) })
     }
@@ -72,7 +78,7 @@ impl Trust {
         let file = File { gateway, list_version: seen.version, list_digest: seen.digest };
         let text = serde_json::to_vec_pretty(&file).map_err(|_| CryptoError::Internal("JSON"))?;
         change_private(path, LONGEST, |there| {
-            let there = there.and_then(|there| serde_json::from_slice::<File>(there).ok());
+            let there = there.map(|there| File::parse(path, there)).transpose()?;
             let known = there.filter(|there| there.gateway == gateway && there.list_version >= seen.version);
             Ok(known.is_none().then_some(text))
         })
@@ -212,6 +218,8 @@ mod tests {
         assert_eq!(Trust::load(&path).expect("reads").seen, newer.seen);
         write_private(&path, b"{}").expect("writes");
         assert!(Trust::load(&path).is_err());
+        let refused = newer.save(&path).expect_err("what a damaged note knew is not known");
+        assert!(refused.to_string().contains("pin it again"), "{refused}");
     }
 
     #[test]

@@ -15,8 +15,6 @@ pub enum LossReason {
     Memory,
     /// The disk was full, then the memory for waiting messages too.
     Disk,
-    /// The vault accepted no records, and the disk space for waiting ones was used up.
-    Backlog,
     /// There was no key to seal them with.
     Key,
     /// The program had to end before they could be stored.
@@ -27,8 +25,7 @@ pub enum LossReason {
 
 impl LossReason {
     /// All reasons, in the order of their codes.
-    pub const ALL: [Self; 7] =
-        [Self::Transport, Self::Memory, Self::Disk, Self::Backlog, Self::Key, Self::End, Self::Fault];
+    pub const ALL: [Self; 6] = [Self::Transport, Self::Memory, Self::Disk, Self::Key, Self::End, Self::Fault];
 
     /// The byte in a gap record.
     pub fn code(self) -> u8 {
@@ -46,7 +43,6 @@ impl LossReason {
             Self::Transport => "transport",
             Self::Memory => "memory full",
             Self::Disk => "disk full",
-            Self::Backlog => "vault behind",
             Self::Key => "no key",
             Self::End => "end",
             Self::Fault => "fault",
@@ -64,7 +60,6 @@ impl LossReason {
             Self::Transport => "never arrived (numbers are missing in header.seq)",
             Self::Memory => "arrived while the message buffer was full",
             Self::Disk => "arrived while the disk was full",
-            Self::Backlog => "arrived while the vault was not accepting records and the backlog was full",
             Self::Key => "arrived while there was no key to seal them with",
             Self::End => "could not be stored before the program ended",
             Self::Fault => "could not be sealed because of a bug in the program",

@@ -1,4 +1,4 @@
-//! The public header of a record (CT1), version 1: the part that vault, Redis and gateway may see.
+//! The public header of a record (CT1), version 1: the part that store, cache and gateway may see.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! Who may publish a topic: caller id, host, type and md5sum, all of which are mere claims of a ROS 1 publisher.
+//! Who may publish a topic: caller id, host, type and the sum of its definition, all of which are mere claims of a publisher.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -15,7 +15,8 @@ pub enum PublisherError {
     /// One publisher.
     #[error(
         "'{0}' is not a publisher; use CALLER_ID@HOST:TYPE:MD5, such as \
-         /driver@127.0.0.1:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1"
+         /driver@127.0.0.1:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1; for ROS 2 the host is domain0 (the domain's \
+         number), and the type's hash, RIHS01_ and 64 digits, is in the md5sum's place; * is for one that tells none"
     )]
     Publisher(String),
     /// One of a list.
@@ -36,13 +37,21 @@ pub struct Publisher {
     /// Message type, `package/Type`.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// The type's md5sum, 32 hex digits in lower case.
+    /// The type's md5sum, 32 hex digits in lower case; for ROS 2 the 64 of its hash; `*` if the publisher tells none.
     pub md5sum: String,
 }
 
+/// How a type's hash of ROS 2 begins.
+const HASH: &str = "RIHS01_";
+
+/// Hex digits of an md5sum, and of a type's hash.
+const SUM: usize = 32;
+const LONGEST_SUM: usize = 64;
+
 impl fmt::Display for Publisher {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}@{}:{}:{}", self.caller_id, self.host, self.type_name, self.md5sum)
+        let lead = if self.md5sum.len() == LONGEST_SUM { HASH } else { "" };
+        write!(formatter, "{}@{}:{}:{lead}{}", self.caller_id, self.host, self.type_name, self.md5sum)
     }
 }
 
@@ -98,8 +107,11 @@ fn parse(text: &str) -> Option<Publisher> {
             .all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
     let placed = (1..=LONGEST_NAME).contains(&host.len())
         && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._:%".contains(&b));
-    let typed = type_name.parse::<TypeName>().is_ok();
-    let summed = md5sum.len() == 32 && md5sum.bytes().all(|b| b.is_ascii_hexdigit());
+    // ROS 2 has `msg` between package and type.
+    let typed = type_name.replacen("/msg/", "/", 1).parse::<TypeName>().is_ok();
+    let md5sum = md5sum.strip_prefix(HASH).filter(|hash| hash.len() == LONGEST_SUM).unwrap_or(md5sum);
+    let are_digits = || md5sum.bytes().all(|b| b.is_ascii_hexdigit());
+    let summed = md5sum == "*" || [SUM, LONGEST_SUM].contains(&md5sum.len()) && are_digits();
     (named && placed && typed && summed).then(|| Publisher {
         caller_id: pinned_name(caller_id).into_owned(),
         host: host.to_ascii_lowercase(),
@@ -223,6 +235,21 @@ mod tests {
     }
 
     #[test]
+    fn a_publisher_of_ros_2_is_named_by_its_type_s_hash() {
+        let text = format!("/talker@domain0:std_msgs/msg/String:RIHS01_{MD5}{MD5}");
+        let publisher: Publisher = text.parse().expect("good");
+        assert_eq!((publisher.md5sum.as_str(), publisher.type_name.as_str()), (&*MD5.repeat(2), "std_msgs/msg/String"));
+        assert_eq!(publisher.to_string(), text);
+        assert_eq!(text.replace("RIHS01_", "").parse(), Ok(publisher));
+        let none: Publisher = "/talker@domain0:std_msgs/msg/String:*".parse().expect("it tells none");
+        assert_eq!(none.to_string(), "/talker@domain0:std_msgs/msg/String:*");
+        for bad in [format!("RIHS01_{MD5}"), format!("RIHS02_{MD5}{MD5}"), format!("{MD5}{}", &MD5[1..]), "**".into()] {
+            assert!(format!("/a@domain0:a/msg/B:{bad}").parse::<Publisher>().is_err(), "{bad}");
+        }
+        assert!(format!("/a@domain0:a/msg/B/C:{MD5}").parse::<Publisher>().is_err());
+    }
+
+    #[test]
     fn every_run_of_an_anonymous_node_has_one_name() {
         for (given, pinned) in [
             // roscpp, rospy, roslaunch's anon, then tools of ROS 2.
@@ -267,7 +294,7 @@ mod tests {
     proptest! {
         #[test]
         fn round_trip(caller in "/[a-zA-Z0-9_/]{1,40}", host in "[a-z0-9.:-]{1,30}", type_name in "[a-z_]{1,9}/[A-Z][a-z]{0,9}",
-                      md5sum in "[0-9a-f]{32}") {
+                      md5sum in "[0-9a-f]{32}|[0-9a-f]{64}|[*]") {
             let publisher = Publisher { caller_id: caller, host, type_name, md5sum };
             prop_assert_eq!(publisher.to_string().parse(), Ok(publisher));
         }

@@ -283,6 +283,7 @@ impl fmt::Display for TopicPatterns {
 
 /// A span of a robot's ring that its owner asks for.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RingSpan {
     /// What was captured at this time or later,
     pub since: Timestamp,

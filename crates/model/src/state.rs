@@ -8,9 +8,7 @@ use serde::{Deserialize, Serialize};
 pub enum RecordState {
     /// In memory, not yet sealed.
     Captured,
-    /// Sealed and fsynced in the ledger: acknowledged.
-    Sealed,
-    /// In the vault.
+    /// Sealed and fsynced in the store, row and ciphertext in one commit: acknowledged.
     Stored,
     /// In a closed batch.
     Batched,
@@ -20,24 +18,23 @@ pub enum RecordState {
     Mined,
     /// The block has enough confirmations.
     Confirmed,
-    /// Re-read from the vault, digest equal to the chain, signature valid.
+    /// Re-read from the store, digest equal to the chain, signature valid.
     Verified,
     /// Quarantined: its publisher is not the pinned one.
     Quarantined,
     /// Never acknowledged, only counted.
     Dropped,
-    /// The vault's bytes differ from the anchored digest.
+    /// The stored bytes differ from the anchored digest.
     Tampered,
-    /// In the vault, but its signer may not sign for its owner now. Nobody here anchors it until that right is back.
+    /// Stored, but its signer may not sign for its owner now. Nobody here anchors it until that right is back.
     #[serde(rename = "waits: right ended")]
     RightEnded,
 }
 
 impl RecordState {
     /// All states, in the order of a record's life.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 11] = [
         Self::Captured,
-        Self::Sealed,
         Self::Stored,
         Self::Batched,
         Self::Submitted,
@@ -54,7 +51,6 @@ impl RecordState {
     pub fn word(self) -> &'static str {
         match self {
             Self::Captured => "captured",
-            Self::Sealed => "sealed",
             Self::Stored => "stored",
             Self::Batched => "batched",
             Self::Submitted => "submitted",

@@ -198,7 +198,7 @@ pub(super) fn close_batch(
 fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tree>, PipelineError> {
     for _ in 1..leaves.len().min(MOST_ORDERS) {
         let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
-        if !plant.ledger.unknown_roots(&[tree.root()])?.is_empty() {
+        if !plant.ledger.inspection.unknown_roots(&[tree.root()])?.is_empty() {
             return Ok(Some(tree));
         }
         leaves.rotate_left(1);
@@ -272,7 +272,7 @@ async fn one_by_one(
     let rows = block_in_place(|| plant.ledger.in_state(Some(owner), RecordState::Stored, room))?;
     let mut uploads = Vec::with_capacity(rows.len());
     for row in &rows {
-        let token = block_in_place(|| kept::token(&plant.ledger, &network.directory, row.owner, row.epoch))?;
+        let token = block_in_place(|| kept::token(&plant.ledger.rights, &network.directory, row.owner, row.epoch))?;
         uploads.extend(token.map(|token| upload(row, token)));
     }
     if uploads.is_empty() {
@@ -350,7 +350,10 @@ async fn provide(
 ) -> Result<(), PipelineError> {
     let (chain, account) = (&network.chain, key.address());
     // A transfer still waiting for its block is not in the balance yet.
-    if block_in_place(|| plant.ledger.open_lane(owner.address))?.iter().any(|row| row.purpose == PROVISION_PURPOSE) {
+    if block_in_place(|| plant.ledger.lanes.open_lane(owner.address))?
+        .iter()
+        .any(|row| row.purpose == PROVISION_PURPOSE)
+    {
         return Ok(());
     }
     let price = match sender.policy().fresh(&chain.market().await?) {

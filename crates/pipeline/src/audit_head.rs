@@ -4,10 +4,9 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
-
 use crate::model::{Address, AuditHead, Digest, RecordKind, Timestamp};
-use crate::store::{AuditLog, Ledger, RecordQuery, RecordRow, StoreError};
+use crate::store::notes::{StatedAuditHead, StatedHead};
+use crate::store::{AuditLog, Notes, RecordQuery, RecordRow, StoreError};
 
 use super::reader::Reader;
 use super::statement::{self, Statement};
@@ -18,29 +17,12 @@ pub(super) const TOPIC: &str = "authros/audit";
 /// How many of the newest heads are opened for a check; each covers all lines below it.
 const MOST_HEADS: usize = 100;
 
-/// The head in an owner's newest record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-struct Last {
-    line: u64,
-    hash: Digest,
-}
-
-fn key(owner: Address) -> String {
-    format!("audit-head:{owner}")
-}
-
 /// The head (number of lines, hash) in an account's newest record, as noted in the ledger; needs no key.
 ///
 /// # Errors
 /// Errors of the ledger, also if the note cannot be read.
-pub fn noted(ledger: &Ledger, owner: Address) -> Result<Option<(u64, Digest)>, StoreError> {
-    Ok(last(ledger, owner)?.map(|last| (last.line, last.hash)))
-}
-
-fn last(ledger: &Ledger, owner: Address) -> Result<Option<Last>, StoreError> {
-    let Some(text) = ledger.setting(&key(owner))? else { return Ok(None) };
-    let detail = "its note about the anchored audit head cannot be read".to_owned();
-    serde_json::from_str(&text).map(Some).map_err(|_| StoreError::Corrupt { file: ledger.path().to_owned(), detail })
+pub fn noted(notes: &Notes, owner: Address) -> Result<Option<(u64, Digest)>, StoreError> {
+    Ok(notes.read(&StatedAuditHead { owner })?.map(|last| (last.line, last.hash)))
 }
 
 /// Seals the log's head for `owner` if the oldest line not covered by one of the owner's heads is older than `every`. A
@@ -48,7 +30,7 @@ fn last(ledger: &Ledger, owner: Address) -> Result<Option<Last>, StoreError> {
 /// [`Owner::changes`]: a head must not be signed by a key that is being replaced.
 ///
 /// # Errors
-/// Errors of ledger and vault; `StoreError::Corrupt` if the log does not continue from the previous head, in which case
+/// Errors of the store; `StoreError::Corrupt` if the log does not continue from the previous head, in which case
 /// no new head is sealed.
 pub fn state_head(
     plant: &Plant,
@@ -58,7 +40,8 @@ pub fn state_head(
     every: Duration,
 ) -> Result<Option<Digest>, PipelineError> {
     let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(None) };
-    let before = last(&plant.ledger, owner.address)?;
+    let note = StatedAuditHead { owner: owner.address };
+    let before = plant.ledger.notes.read(&note)?;
     if let Some(before) = before
         && let Err(fault) = log.compare(&[(before.line, before.hash)])
     {
@@ -77,7 +60,7 @@ pub fn state_head(
     let named = Statement { kind: RecordKind::Audit, topic: TOPIC, type_name: "authros/AuditHead", body: &body };
     let Some(digest) = statement::state(plant, owner.address, &keys, named)? else { return Ok(None) };
     // If interrupted here, the next head names the same predecessor, which is not a contradiction.
-    plant.ledger.put_setting(&key(owner.address), &serde_json::to_string(&Last { line, hash }).unwrap_or_default())?;
+    plant.ledger.notes.write(&note, &StatedHead { line, hash })?;
     plant.observer.records_changed();
     Ok(Some(digest))
 }
@@ -118,8 +101,7 @@ pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
         }
     }
     // The ledger's own note, in case a head's record was removed.
-    let noted = tokio::task::block_in_place(|| last(&reader.plant.ledger, reader.reader.address))?;
-    heads.good.extend(noted.map(|last| (last.line, last.hash)));
+    heads.good.extend(tokio::task::block_in_place(|| noted(&reader.plant.ledger.notes, reader.reader.address))?);
     Ok(heads)
 }
 

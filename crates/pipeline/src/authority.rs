@@ -30,7 +30,7 @@ pub async fn ask_contract(
     if network.absent.is_some() {
         return Ok(None);
     }
-    let token = block_in_place(|| kept::token(&plant.ledger, &network.directory, owner, epoch))?;
+    let token = block_in_place(|| kept::token(&plant.ledger.rights, &network.directory, owner, epoch))?;
     let Some(token) = token else { return Ok(None) };
     let answer = network.chain.data_query(reader, token, owner).await?;
     let expected = block_in_place(|| is_covered(plant, network, reader, owner, epoch))?;
@@ -60,7 +60,7 @@ fn is_covered(
     match may_read(directory, reader, owner, None, Policy::OwnSite) {
         Ok(ReadingRight::Own) => Ok(true),
         Ok(ReadingRight::Granted(grant)) => Ok(epoch >= grant.terms.epoch
-            || kept::envelopes(&plant.ledger, &grant)?.iter().any(|envelope| envelope.epoch == epoch)),
+            || kept::envelopes(&plant.ledger.rights, &grant)?.iter().any(|envelope| envelope.epoch == epoch)),
         Err(_) => Ok(false),
     }
 }
@@ -401,7 +401,7 @@ pub fn signer_of(
     Ok(match right {
         Ok(SigningRight::Owner(key)) => Ok(key),
         Ok(SigningRight::Device(_)) => {
-            let key = plant.ledger.signer(row.signer)?.filter(|key| signer_id(key) == row.signer);
+            let key = plant.ledger.bindings.signer(row.signer)?.filter(|key| signer_id(key) == row.signer);
             key.ok_or(NoRight::KeyUnknown { owner: row.owner })
         }
         Err(why) => Err(why),

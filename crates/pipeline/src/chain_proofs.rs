@@ -98,7 +98,7 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
     let head = network.chain.head().await?.number;
     let confirmed = (head + 1).saturating_sub(network.confirmations);
     let mut blocks: BTreeMap<(u64, Hash), Vec<UnprovenBatch>> = BTreeMap::new();
-    for batch in block_in_place(|| plant.ledger.unproven_batches(confirmed, AT_ONCE))? {
+    for batch in block_in_place(|| plant.ledger.proofs.unproven_batches(confirmed, AT_ONCE))? {
         blocks.entry((batch.block, batch.block_hash)).or_default().push(batch);
     }
     rounds.attempts.retain(|block, _| blocks.keys().any(|(known, _)| known == block));
@@ -108,7 +108,9 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
         let count = keys.len() as u64;
         match proof(network, at, &batches).await? {
             Fetched::Proof(header, nodes) => {
-                block_in_place(|| plant.ledger.keep_chain_proof(at, header, keys, nodes.into_hashed().collect()))?;
+                block_in_place(|| {
+                    plant.ledger.proofs.keep_chain_proof(at, header, keys, nodes.into_hashed().collect())
+                })?;
                 rounds.await_after(network, at.0).await?;
                 collected.kept += count;
             }
@@ -117,7 +119,7 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
                 let attempt = rounds.attempts.entry(at.0).or_default();
                 *attempt += 1;
                 if *attempt >= ATTEMPTS {
-                    block_in_place(|| plant.ledger.miss_chain_proof(keys))?;
+                    block_in_place(|| plant.ledger.proofs.miss_chain_proof(keys))?;
                     collected.missed += count;
                 }
                 collected.problem = Some(why);
@@ -142,14 +144,14 @@ impl Rounds {
 
     async fn keep_headers(&mut self, plant: &Plant, network: &Network, confirmed: u64) -> Result<(), PipelineError> {
         if self.further.is_none()
-            && let Some(newest) = block_in_place(|| plant.ledger.chain_proof_counts())?.newest
+            && let Some(newest) = block_in_place(|| plant.ledger.proofs.chain_proof_counts())?.newest
         {
             // A process that ended before may have left some.
             self.await_after(network, newest).await?;
         }
         while let Some(block) = self.awaited.first().copied().filter(|block| *block <= confirmed) {
             if let Ok(Some(header)) = refusal(network.chain.header_rlp(block).await)? {
-                block_in_place(|| plant.ledger.keep_chain_header(block, header))?;
+                block_in_place(|| plant.ledger.proofs.keep_chain_header(block, header))?;
             }
             self.awaited.remove(&block);
         }
@@ -232,7 +234,7 @@ fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, 
 pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Result<Option<Vec<u8>>, PipelineError> {
     match network.absent {
         None => Ok(network.chain.header_rlp(block).await?),
-        Some(_) => Ok(block_in_place(|| plant.ledger.chain_header(block))?),
+        Some(_) => Ok(block_in_place(|| plant.ledger.proofs.chain_header(block))?),
     }
 }
 
@@ -246,7 +248,7 @@ pub(crate) async fn kept(
     block: u64,
     slots: &[Slot],
 ) -> Result<Option<Nodes>, PipelineError> {
-    let Some(kept) = block_in_place(|| plant.ledger.chain_proof(block))? else { return Ok(None) };
+    let Some(kept) = block_in_place(|| plant.ledger.proofs.chain_proof(block))? else { return Ok(None) };
     let header = header(plant, network, block).await?.and_then(|bytes| BlockHeader::parse(&bytes));
     let Some(header) = header.filter(|header| header.hash == kept.hash) else { return Ok(None) };
     let Some(pin) = network.chain.pin() else { return Ok(None) };

@@ -164,7 +164,7 @@ impl Heads {
 
 /// What rows are compared with.
 pub struct Comparison<'a> {
-    /// Ledger and vault.
+    /// The store.
     pub plant: &'a Plant,
     /// The keys for sealed heads.
     pub keys: &'a dyn Keys,
@@ -175,8 +175,8 @@ pub struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    /// Compares rows with the first bytes of their records. If the vault does not answer, rows come from the ledger
-    /// alone.
+    /// Compares rows with the first bytes of their records. If these cannot be read, rows are shown as they are in the
+    /// ledger alone.
     ///
     /// # Errors
     /// Errors of the ledger.
@@ -192,11 +192,7 @@ impl Comparison<'_> {
     }
 
     fn fronts(&self, digests: &[Digest]) -> HashMap<Digest, Vec<u8>> {
-        let vault = &self.plant.vault;
-        if digests.is_empty() || !digests.iter().all(|digest| vault.answers(*digest)) {
-            return HashMap::new();
-        }
-        let fronts = vault.fronts(digests, FRONT).unwrap_or_default();
+        let fronts = self.plant.ciphertext.fronts(digests, FRONT).unwrap_or_default();
         digests.iter().copied().zip(fronts).filter_map(|(digest, front)| Some((digest, front?))).collect()
     }
 
@@ -249,13 +245,13 @@ impl Comparison<'_> {
     }
 }
 
-/// The first bytes of a record including its sealed head, as far as the vault has them; `length` is the header's.
+/// The first bytes of a record including its sealed head, as far as the store has them; `length` is the header's.
 fn with_head<'a>(plant: &Plant, digest: Digest, front: &'a [u8], header: &Header, length: usize) -> Cow<'a, [u8]> {
     let end = length.saturating_add(usize::try_from(header.head_length).unwrap_or(usize::MAX));
     if front.len() >= end {
         return Cow::Borrowed(front);
     }
-    let longer = plant.vault.fronts(&[digest], end).ok().and_then(|found| found.into_iter().next().flatten());
+    let longer = plant.ciphertext.fronts(&[digest], end).ok().and_then(|found| found.into_iter().next().flatten());
     longer.map_or(Cow::Borrowed(front), Cow::Owned)
 }
 
@@ -294,11 +290,10 @@ impl Sight {
     }
 }
 
-/// What the ledger keeps of a record that is not in the vault: its copy, or its header after retention deleted it.
+/// What the ledger keeps of a record whose bytes retention deleted: its header.
 fn kept_front(plant: &Plant, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
-    match plant.ledger.local_copy(row.digest)? {
-        Some(copy) => Ok(Some(copy)),
-        None if row.deleted_at.is_some() => Ok(plant.ledger.retained(row.digest)?.map(|retained| retained.header)),
+    match row.deleted_at {
+        Some(_) => Ok(plant.ledger.retained(row.digest)?.map(|retained| retained.header)),
         None => Ok(None),
     }
 }

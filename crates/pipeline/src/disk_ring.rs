@@ -7,55 +7,24 @@ mod tests;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use serde::{Deserialize, Serialize};
-
 use super::{PipelineError, Plant};
 use crate::crypto::SealedRecord;
 use crate::model::{Address, Header, RingSpan};
-use crate::store::{DiskRing, Ledger, NewRecord, RingRecord, StoreError};
+use crate::store::notes::{AskedSpan, AskedSpans};
+use crate::store::{DiskRing, NewRecord, Notes, RingRecord, StoreError};
 
-/// The setting of the ledger with what is asked for.
-const ASKED: &str = "ring-asked";
 /// The most spans asked for at a time.
 const MOST: usize = 64;
 
 /// A ring, filled by the sealer and read when its owner asks.
 pub type SharedRing = Arc<Mutex<DiskRing>>;
 
-/// A span that the owner asks for.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Asked {
-    /// The number of the notice.
-    number: u64,
-    span: RingSpan,
-}
-
-fn read(text: Option<&str>) -> VecDeque<Asked> {
-    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
-}
-
-fn all(ledger: &Ledger) -> Result<VecDeque<Asked>, StoreError> {
-    Ok(read(ledger.setting(ASKED)?.as_deref()))
-}
-
-/// Changes the list: one task asks, another one takes what is done out.
-fn change(
-    ledger: &Ledger,
-    change: impl FnOnce(&mut VecDeque<Asked>) -> Result<(), PipelineError>,
-) -> Result<(), PipelineError> {
-    ledger.change_setting(ASKED, |text| {
-        let mut asked = read(text);
-        change(&mut asked)?;
-        Ok((serde_json::to_string(&asked).unwrap_or_default(), ()))
-    })
-}
-
 /// Notes that the owner asks for a span, by the number of its notice; durable when this returns.
 ///
 /// # Errors
 /// [`PipelineError::Refused`] if more is asked for already than is noted, errors of the ledger.
-pub fn ask(ledger: &Ledger, number: u64, span: &RingSpan) -> Result<(), PipelineError> {
-    change(ledger, |asked| {
+pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<(), PipelineError> {
+    notes.change(&AskedSpans {}, |asked| {
         // A restored home numbers its notices from 1 again.
         if asked.iter().any(|known| known.number == number && known.span == *span) {
             return Ok(());
@@ -63,7 +32,7 @@ pub fn ask(ledger: &Ledger, number: u64, span: &RingSpan) -> Result<(), Pipeline
         if asked.len() >= MOST {
             return Err(PipelineError::Refused(format!("{MOST} spans of the ring are asked for already")));
         }
-        asked.push_back(Asked { number, span: span.clone() });
+        asked.push_back(AskedSpan { number, span: span.clone() });
         Ok(())
     })
 }
@@ -72,8 +41,8 @@ pub fn ask(ledger: &Ledger, number: u64, span: &RingSpan) -> Result<(), Pipeline
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn waiting(ledger: &Ledger) -> Result<Vec<RingSpan>, StoreError> {
-    Ok(all(ledger)?.into_iter().map(|asked| asked.span).collect())
+pub fn waiting(notes: &Notes) -> Result<Vec<RingSpan>, StoreError> {
+    Ok(notes.read(&AskedSpans {})?.unwrap_or_default().into_iter().map(|asked| asked.span).collect())
 }
 
 /// What was brought in for one request.
@@ -87,7 +56,7 @@ pub struct Brought {
 
 /// A request at work.
 struct Work {
-    asked: Asked,
+    asked: AskedSpan,
     parts: VecDeque<u64>,
     brought: Brought,
 }
@@ -124,13 +93,13 @@ impl Pulls {
     /// Does a little, at most one file of the ring.
     ///
     /// # Errors
-    /// Errors of ring, vault and ledger; the next step tries the same again.
+    /// Errors of ring and store; the next step tries the same again.
     pub fn step(&mut self) -> Result<Step, PipelineError> {
         let Some(mut work) = self.take_work()? else { return Ok(Step::Idle) };
         let Some(part) = work.parts.front().copied() else {
-            change(&self.plant.ledger, |asked| {
+            self.plant.ledger.notes.change(&AskedSpans {}, |asked| {
                 asked.retain(|known| *known != work.asked);
-                Ok(())
+                Ok::<_, PipelineError>(())
             })?;
             return Ok(Step::Done(work.asked.span, work.brought));
         };
@@ -147,7 +116,8 @@ impl Pulls {
         if let Some(work) = self.work.take() {
             return Ok(Some(work));
         }
-        let Some(asked) = all(&self.plant.ledger)?.pop_front() else { return Ok(None) };
+        let asked = self.plant.ledger.notes.read(&AskedSpans {})?;
+        let Some(asked) = asked.and_then(|mut asked| asked.pop_front()) else { return Ok(None) };
         let parts = self.ring().parts_of(&asked.span).into();
         Ok(Some(Work { asked, parts, brought: Brought::default() }))
     }

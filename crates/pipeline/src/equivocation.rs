@@ -3,12 +3,11 @@
 //! signatures, as evidence.
 
 use crate::model::{Address, Digest, RecorderId, Signature, SignerId, Timestamp, TopicId};
-use crate::store::{AuditEntry, AuditLog, NewRecord};
+use crate::store::notes::Equivocations;
+use crate::store::{AuditEntry, NewRecord};
 
 use super::{PipelineError, Plant};
 
-/// The ledger's note of the cases reported for a recorder.
-const TOLD: &str = "equivocation:";
 /// At most this many cases per recorder are reported; more prove nothing more.
 const MOST: usize = 16;
 
@@ -46,17 +45,15 @@ impl Claim {
 /// # Errors
 /// Errors of the ledger.
 pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
-    let held = plant.ledger.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
+    let held =
+        plant.ledger.inspection.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
     let Some(row) = plant.ledger.record(held)? else { return Ok(false) };
-    let name = format!("{TOLD}{}", claim.recorder);
     let Claim { owner, signer, recorder, topic, number, digest, signature } = claim;
-    let is_new = plant.ledger.change_setting(&name, |text| {
-        let known = text.and_then(|text| serde_json::from_str::<Vec<Digest>>(text).ok());
-        let mut known = known.unwrap_or_default();
+    let is_new = plant.ledger.notes.change(&Equivocations { recorder: *recorder }, |known| {
         let is_new = !known.contains(digest) && known.len() < MOST;
         if is_new {
-            AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+            plant.ledger.audit.append(AuditEntry {
                 at: Timestamp::now(),
                 profile: owner.to_string(),
                 action: "equivocation".to_owned(),
@@ -65,7 +62,7 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
             })?;
             known.push(*digest);
         }
-        Ok::<_, PipelineError>((serde_json::to_string(&known).unwrap_or_default(), is_new))
+        Ok::<_, PipelineError>(is_new)
     })?;
     if !is_new {
         return Ok(true);
@@ -89,7 +86,7 @@ mod tests {
     use crate::crypto::{ProviderName, provider};
     use crate::model::{RecordKind, RecordState};
     use crate::pipeline::fixture::Notes;
-    use crate::store::{AuditQuery, Foreign, Ledger, open_vault};
+    use crate::store::{AuditQuery, Ciphertext, Foreign, Ledger};
 
     fn record(digest: u8, seq: u64) -> NewRecord {
         let foreign = Foreign { recorder: RecorderId([7; RecorderId::LENGTH]), keeper: Address([9; 20]) };
@@ -110,7 +107,7 @@ mod tests {
             captured_at: Timestamp(1),
             simulated: false,
             state: RecordState::Stored,
-            local_copy: None,
+            blob: None,
         }
     }
 
@@ -118,12 +115,12 @@ mod tests {
     fn two_records_of_one_number_are_told_once_with_both_signatures() {
         let home = tempfile::tempdir().expect("a folder");
         let notes = Arc::new(Notes::default());
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let plant = Plant {
-            ledger: Ledger::open(&home.path().join("ledger.db")).expect("a ledger"),
-            vault: open_vault(None, home.path()).expect("a vault"),
+            ciphertext: Ciphertext::of(&ledger),
+            ledger,
             provider: provider(ProviderName::RustCrypto),
             observer: Arc::clone(&notes) as _,
-            backlog: u64::MAX,
         };
         plant.ledger.append(vec![record(1, 5)]).expect("taken");
         let claim = |digest, seq| Claim::of(&record(digest, seq)).expect("from elsewhere");
@@ -135,7 +132,7 @@ mod tests {
         }
         assert_eq!(notes.with("equivocation"), 1);
         let query = AuditQuery { action: Some("equivocation".to_owned()), limit: 9, ..AuditQuery::default() };
-        let lines = AuditLog::new(plant.ledger.clone()).list(&query).expect("listed");
+        let lines = plant.ledger.audit.list(&query).expect("listed");
         let [line] = lines.as_slice() else { panic!("one line: {lines:?}") };
         let both = [Signature([1; 64]), Signature([2; 64])].map(|signature| signature.to_string());
         assert!(both.iter().all(|signature| line.entry.outcome.contains(signature)), "{line:?}");

@@ -14,7 +14,7 @@ pub enum PipelineError {
     /// A key, seal or signature.
     #[error(transparent)]
     Crypto(#[from] CryptoError),
-    /// Ledger or vault.
+    /// The store.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// Node or contract.
@@ -55,9 +55,9 @@ pub enum PipelineError {
         /// The field.
         field: &'static str,
     },
-    /// The vault no longer holds a record.
+    /// The store no longer holds a record.
     #[error(
-        "the ciphertext of record {0} is missing from the vault; restore it from a backup (its digest is still on the \
+        "the ciphertext of record {0} is missing from the store; restore it from a backup (its digest is still on the \
          chain)"
     )]
     Missing(String),

@@ -1,4 +1,4 @@
-//! What an evidence bundle is assembled from: records from the vault, their places in batches, and the chain's proofs
+//! What an evidence bundle is assembled from: records from the store, their places in batches, and the chain's proofs
 //! of their anchors and their signers' keys.
 
 /// The most records in a bundle.
@@ -24,7 +24,7 @@ use crate::model::{
     Address, Birth, Digest, ErrorKind, Hash, Header, Heads, Heights, PublicKey, RecordState, RecorderId, SignerId,
     TopicId,
 };
-use crate::reader::Reader;
+use crate::reader::{Opening, Reader};
 use crate::recorder_heads::{TOPIC, tree};
 use crate::retention::is_stated;
 use crate::store::{RecordQuery, RecordRow, Retained};
@@ -75,7 +75,7 @@ fn refused(error: PackingError) -> PipelineError {
 /// stamp authorities.
 ///
 /// # Errors
-/// Errors of ledger, vault and chain; a record whose bytes are gone.
+/// Errors of store and chain; a record whose bytes are gone.
 pub async fn gather(
     reader: &Reader<'_>,
     rows: &[RecordRow],
@@ -156,7 +156,7 @@ fn stored(
         return Err(PipelineError::RowDiffers { id: row.id.clone(), field });
     }
     let own = reader.reader.signing().public;
-    let known = [Some(own), plant.ledger.signer(row.signer)?, authority::key_of(plant, reader.network, row)?];
+    let known = [Some(own), plant.ledger.bindings.signer(row.signer)?, authority::key_of(plant, reader.network, row)?];
     let Some(key) = known.into_iter().flatten().find(|key| signer_id(key) == row.signer) else {
         notes.push(format!("the key that signed record {} is unknown here; the record is not in the bundle", row.id));
         return Ok(None);
@@ -193,7 +193,7 @@ async fn disclosed(
         )),
         error => error,
     })?;
-    if let Some(definition) = reader.definition_text(row, &opened).await? {
+    if let Some(definition) = reader.definition_text(row, &opened, Opening::Anchored).await? {
         gathered.packing.definition(&definition, plant.provider);
     }
     let (key, _) = Keys::opening(reader, header).ok_or(CryptoError::WrongKey)?;
@@ -240,7 +240,7 @@ async fn show(
         }
     }
     for (account, version) in identities {
-        if let Some(identity) = block_in_place(|| kept::identity(&reader.plant.ledger, account, version))? {
+        if let Some(identity) = block_in_place(|| kept::identity(&reader.plant.ledger.rights, account, version))? {
             gathered.packing.identity(&identity);
         }
     }
@@ -348,18 +348,18 @@ fn suggest(
 /// # Errors
 /// Errors of the ledger.
 pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<(), PipelineError> {
-    if plant.ledger.stamp_counts()?.newest.is_none() {
+    if plant.ledger.proofs.stamp_counts()?.newest.is_none() {
         return Ok(());
     }
     let (mut stamps, mut bare): (BTreeMap<u64, Vec<Hash>>, u64) = (BTreeMap::new(), 0);
     for root in roots {
-        match plant.ledger.stamp_of(*root)? {
+        match plant.ledger.proofs.stamp_of(*root)? {
             Some(key) => stamps.entry(key).or_default().push(*root),
             None => bare += 1,
         }
     }
     for (key, wanted) in stamps {
-        let stamp = plant.ledger.stamp(key)?.filter(|stamp| !stamp.tokens.is_empty());
+        let stamp = plant.ledger.proofs.stamp(key)?.filter(|stamp| !stamp.tokens.is_empty());
         match stamp.and_then(|stamp| StampTree::new(stamp.roots).zip(Some(stamp.tokens))) {
             Some((tree, tokens)) => {
                 gathered

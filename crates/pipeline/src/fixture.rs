@@ -12,7 +12,7 @@ use crate::chain::{Call, Chain, ChainOptions, Endpoint, Event, Pin, Policy};
 use crate::crypto::{EoaSecret, ProviderName, SmKeyPair, domain, prove, provider};
 use crate::model::{Digest, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId};
 use crate::ros::{Message, Origin};
-use crate::store::{Anchors, Ledger, NewRecord, open_vault};
+use crate::store::{Anchors, Ciphertext, Ledger, NewRecord};
 
 /// Keeps what is reported.
 #[derive(Default)]
@@ -44,7 +44,7 @@ impl Observer for Notes {
 pub struct Process {
     /// The folder of the ledger, until the test ends.
     _home: TempDir,
-    /// Ledger, vault, provider.
+    /// Store, provider.
     pub plant: Plant,
     /// The chain.
     pub network: Network,
@@ -136,12 +136,12 @@ impl Process {
     pub async fn new(chain: Chain, eoa: EoaSecret, policy: Policy) -> Self {
         let home = tempfile::tempdir().expect("folder");
         let notes = Arc::new(Notes::default());
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("ledger");
         let plant = Plant {
-            ledger: Ledger::open(&home.path().join("ledger.db")).expect("ledger"),
-            vault: open_vault(None, &home.path().join("vault.db")).expect("vault"),
+            ciphertext: Ciphertext::of(&ledger),
+            ledger,
             provider: provider(ProviderName::RustCrypto),
             observer: Arc::clone(&notes) as Arc<dyn Observer>,
-            backlog: u64::MAX,
         };
         let network = network(chain);
         watcher::restore(&plant, &network).expect("restores");
@@ -178,7 +178,7 @@ impl Process {
             captured_at: Timestamp(number),
             simulated: true,
             state: RecordState::Stored,
-            local_copy: None,
+            blob: None,
         };
         self.plant.ledger.append(numbers.map(record).collect()).expect("acknowledged");
     }

@@ -20,8 +20,8 @@ use crate::gateway::feed::{FeedId, MOST_NAMED};
 use crate::gateway::{
     Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, FeedPage, Follow, GatewayError, Trust,
 };
-use crate::model::bytes::{hex, unhex};
 use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, Token};
+use crate::store::notes::ProofsTaken;
 use crate::store::{KeptStanding, RecordRow};
 use crate::{PipelineError, Plant};
 
@@ -103,7 +103,7 @@ pub enum ForwardError {
     /// The gateway or the connection to it.
     #[error(transparent)]
     Gateway(#[from] GatewayError),
-    /// The ledger or vault of this robot.
+    /// The store of this robot.
     #[error(transparent)]
     Here(#[from] PipelineError),
 }
@@ -247,7 +247,7 @@ impl Forwarder {
     /// Whatever the gateway has not signed for stays.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn tidy(&self) -> Result<(), PipelineError> {
         self.outbox().tidy()
     }
@@ -317,8 +317,6 @@ fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, C
 const PAGE: usize = 256;
 /// Pages of the feed taken between two looks at the outbox.
 const MOST_PAGES: usize = 8;
-/// The setting with the place in the gateway's feed: its id and a number.
-const PLACE: &str = "outbox feed";
 /// After how many checks of the feed the gateway is asked whether it still has what it signed for.
 const SWEEP: u32 = 60;
 
@@ -338,12 +336,11 @@ struct Proofs {
 }
 
 impl Proofs {
-    /// From where it was. A place that cannot be read is the beginning: nothing is lost by that.
+    /// From where it was. A place that cannot be read is told, and is the beginning: nothing is lost by that.
     fn load(plant: &Plant, owner: Address) -> Self {
-        let text = plant.ledger.setting(PLACE).ok().flatten().unwrap_or_default();
-        let place =
-            text.split_once(' ').and_then(|(id, number)| Some((unhex(id)?.try_into().ok()?, number.parse().ok()?)));
-        let (id, number) = place.unwrap_or_default();
+        let kept = plant.ledger.notes.read(&ProofsTaken { owner });
+        let kept = kept.inspect_err(|error| plant.observer.alert(true, error.to_string()));
+        let (id, number) = kept.ok().flatten().unwrap_or_default();
         let filter = Feed { id, places: vec![(owner, number)], ..Feed::of(owner) };
         let (follow, again) = (Follow::new(filter), Instant::now());
         Self { follow, owner, held: None, again, pause: Duration::ZERO, sweep: None, swept: None }
@@ -448,7 +445,7 @@ impl Line<'_> {
         doubted.into_iter().chain(early).for_each(|number| self.proofs.hold(number, first_pause));
         let (id, done) = (self.proofs.follow.id(), self.proofs.done());
         if (id, done) != before && (!page.entries.is_empty() || id != before.0) {
-            ledger.put_setting(PLACE, &format!("{} {done}", hex(&id)))?;
+            ledger.notes.write(&ProofsTaken { owner: self.proofs.owner }, &(id, done))?;
         }
         Ok(())
     }
@@ -478,7 +475,7 @@ impl Line<'_> {
     /// Whether a proof leads from the very bytes stored here to the root of an anchored batch.
     fn holds(&self, row: &RecordRow, proof: &[u8]) -> bool {
         let Ok(AnchorProof { inclusion: Some(inclusion), .. }) = AnchorProof::parse(proof) else { return false };
-        let Ok(Some(blob)) = self.outbox.plant.vault.get(row.digest) else { return false };
+        let Ok(Some(blob)) = self.outbox.plant.ciphertext.get(row.digest) else { return false };
         let Ok((header, _)) = Header::parse(&blob) else { return false };
         let digest = Digest(self.outbox.plant.provider.sm3(&[&blob]));
         digest == row.digest && inclusion.proves(&Leaf::of(&header, digest))

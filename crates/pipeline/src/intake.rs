@@ -17,7 +17,6 @@ use crate::gateway::{ErasedRecord, FeedEntry, Fetched};
 use crate::model::{Address, Digest, Fact, Hash, Header, PublicKey, RecordState, Timestamp};
 use crate::reader::Reader;
 use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError, TakenErased};
-use crate::watcher::CURSOR;
 use crate::{Network, Owner, PipelineError, Plant, chain_proofs};
 
 /// Length of the tag at the end of a sealed body, bytes.
@@ -140,7 +139,7 @@ fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted, Pipelin
 
 /// Takes records in.
 pub struct Intake<'a> {
-    /// Ledger, vault, provider.
+    /// Store, provider.
     pub plant: &'a Plant,
     /// The chain.
     pub network: &'a Network,
@@ -253,7 +252,7 @@ impl Intake<'_> {
         let at = Moment::of_block(proof.block, self.network.ask_time(proof.block).await?);
         let right = may_sign(&self.network.directory, header.owner, header.signer, at);
         if let SigningRight::Device(_) = right.map_err(|why| Reason::NoRight(Box::new(why)))? {
-            block_in_place(|| self.plant.ledger.keep_signer(header.signer, *signer))?;
+            block_in_place(|| self.plant.ledger.bindings.keep_signer(header.signer, *signer))?;
         }
         Ok(proof)
     }
@@ -261,7 +260,7 @@ impl Intake<'_> {
     /// Waits until the watcher here has read a block's events: rights follow from them.
     async fn wait_for(&self, block: u64) -> Result<(), Stop> {
         let deadline = Instant::now() + self.patience;
-        while block_in_place(|| self.plant.ledger.cursor(CURSOR))?.is_none_or(|(read, _)| read < block) {
+        while block_in_place(|| self.plant.ledger.trail.cursor())?.is_none_or(|(read, _)| read < block) {
             if Instant::now() >= deadline {
                 return Err(Stop::Later);
             }
@@ -274,7 +273,7 @@ impl Intake<'_> {
     /// been checked already.
     ///
     /// # Errors
-    /// Errors of chain, vault and ledger.
+    /// Errors of chain and store.
     pub async fn accept(
         &self,
         reader: &Owner,
@@ -374,7 +373,7 @@ impl Intake<'_> {
         let ErasedRecord { record, statement } = erased;
         let taken = taken_erased(record.blob, &statement);
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: record.signature };
-        let row = NewRecord { local_copy: None, state: RecordState::Stored, ..NewRecord::foreign(sealed, self.keeper) };
+        let row = NewRecord { blob: None, ..NewRecord::foreign(sealed, self.keeper) };
         block_in_place(|| match self.plant.ledger.take_erased(row, taken) {
             Err(StoreError::Conflict { .. }) => Err(Reason::Number.into()),
             noted => Ok(noted? && self.prove(owner, digest, proof)?),

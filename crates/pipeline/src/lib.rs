@@ -55,7 +55,6 @@ pub mod sender;
 pub mod session;
 pub mod stages;
 pub mod statement;
-pub mod storer;
 #[cfg(test)]
 mod tests;
 pub mod verifier;
@@ -73,12 +72,13 @@ pub use recorder::Recorder;
 pub use sender::{Outgoing, Sender};
 pub use session::CaptureSession;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use crate::chain::{Chain, Pin};
 use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
-use crate::store::{Ledger, StoreError, Vault};
+use crate::store::{Ciphertext, Ledger, Rights, StoreError};
 
 /// A worker's report to the service; short, never blocking.
 pub trait Observer: Send + Sync {
@@ -99,9 +99,7 @@ pub trait Observer: Send + Sync {
         None
     }
     /// An account of this home anchored something this home did not send.
-    fn foreign_anchors(&self, _found: &watcher::foreign::ForeignAnchors) {}
-    /// The vault's present state.
-    fn vault(&self, _condition: storer::Condition) {}
+    fn foreign_anchors(&self, _found: &store::notes::ForeignAnchors) {}
     /// Something an operator should know; `urgent` stays on screen.
     fn alert(&self, urgent: bool, text: String);
 }
@@ -111,14 +109,12 @@ pub trait Observer: Send + Sync {
 pub struct Plant {
     /// States of all records.
     pub ledger: Ledger,
-    /// Ciphertext.
-    pub vault: Arc<dyn Vault>,
+    /// Their ciphertext, of the same store.
+    pub ciphertext: Ciphertext,
     /// SM2, SM3, SM4.
     pub provider: &'static dyn Provider,
     /// Receives events.
     pub observer: Arc<dyn Observer>,
-    /// Bytes of records that may wait in the ledger for a vault that does not accept them.
-    pub backlog: u64,
 }
 
 /// The chain in use with everything bound to it.
@@ -138,6 +134,27 @@ pub struct Network {
     pub absent: Option<Arc<str>>,
 }
 
+/// The chain and contract that a home's ledger is bound to; `None` = none yet.
+///
+/// # Errors
+/// [`StoreError::Corrupt`] if it cannot be understood, or errors of the ledger.
+pub fn network_pin(ledger: &Ledger) -> Result<Option<Pin>, StoreError> {
+    ledger.rights.contract_pin()?.map(|text| read_pin(&text, ledger.path())).transpose()
+}
+
+/// The same of a home whose ledger is not open here.
+///
+/// # Errors
+/// See [`network_pin`].
+pub fn network_pin_in(path: &Path) -> Result<Option<Pin>, StoreError> {
+    Rights::contract_pin_in(path)?.map(|text| read_pin(&text, path)).transpose()
+}
+
+fn read_pin(text: &str, path: &Path) -> Result<Pin, StoreError> {
+    let detail = |_| "the row of its contract cannot be read".to_owned();
+    serde_json::from_str(text).map_err(detail).map_err(|detail| StoreError::Corrupt { file: path.to_owned(), detail })
+}
+
 impl Network {
     /// A connected chain with the contract of this pin; nothing is known of its accounts yet.
     pub fn new(chain: Chain, pin: &Pin, provider: &'static dyn Provider, confirmations: u64) -> Self {
@@ -153,7 +170,7 @@ impl Network {
     pub fn kept(plant: &Plant, pin: Pin, why: &str) -> Result<Self, StoreError> {
         let chain = Chain::absent(pin.clone(), why.to_owned());
         let network = Self { absent: Some(why.into()), ..Self::new(chain, &pin, plant.provider, 1) };
-        directory::kept::read_back(&plant.ledger, &network.directory)?;
+        directory::kept::read_back(&plant.ledger.rights, &network.directory)?;
         Ok(network)
     }
 }

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use crate::model::{Address, GapReport, LossReason, RecordKind, RecordState, Timestamp};
 use crate::ros::Message;
+use crate::store::notes::LossesCounted;
 use crate::store::{GapRow, Loss, StateCounts, StoreError, Waiting, WaitingFile};
 
 use super::recorder::CapturedMessage;
@@ -70,7 +71,7 @@ impl InMemory {
 
     /// Counts one more. What nobody watches is kept in the ring on the disk, as long as that goes.
     pub fn add(&mut self, item: &CapturedMessage) {
-        if !item.ring {
+        if !item.ring && item.kind != RecordKind::Definition {
             let at = item.message.captured_at;
             let loss = loss_of(&item.author, Lost::message(&item.message), LossReason::End, at);
             merge(&mut self.0, key_of(&loss), loss);
@@ -111,7 +112,7 @@ impl Losses {
         if file.is_some() {
             return Ok(0);
         }
-        let (mut opened, left) = WaitingFile::open(path, plant.ledger.losses_counted()?)?;
+        let (mut opened, left) = WaitingFile::open(path, plant.ledger.notes.read(&LossesCounted {})?.unwrap_or(0))?;
         let died: Vec<Loss> = left.lost.into_iter().chain(left.waiting).collect();
         let count = died.iter().map(|loss| loss.count).sum();
         if count > 0 {
@@ -211,8 +212,8 @@ impl Losses {
         // What the file says of them is counted with the same commit.
         let number = lock(&self.file).as_ref().map(WaitingFile::number);
         let written = match number {
-            Some(number) => plant.ledger.count_losses_up_to(losses, number),
-            None => plant.ledger.count_losses(losses),
+            Some(number) => plant.ledger.losses.count_up_to(losses, number),
+            None => plant.ledger.losses.count(losses),
         };
         if written.is_err() {
             let mut noted = lock(&self.noted);
@@ -226,15 +227,15 @@ impl Losses {
     /// numbers advanced. For the one thread that seals captured messages.
     ///
     /// # Errors
-    /// Errors of sealing, vault and ledger; what is sealed so far stays.
+    /// Errors of sealing and of the store; what is sealed so far stays.
     pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Stream, u64)>, PipelineError> {
-        if plant.takes_records().is_err() {
+        if plant.ledger.takes_records().is_err() {
             return Ok(Vec::new());
         }
         let authors: Vec<_> = lock(&self.authors).values().cloned().collect();
         let mut told = Vec::new();
         for author in authors {
-            for gap in plant.ledger.open_gaps(author.address, by, ROUND)? {
+            for gap in plant.ledger.losses.open_gaps(author.address, by, ROUND)? {
                 told.extend(tell_one(plant, &author, &gap)?);
             }
         }
@@ -295,7 +296,7 @@ fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Stre
     let statement = Statement { kind: RecordKind::Gap, topic: &gap.topic, type_name: TYPE, body: &body };
     let seq = statement::put(plant, &speaker, statement, |row| {
         let seq = row.seq;
-        plant.ledger.close_gap(gap, row).map(|()| seq)
+        plant.ledger.losses.close_gap(gap, row).map(|()| seq)
     })?;
     Ok(Some(((author.address, keys.signer, topic.id), seq)))
 }

@@ -281,7 +281,7 @@ fn asked(ring: Option<&Ledger>, number: u64, span: &RingSpan) -> Result<String, 
              ring.keep and ring.topics give it one"
         ));
     };
-    block_in_place(|| disk_ring::ask(ledger, number, span))?;
+    block_in_place(|| disk_ring::ask(&ledger.notes, number, span))?;
     Ok(format!("the owner asks for what the ring has from {since} to {until}; it goes into the outbox"))
 }
 

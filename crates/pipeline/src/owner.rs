@@ -180,6 +180,13 @@ impl Owner {
         Some(secret.key.clone())
     }
 
+    /// The networks of which the keyring has epochs.
+    pub fn domains(&self) -> Vec<Domain> {
+        let keyring = self.keyring();
+        let used = keyring.keys().networks.iter().filter(|(_, network)| !network.epochs.is_empty());
+        used.map(|(domain, _)| *domain).collect()
+    }
+
     /// Numbers of the epochs in the keyring, oldest first.
     pub fn epochs(&self, domain: Domain) -> Vec<u64> {
         let keyring = self.keyring();
@@ -249,6 +256,14 @@ impl Owner {
         let keyring = self.keyring();
         let network = keyring.keys().networks.get(&domain);
         network.is_some_and(|network| network.epochs.values().any(|secret| matches!(secret.state, EpochState::Active)))
+    }
+
+    /// The last epoch of this owner that was seen on the chain; 0 if none was.
+    pub fn confirmed_epoch(&self, domain: Domain) -> u64 {
+        let keyring = self.keyring();
+        let Some(network) = keyring.keys().networks.get(&domain) else { return 0 };
+        let seen = network.epochs.iter().filter(|(_, secret)| matches!(secret.state, EpochState::Active));
+        seen.map(|(epoch, _)| *epoch).max().unwrap_or(0)
     }
 
     /// Saves keys of epochs that the chain returned, over any other of the same epochs, and IK if one came with them.

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use crate::model::{Address, Doubt, ListedPublishers, PinMode, Publisher, Timestamp, clean, pinned_name};
 use crate::ros::Origin;
-use crate::store::{AuditEntry, AuditLog, Ledger, StoreError};
+use crate::store::{AuditEntry, AuditLog, Ledger, Pins as KeptPins, StoreError};
 
 use super::Observer;
 
@@ -29,7 +29,7 @@ pub struct PinRules {
 
 /// The pinned publishers of all owners of a site.
 pub struct Pins {
-    ledger: Ledger,
+    kept: KeptPins,
     audit: AuditLog,
     observer: Arc<dyn Observer>,
     mode: PinMode,
@@ -80,15 +80,15 @@ pub fn publisher_of(origin: &Origin) -> Publisher {
 }
 
 impl Pins {
-    /// Pins stored in `ledger`; alarms go to `observer` and into the audit log.
-    pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, rules: PinRules) -> Self {
+    /// Pins stored in a ledger; alarms go to `observer` and into the audit log.
+    pub fn new(ledger: &Ledger, observer: Arc<dyn Observer>, rules: PinRules) -> Self {
         let mut listed: BTreeMap<String, Vec<Publisher>> = BTreeMap::new();
         for (topic, publisher) in rules.listed.0 {
             listed.entry(topic.to_string()).or_default().push(publisher);
         }
         Self {
-            audit: AuditLog::new(ledger.clone()),
-            ledger,
+            audit: ledger.audit.clone(),
+            kept: ledger.pins.clone(),
             observer,
             mode: rules.mode,
             listed,
@@ -257,7 +257,7 @@ impl Pins {
         }
         self.pin_first(known, owner, topic, publisher)?;
         if known.pins.contains(former) && !self.live(topic).contains(former) {
-            self.ledger.unpin(owner, topic, &former.caller_id)?;
+            self.kept.unpin(owner, topic, &former.caller_id)?;
             known.pins.retain(|pin| pin.caller_id != former.caller_id);
         }
         Ok(())
@@ -293,10 +293,10 @@ impl Pins {
         let key = (owner, topic.to_owned());
         if !topics.contains_key(&key) {
             let replaced = |alarm: &crate::store::AlarmRow| alarm.reason == Doubt::Replaced.word();
-            let alarms = self.ledger.alarms(owner, Some(topic))?;
+            let alarms = self.kept.alarms(owner, Some(topic))?;
             let known = Known {
-                pins: self.ledger.pins(owner, Some(topic))?.into_iter().map(|row| row.publisher).collect(),
-                used: self.ledger.was_pinned(owner, topic)?,
+                pins: self.kept.list(owner, Some(topic))?.into_iter().map(|row| row.publisher).collect(),
+                used: self.kept.was_pinned(owner, topic)?,
                 undecided: alarms.into_iter().filter(replaced).map(|alarm| alarm.publisher).collect(),
                 ..Known::default()
             };
@@ -312,7 +312,7 @@ impl Pins {
         topic: &str,
         publisher: &Publisher,
     ) -> Result<(), StoreError> {
-        self.ledger.pin(owner, topic, std::slice::from_ref(publisher), "first")?;
+        self.kept.pin(owner, topic, std::slice::from_ref(publisher), "first")?;
         known.pins.push(publisher.clone());
         known.used = true;
         known.first_use.get_or_insert_with(Instant::now);
@@ -348,7 +348,7 @@ impl Pins {
             return;
         }
         let name = clean(publisher, 200);
-        match self.ledger.raise_alarm(owner, topic, publisher, doubt.word()) {
+        match self.kept.raise_alarm(owner, topic, publisher, doubt.word()) {
             Ok(false) => return,
             Ok(true) => {
                 if let Err(error) = self.note(owner, "node forging", &format!("{topic} {name}"), doubt.word()) {
@@ -389,7 +389,7 @@ impl Pins {
     /// Errors of the ledger; then nothing is pinned.
     pub fn pin(&self, owner: Address, topic: &str, publishers: &[Publisher]) -> Result<(), StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
-        self.ledger.pin(owner, topic, publishers, "operator")?;
+        self.kept.pin(owner, topic, publishers, "operator")?;
         let accepted = topics.get(&(owner, topic.to_owned())).map(|known| known.accepted.clone()).unwrap_or_default();
         topics.remove(&(owner, topic.to_owned()));
         let known = self.known(&mut topics, owner, topic)?;
@@ -406,7 +406,7 @@ impl Pins {
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         let name = pinned_name(caller_id);
-        let gone = self.ledger.unpin(owner, topic, &name)?;
+        let gone = self.kept.unpin(owner, topic, &name)?;
         topics.remove(&(owner, topic.to_owned()));
         self.judge_anew(owner, topic, |verdict| pinned_name(&verdict.origin.caller_id) == name);
         Ok(gone)

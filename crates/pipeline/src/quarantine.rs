@@ -44,10 +44,10 @@ pub fn rolling(
 /// returns how many were sealed. Must not run twice at once for one owner.
 ///
 /// # Errors
-/// Errors of sealing, vault and ledger; what is sealed so far stays.
+/// Errors of sealing and of the store; what is sealed so far stays.
 pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize, PipelineError> {
     let mut sealed = 0;
-    while let Some(held) = plant.ledger.unreported(author.address, before)? {
+    while let Some(held) = plant.ledger.quarantine.unreported(author.address, before)? {
         if !report_one(plant, author, &held)? {
             break;
         }
@@ -80,7 +80,7 @@ fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool,
     let speaker = Speaker::of(&keys, author.address, &topic);
     let statement =
         Statement { kind: RecordKind::Quarantine, topic: TOPIC, type_name: "authros/Quarantine", body: &body };
-    statement::put(plant, &speaker, statement, |row| plant.ledger.report(row, digests))?;
+    statement::put(plant, &speaker, statement, |row| plant.ledger.quarantine.report(row, digests))?;
     Ok(true)
 }
 
@@ -88,12 +88,10 @@ fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool,
 /// chain first.
 ///
 /// # Errors
-/// Errors of vault and ledger; then repeat it, deleting again does no harm.
+/// Errors of the store; then repeat it, deleting again does no harm.
 pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64, PipelineError> {
-    for digest in digests {
-        plant.vault.delete(*digest)?;
-    }
-    let gone = plant.ledger.discard(digests)?;
+    plant.ciphertext.discard(digests)?;
+    let gone = plant.ledger.quarantine.discard(digests)?;
     plant.observer.records_changed();
     Ok(gone)
 }

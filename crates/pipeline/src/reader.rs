@@ -1,11 +1,11 @@
-//! Reading: who may, with which key, and the results of the checks. The vault's bytes are compared with the chain
+//! Reading: who may, with which key, and the results of the checks. Stored bytes are compared with the chain
 //! before anything else, and nothing is shown before the last check.
 
 mod definitions;
 
-pub use definitions::Definitions;
+pub use definitions::{Definitions, Opening};
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
@@ -13,7 +13,7 @@ use tokio::task::block_in_place;
 use crate::authority::{self, Policy, ReadRefused, ReadingRight, may_read};
 use crate::crypto::{
     Anchor, CryptoError, Expected, GrantedKeys, IndexKey, Names, OpenedRecord, TopicKey, WrappedKeys, check,
-    check_deleted, open, signer_id, topic_id, topic_key, unwrap,
+    check_deleted, open, signer_id, topic_key, unwrap,
 };
 use crate::directory::{Granted, kept};
 use crate::model::{Address, Digest, GrantTerms, Header, PublicKey, RecordState, Scope, SignerId, TopicId, Verdict};
@@ -23,7 +23,7 @@ use crate::{Network, Owner, PipelineError, Plant, chain_proofs, columns};
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
-    /// Ledger, vault, provider.
+    /// Store, provider.
     pub plant: &'a Plant,
     /// The chain.
     pub network: &'a Network,
@@ -61,7 +61,7 @@ impl Reader<'_> {
     /// Checks a record without opening it (the paper's `Data_Check`).
     ///
     /// # Errors
-    /// Errors of chain, vault and ledger; what is wrong with the record itself is in the verdict.
+    /// Errors of store and chain; what is wrong with the record itself is in the verdict.
     pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
         let checked = self.check_once(row).await?;
         if checked.0 != Verdict::Tampered {
@@ -75,7 +75,12 @@ impl Reader<'_> {
     }
 
     async fn check_once(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
-        let Some(blob) = self.blob(row)? else {
+        // Never from the cache: a check is of what lies on the disk.
+        let stored = block_in_place(|| match row.deleted_at {
+            None => self.plant.ciphertext.get(row.digest),
+            Some(_) => Ok(None),
+        });
+        let Some(blob) = stored? else {
             return Ok((self.check_gone(row).await?, row.digest));
         };
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
@@ -112,18 +117,8 @@ impl Reader<'_> {
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
-    /// The stored bytes; those of a quarantined record may not be in the vault yet.
     fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
-        if row.deleted_at.is_some() {
-            return Ok(None);
-        }
-        block_in_place(|| {
-            let stored = self.plant.vault.get(row.digest)?;
-            if stored.is_none() && row.state == RecordState::Quarantined {
-                return Ok(self.plant.ledger.local_copy(row.digest)?);
-            }
-            Ok(stored)
-        })
+        block_in_place(|| Ok(self.plant.stored_bytes(row)?))
     }
 
     /// What the chain says of the record, or said when it could be asked.
@@ -152,7 +147,7 @@ impl Reader<'_> {
         self.open_bytes(row, &blob).await
     }
 
-    /// Like [`Self::open`], for bytes that the vault need not have.
+    /// Like [`Self::open`], for bytes that the store need not have.
     ///
     /// # Errors
     /// See [`Self::open`].
@@ -241,7 +236,7 @@ impl Reader<'_> {
     /// # Errors
     /// Errors of the ledger.
     pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
-        let all = kept::envelopes(&self.plant.ledger, grant)?;
+        let all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
@@ -250,7 +245,7 @@ impl Reader<'_> {
     /// # Errors
     /// If none opens, or none agrees with the chain's event.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
-        let mut all = kept::envelopes(&self.plant.ledger, grant)?;
+        let mut all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
         first_good(all.iter().map(|envelope| self.open_one(grant, envelope)))
             .unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
@@ -332,68 +327,13 @@ impl Reader<'_> {
     pub fn scope(&self, owner: Address) -> Option<Scope> {
         self.right(owner, None).ok().map(|right| right.scope().clone())
     }
-
-    /// The first epoch of a topic that this reader was given a key of; `None` = there is none.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn first_epoch(&self, owner: Address, topic: TopicId) -> Result<Option<u64>, PipelineError> {
-        let grant = match self.right(owner, Some(topic)) {
-            Ok(ReadingRight::Own) => return Ok(Some(0)),
-            Ok(ReadingRight::Granted(grant)) => grant,
-            Err(_) => return Ok(None),
-        };
-        let first = |keys: &GrantedKeys| match keys {
-            GrantedKeys::All { epochs, .. } => epochs.iter().map(|(epoch, _)| *epoch).min(),
-            GrantedKeys::Topics { keys } => {
-                keys.iter().filter(|(_, _, id, _)| *id == topic).map(|(epoch, ..)| *epoch).min()
-            }
-        };
-        Ok(self.envelopes(&grant)?.iter().filter_map(|wrapped| first(&wrapped.keys)).min())
-    }
-
-    /// The pseudonyms that a topic of an owner has, as far as this reader's keys tell.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn ids_of(&self, owner: Address, topic: &str) -> Result<BTreeSet<TopicId>, PipelineError> {
-        if owner == self.reader.address {
-            return Ok([topic_id(&self.reader.index(), topic)].into());
-        }
-        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return Ok(BTreeSet::new()) };
-        let mut ids = BTreeSet::new();
-        for wrapped in self.envelopes(&grant)? {
-            match &wrapped.keys {
-                GrantedKeys::All { index_key, .. } => ids.extend([topic_id(index_key, topic)]),
-                GrantedKeys::Topics { keys } => {
-                    ids.extend(keys.iter().filter(|(_, name, ..)| name == topic).map(|(_, _, id, _)| *id));
-                }
-            }
-        }
-        Ok(ids)
-    }
-
-    /// The names of an owner's topics that a grant of some topics tells.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn granted_names(&self, owner: Address) -> Result<BTreeMap<TopicId, String>, PipelineError> {
-        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return Ok(BTreeMap::new()) };
-        let mut names = BTreeMap::new();
-        for wrapped in self.envelopes(&grant)? {
-            if let GrantedKeys::Topics { keys } = &wrapped.keys {
-                names.extend(keys.iter().map(|(_, name, id, _)| (*id, name.clone())));
-            }
-        }
-        Ok(names)
-    }
 }
 
 impl Reader<'_> {
-    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for ledger and vault.
+    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for the store.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
         Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
     }
@@ -401,12 +341,9 @@ impl Reader<'_> {
     /// The stored bytes of a record.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
-        match self.plant.stored_bytes(row)? {
-            Some(blob) => Ok(Some(blob)),
-            None => Ok(self.plant.ledger.local_copy(row.digest)?),
-        }
+        Ok(self.plant.stored_bytes(row)?)
     }
 
     /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open, or
@@ -429,7 +366,7 @@ impl Reader<'_> {
         let known = [self.reader.signing().public].into_iter().chain(registered);
         match known.into_iter().find(|key| signer_id(key) == signer) {
             Some(key) => Ok(Some(key)),
-            None => Ok(self.plant.ledger.signer(signer)?),
+            None => Ok(self.plant.ledger.bindings.signer(signer)?),
         }
     }
 

@@ -23,8 +23,9 @@ use crate::chain::{ChainError, Event, EventAt};
 use crate::columns::Keys;
 use crate::directory::Told;
 use crate::model::{Address, Digest, ErrorKind, RecordState, Timestamp};
+use crate::store::notes::ScrubbedUpTo;
 use crate::store::{AuditLog, AuditedRecord, Ledger, StoreError};
-use crate::watcher::{self, CURSOR};
+use crate::watcher;
 use crate::{Network, Plant, audit_head};
 
 /// The scope of an audit.
@@ -47,7 +48,7 @@ pub struct Scope {
 /// block and may wait for the runtime.
 ///
 /// # Errors
-/// Errors of ledger and vault if they do not answer at all; faults in them are part of the answer.
+/// Errors of the store if they do not answer at all; faults in them are part of the answer.
 pub fn audit(
     plant: &Plant,
     chain: Option<Result<&Network, String>>,
@@ -97,7 +98,7 @@ fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Re
         Err(fault) => tally.find(FindingKind::Tampered, "audit log", &fault.to_string()),
     }
     for account in &scope.accounts {
-        let Some(head) = audit_head::noted(&plant.ledger, *account)? else { continue };
+        let Some(head) = audit_head::noted(&plant.ledger.notes, *account)? else { continue };
         if let Err(fault) = log.compare(&[head]) {
             tally.find(FindingKind::Tampered, "audit log", &fault.to_string());
         }
@@ -145,7 +146,7 @@ async fn compare(
         tally.find(FindingKind::Missing, "chain", &text);
     }
     if let Some(block) = first {
-        watcher::note(&plant.ledger, block)?;
+        watcher::note(&plant.ledger.notes, block)?;
     }
     Ok(Ok(()))
 }
@@ -191,15 +192,15 @@ impl<'a> Compared<'a> {
     /// As far as the watcher has read; `None` if that is before these blocks.
     fn new(ledger: &Ledger, (from, to): (u64, u64), events: &'a [EventAt]) -> Result<Option<Self>, StoreError> {
         // Asked before the ledger is: what is read up to here is in it.
-        let Some((read, _)) = ledger.cursor(CURSOR)?.filter(|(read, _)| *read >= from) else { return Ok(None) };
+        let Some((read, _)) = ledger.trail.cursor()?.filter(|(read, _)| *read >= from) else { return Ok(None) };
         let to = to.min(read);
         let missing: Vec<&EventAt> =
             watcher::of(ledger, events)?.into_iter().filter(|event| event.block <= to).collect();
         let on_chain: BTreeMap<(u64, u64), &EventAt> =
             events.iter().map(|event| ((event.block, event.log_index), event)).collect();
         let (mut surplus, mut other) = (Vec::new(), Vec::new());
-        for row in ledger.rights_in(from, to)? {
-            let Some(told) = Told::from_row(&row) else {
+        for row in ledger.rights.rights_in(from, to)? {
+            let Ok(told) = Told::from_row(&ledger.rights, &row) else {
                 other.push(row.block);
                 continue;
             };
@@ -212,9 +213,6 @@ impl<'a> Compared<'a> {
         Ok(Some(Self { missing, surplus, other }))
     }
 }
-
-/// The row after which the next round begins.
-const SCRUBBED: &str = "scrub-cursor";
 
 /// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -230,10 +228,10 @@ pub struct Scrubbed {
 /// Re-hashes up to `most` verified records after the cursor, and moves it; at the end it starts over.
 ///
 /// # Errors
-/// Errors of ledger and vault; then the cursor stays.
+/// Errors of the store; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
-    let after = plant.ledger.setting(SCRUBBED)?.and_then(|text| text.parse().ok()).unwrap_or(0);
-    let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
+    let after = plant.ledger.notes.read(&ScrubbedUpTo {})?.unwrap_or(0);
+    let page = plant.ledger.inspection.audit_page(after, Timestamp(0), most)?;
     let mut done = Scrubbed::default();
     let mut bad = Vec::new();
     // An unreadable row is reported by the audit: it has no digest to mark.
@@ -246,7 +244,7 @@ pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scru
         mark(plant, &bad)?;
     }
     done.bad = u64::try_from(bad.len()).unwrap_or(u64::MAX);
-    plant.ledger.put_setting(SCRUBBED, &page.next.unwrap_or(0).to_string())?;
+    plant.ledger.notes.write(&ScrubbedUpTo {}, &page.next.unwrap_or(0))?;
     Ok(done)
 }
 
@@ -257,7 +255,7 @@ fn scrub(
     done: &mut Scrubbed,
 ) -> Result<Option<Digest>, StoreError> {
     let digest = record.row.digest;
-    let bench = Bench { plant, network: Some(network), blind: false, deep: true, headers: true, keys: None };
+    let bench = Bench { plant, network: Some(network), blind: false, deep: true, keys: None };
     let (mut tally, mut piece) = (Tally::default(), [(record, Uploaded::NotAsked)]);
     look(bench, &piece, &mut tally)?;
     if !tally.findings().is_empty() {

@@ -20,7 +20,8 @@ pub struct CapturedMessage {
     pub author: Arc<Author>,
     /// The message.
     pub message: Arc<Message>,
-    /// The kind of record it becomes: a captured message, or what a recording holds beside its messages.
+    /// The kind of record it becomes: a captured message, what a recording holds beside its messages, or the message's
+    /// definition alone.
     pub kind: RecordKind,
     /// Whether a simulated robot sent it.
     pub simulated: bool,
@@ -263,6 +264,26 @@ impl Recorder {
         }
     }
 
+    /// The definition of messages that were sealed without it; whoever comes later has it with each message.
+    fn offer_definition(&self, interest: &Interest, message: &Arc<Message>, simulated: bool) {
+        let is_wanted = interest.watched || !interest.sessions.is_empty();
+        if !is_wanted || !interest.wants(&message.type_name) {
+            return;
+        }
+        let item = CapturedMessage {
+            author: Arc::clone(&interest.author),
+            message: Arc::clone(message),
+            kind: RecordKind::Definition,
+            simulated,
+            sessions: Vec::new(),
+            doubt: self.doubt(interest, &message.topic, &message.origin),
+            rule: interest.rule.clone(),
+            ring: false,
+        };
+        // Without it the messages are shown as bytes, and nothing is lost: what does not fit is no loss.
+        drop(self.rings.push(&message.topic, item));
+    }
+
     /// A message of another type than requested: counted, and reported once per publisher.
     fn leave_out(&self, interest: &Interest, message: &Message) {
         self.count_left_out(&message.topic);
@@ -321,6 +342,15 @@ impl MessageSink for Recorder {
         let message = Arc::new(message);
         for interest in list {
             self.offer(interest, &message, simulated);
+        }
+    }
+
+    fn define(&self, message: Message) {
+        let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
+        let simulated = self.is_simulated(&message.caller_id);
+        let message = Arc::new(message);
+        for interest in interests.get(&*message.topic).into_iter().flatten() {
+            self.offer_definition(interest, &message, simulated);
         }
     }
 

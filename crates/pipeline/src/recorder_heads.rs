@@ -3,11 +3,9 @@
 
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
-
 use crate::crypto::merkle::{Tree, height_hash};
 use crate::model::{Address, Birth, Digest, Hash, Heads, Heights, RecordKind, Timestamp};
-use crate::store::{Ledger, StoreError};
+use crate::store::notes::{StatedNumbers, StatedRoot};
 
 use super::epoch::EpochKeys;
 use super::statement::{self, Statement};
@@ -16,23 +14,8 @@ use super::{PipelineError, Plant, audit_head};
 /// The name that the records are filed under.
 pub const TOPIC: &str = "authros/recorder";
 
-/// The last statement, and when it was made.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-struct Noted {
-    looked: Timestamp,
-    root: Hash,
-    heads: Option<Digest>,
-}
-
-/// One note for each chain, owner and recorder: on another chain everything is stated again.
-fn place(plant: &Plant, owner: Address, keys: &EpochKeys) -> String {
-    format!("recorder-heads:{}:{owner}:{}", plant.ledger.recorder().of_signer(&keys.signer), keys.domain)
-}
-
-fn noted(ledger: &Ledger, place: &str) -> Result<Option<Noted>, StoreError> {
-    let Some(text) = ledger.setting(place)? else { return Ok(None) };
-    let detail = "its note about the numbers that were anchored cannot be read".to_owned();
-    serde_json::from_str(&text).map(Some).map_err(|_| StoreError::Corrupt { file: ledger.path().to_owned(), detail })
+fn noted(plant: &Plant, owner: Address, keys: &EpochKeys) -> StatedNumbers {
+    StatedNumbers { recorder: plant.ledger.recorder().of_signer(&keys.signer), owner, domain: keys.domain }
 }
 
 /// The tree over topics with their numbers; `None` for none, and for more than a tree holds.
@@ -45,7 +28,7 @@ pub fn tree(heights: &Heights) -> Option<Tree> {
 /// at a time.
 ///
 /// # Errors
-/// Errors of vault and ledger.
+/// Errors of the store.
 pub fn state(
     plant: &Plant,
     owner: Address,
@@ -56,8 +39,8 @@ pub fn state(
     if keys.topic(TOPIC).is_none() || seen.is_some_and(|seen| seen.elapsed() < every) {
         return Ok(None);
     }
-    let (place, looked) = (place(plant, owner, keys), Timestamp::now());
-    let before = noted(&plant.ledger, &place)?;
+    let (noted, looked) = (noted(plant, owner, keys), Timestamp::now());
+    let before = plant.ledger.notes.read(&noted)?;
     let every = u64::try_from(every.as_nanos()).unwrap_or(u64::MAX);
     // A note from the future comes from a clock that was ahead: it is due.
     let since = before.and_then(|before| looked.0.checked_sub(before.looked.0));
@@ -67,10 +50,7 @@ pub fn state(
     *seen = Some(Instant::now());
     let heights = Heights { topics: plant.ledger.heights(owner, keys.signer, [TOPIC, audit_head::TOPIC])? };
     let Some(root) = tree(&heights).map(|tree| tree.root()) else { return Ok(None) };
-    let note = |root, heads| {
-        let text = serde_json::to_string(&Noted { looked, root, heads }).unwrap_or_default();
-        plant.ledger.put_setting(&place, &text)
-    };
+    let note = |root, heads| plant.ledger.notes.write(&noted, &StatedRoot { looked, root, heads });
     let Some(before) = before else {
         note(Hash([0; 32]), None)?;
         return Ok(None);

@@ -50,7 +50,7 @@ pub fn handover(
 pub fn lacking(plant: &Plant, network: &Network, owner: &Owner) -> Result<Vec<u64>, PipelineError> {
     let mut lacking = Vec::new();
     for epoch in 1..=network.directory.epoch(owner.address) {
-        let known = kept::token(&plant.ledger, &network.directory, owner.address, epoch)?;
+        let known = kept::token(&plant.ledger.rights, &network.directory, owner.address, epoch)?;
         if owner.token(network.domain, epoch) != known {
             lacking.push(epoch);
         }
@@ -75,7 +75,7 @@ pub fn recover_epochs(
     lacking: &[u64],
 ) -> Result<Vec<u64>, PipelineError> {
     let (Some(first), Some(last)) = (lacking.first(), lacking.last()) else { return Ok(Vec::new()) };
-    let envelopes = plant.ledger.own_envelopes(owner.address, *first, *last)?;
+    let envelopes = plant.ledger.rights.own_envelopes(owner.address, *first, *last)?;
     // A keyring that knows no epoch of this network was made anew around the same keys: IK is the one of then.
     let blank = u64::try_from(lacking.len()).ok() == Some(network.directory.epoch(owner.address));
     let (mut found, mut index) = (Vec::<(u64, EpochKey)>::new(), None);
@@ -114,7 +114,7 @@ fn open_own(
         return Ok(None);
     };
     let Some((_, key)) = epochs.into_iter().find(|(number, _)| *number == epoch) else { return Ok(None) };
-    let committed = kept::token(&plant.ledger, &network.directory, owner.address, epoch)?;
+    let committed = kept::token(&plant.ledger.rights, &network.directory, owner.address, epoch)?;
     let good = committed == Some(token(domain, &owner.address, epoch, &key));
     Ok(good.then_some((key, index_key)))
 }
@@ -133,18 +133,32 @@ pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<
     }
     let (eoa, mut known) = (owner.eoa(), owner.envelopes());
     let mut opened: Vec<(SmKeyPair, SmKeyPair)> = Vec::new();
-    for (identity, envelope) in kept::handed_over(&plant.ledger, owner.address)? {
+    for (identity, envelope) in kept::handed_over(&plant.ledger.rights, owner.address)? {
         if let Some(pairs) = opens(plant, network, &eoa, &identity, &envelope, &known) {
             known.push(pairs.1.clone());
             opened.push(pairs);
         }
     }
     let newest = opened.iter().rposition(|(signing, pair)| (signing.public, pair.public) == goal);
-    let Some(newest) = newest else { return Err(PipelineError::NoHandover(owner.address)) };
+    let Some(newest) = newest else {
+        return if is_ahead(network, owner)? { Ok(false) } else { Err(PipelineError::NoHandover(owner.address)) };
+    };
     opened.truncate(newest + 1);
     let Some((signing, envelope)) = opened.pop() else { return Ok(false) };
     owner.note_pairs(signing, envelope, opened)?;
     Ok(true)
+}
+
+/// Whether the keyring went past the pairs that the chain has now: the chain is an older copy, or its node is behind.
+/// What leads from the registered pairs to newer ones must have been tried before ([`recover_pairs`]).
+///
+/// # Errors
+/// [`PipelineError::Unregistered`].
+pub fn is_ahead(network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
+    let registered = network.directory.identity(owner.address)?;
+    let goal = (registered.signing, registered.envelope);
+    let holds = owner.public_keys() == goal || owner.next_public_keys() == goal;
+    Ok(!holds && owner.envelopes().iter().any(|pair| pair.public == registered.envelope))
 }
 
 fn opens(

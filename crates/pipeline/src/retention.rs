@@ -56,7 +56,7 @@ impl Retention {
     /// record is anchored. One caller at a time.
     ///
     /// # Errors
-    /// Errors of sealing, vault and ledger; what is done so far stays.
+    /// Errors of sealing and of the store; what is done so far stays.
     pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round, PipelineError> {
         self.rounds += 1;
         if self.rounds.is_multiple_of(ANEW) {
@@ -64,7 +64,7 @@ impl Retention {
             self.held.clear();
         }
         let mut done = Round { named: Vec::new(), deleted: delete(plant, owner)? };
-        let incidents = plant.ledger.incidents(owner.address)?;
+        let incidents = plant.ledger.incidents.list(owner.address)?;
         for topic in plant.ledger.kept_topics(owner.address)? {
             self.hold((owner.address, topic.key), Held::of(&topic.name, &incidents));
             if !topic.is_named() {
@@ -148,7 +148,7 @@ fn due(
 
 /// The public header of the stored bytes, if these are still what was anchored.
 fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>, PipelineError> {
-    let Some(blob) = plant.vault.get(digest)? else { return Ok(None) };
+    let Some(blob) = plant.ciphertext.get(digest)? else { return Ok(None) };
     let right = Digest(plant.provider.sm3(&[&blob])) == digest;
     let length = Header::parse(&blob).ok().map(|(_, length)| length).filter(|_| right);
     Ok(length.and_then(|length| blob.get(..length)).map(<[u8]>::to_vec))
@@ -219,12 +219,11 @@ fn report(
 /// a time.
 ///
 /// # Errors
-/// Errors of vault and ledger; called again, it does what is left.
+/// Errors of the store; called again, it does what is left.
 pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
     let digests = plant.ledger.told_to_delete(ROUND)?;
     if !digests.is_empty() {
-        plant.ledger.scour_local_copies(&digests)?;
-        plant.vault.scour(&digests)?;
+        plant.ciphertext.scour(&digests)?;
         plant.ledger.deleted(&digests)?;
         plant.observer.erased();
         plant.observer.records_changed();
@@ -235,20 +234,15 @@ pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
 /// Deletes records named in anchored retention records; returns how many. One caller at a time.
 ///
 /// # Errors
-/// Errors of vault and ledger; called again, it does what is left.
+/// Errors of the store; called again, it does what is left.
 pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
     let digests = plant.ledger.to_delete(owner.address, ROUND)?;
     if digests.is_empty() {
         return Ok(0);
     }
-    // The local copies first: otherwise the vault would be refilled from them.
     let erased = plant.ledger.erased_among(&digests)?;
-    if !erased.is_empty() {
-        plant.ledger.scour_local_copies(&erased)?;
-        plant.vault.scour(&erased)?;
-    }
-    plant.ledger.drop_local_copies(&digests)?;
-    plant.vault.discard(&digests)?;
+    plant.ciphertext.scour(&erased)?;
+    plant.ciphertext.discard(&digests)?;
     plant.ledger.deleted(&digests)?;
     plant.observer.erased();
     plant.observer.records_changed();
@@ -275,7 +269,7 @@ pub fn can_be(row: &RecordRow) -> bool {
 /// Names these records of an owner, each of which [`can_be`] erased, as erased. One caller at a time.
 ///
 /// # Errors
-/// [`PipelineError::Uncovered`] without keys to seal with, errors of sealing, vault and ledger; what was named stays so.
+/// [`PipelineError::Uncovered`] without keys to seal with, errors of sealing and of the store; what was named stays so.
 pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased, PipelineError> {
     let mut topics: BTreeMap<(TopicId, RecorderId), Vec<&RecordRow>> = BTreeMap::new();
     for row in rows {
@@ -428,7 +422,7 @@ impl Held {
         for &(since, until) in &self.spans {
             let stretch = (since.max(from), until.min(to));
             if stretch.0 < stretch.1 {
-                bytes += plant.ledger.bytes_between(topic.key, stretch)?;
+                bytes += plant.ledger.incidents.bytes_between(topic.key, stretch)?;
             }
         }
         Ok(bytes)

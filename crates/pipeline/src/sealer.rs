@@ -10,8 +10,9 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use crate::crypto::fault;
-use crate::model::{LossReason, Timestamp};
+use crate::model::{LossReason, RecordKind, Timestamp};
 use crate::store::StoreError;
+use crate::store::notes::StoredDefinition;
 
 use super::disk_ring::SharedRing;
 use super::losses::{GATHERED, InMemory, Losses, Lost};
@@ -21,7 +22,7 @@ use super::session::Sessions;
 use super::stages::{Milestone, Stage};
 use super::{PipelineError, Plant};
 
-use self::plan::{DefinitionId, Planner, Task};
+use self::plan::{Planner, Task};
 use self::sealing::{Ready, seal_all};
 
 /// The most messages sealed before they are acknowledged together.
@@ -112,7 +113,7 @@ impl Sealer {
     ) -> Result<(), Panicked> {
         let mut pause = Duration::from_millis(100);
         let names = loop {
-            let tried = match self.plant.takes_records() {
+            let tried = match self.plant.ledger.takes_records() {
                 // What waits is noted, and nothing but room changes anything.
                 Err(full) if self.losses.is_noted() => Ok(Err(full.into())),
                 _ => {
@@ -166,9 +167,9 @@ impl Sealer {
     }
 
     /// Remembers which definitions are stored; one that is not remembered is sealed once more, which is no harm.
-    fn note_definitions(&mut self, definitions: Vec<DefinitionId>) {
+    fn note_definitions(&mut self, definitions: Vec<StoredDefinition>) {
         for definition in definitions {
-            match self.plant.ledger.put_setting(&definition.name(), "sent") {
+            match self.plant.ledger.notes.write(&definition, &()) {
                 Ok(()) => drop(self.planner.definitions.insert(definition)),
                 Err(error) => self.plant.observer.alert(false, format!("a definition is stored again: {error}")),
             }
@@ -176,6 +177,9 @@ impl Sealer {
     }
 
     fn lose(&self, item: &CapturedMessage, reason: LossReason) {
+        if item.kind == RecordKind::Definition {
+            return;
+        }
         let held = item.doubt.is_some();
         item.sessions.iter().for_each(|session| session.dropped(&item.message.topic, held));
         self.losses.note(&item.author, Lost::message(&item.message), reason);
@@ -206,7 +210,7 @@ impl Sealer {
     }
 
     /// Seals and stores; the definitions that went with it.
-    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<DefinitionId>, PipelineError> {
+    fn round(&mut self, items: &[CapturedMessage]) -> Result<Vec<StoredDefinition>, PipelineError> {
         let begun = Instant::now();
         let plan = self.planner.plan(&self.plant, items)?;
         let ready = seal_all(&self.plant, self.boot_id, &plan.tasks)?;
@@ -251,7 +255,7 @@ impl Sealer {
             for (task, row) in tasks.iter().zip(&rows).filter(|(task, _)| sound(task)) {
                 self.sessions.wait(row.digest, &task.item.message.topic, &task.item.sessions);
             }
-            self.plant.ledger.append_held(rows, holds.into_iter().flatten().collect())
+            self.plant.ledger.quarantine.append_held(rows, holds.into_iter().flatten().collect())
         });
         kept?;
         for task in tasks.iter().filter(sound) {
@@ -273,7 +277,6 @@ fn gathering((taken, bytes): (usize, usize), took: Duration, capacity: usize) ->
 fn cause(error: &PipelineError) -> LossReason {
     match error {
         PipelineError::Store(StoreError::DiskFull { .. }) => LossReason::Disk,
-        PipelineError::Store(StoreError::Backlog { .. }) => LossReason::Backlog,
         _ => LossReason::Memory,
     }
 }

@@ -45,28 +45,25 @@ impl Milestone {
 pub enum Stage {
     /// Key derivation, SM4, SM3, SM2 signature.
     Seal,
-    /// Vault and ledger, fsync included.
+    /// The commit of rows and ciphertext, fsync included.
     Commit,
-    /// From local copies into a vault that is only a cache.
-    Store,
     /// Closing batches, signing and sending transactions.
     Anchor,
     /// Reading the chain.
     Watch,
-    /// Re-reading the vault: SM3, SM2 verification, proof.
+    /// Re-reading the store: SM3, SM2 verification, proof.
     Verify,
 }
 
 impl Stage {
     /// All, in the order of the line.
-    pub const ALL: [Self; 6] = [Self::Seal, Self::Commit, Self::Store, Self::Anchor, Self::Watch, Self::Verify];
+    pub const ALL: [Self; 5] = [Self::Seal, Self::Commit, Self::Anchor, Self::Watch, Self::Verify];
 
     /// In one word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Seal => "seal",
             Self::Commit => "commit",
-            Self::Store => "store",
             Self::Anchor => "anchor",
             Self::Watch => "watch",
             Self::Verify => "verify",

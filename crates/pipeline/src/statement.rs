@@ -26,7 +26,7 @@ pub struct Statement<'a> {
 /// caller at a time per owner and topic.
 ///
 /// # Errors
-/// Errors of vault and ledger; nothing is acknowledged then.
+/// Errors of the store; nothing is acknowledged then.
 pub fn state(
     plant: &Plant,
     owner: Address,
@@ -44,7 +44,7 @@ pub fn state(
 /// The same with the id of its type in the header, by which it is found without its key.
 ///
 /// # Errors
-/// Errors of vault and ledger; nothing is acknowledged then.
+/// Errors of the store; nothing is acknowledged then.
 pub fn state_to_be_found(
     plant: &Plant,
     owner: Address,
@@ -93,7 +93,7 @@ impl<'a> Speaker<'a> {
 /// Seals a statement and stores it, acknowledged by what `acknowledge` does with its row.
 ///
 /// # Errors
-/// Errors of sealing, vault and ledger; nothing is acknowledged then.
+/// Errors of sealing and of the store; nothing is acknowledged then.
 pub fn put<T>(
     plant: &Plant,
     speaker: &Speaker<'_>,

@@ -23,7 +23,7 @@ use crate::crypto::{
 use crate::model::{
     AnchorMode, Digest, Domain, ProfileName, RecordKind, RecordState, Signature, Timestamp, Token, TopicId,
 };
-use crate::store::{Ledger, NewRecord, RecordQuery, RecordRow, open_vault};
+use crate::store::{Ciphertext, Ledger, NewRecord, RecordQuery, RecordRow};
 
 /// The most gas of one batch.
 const MOST_GAS: u64 = 70_000;
@@ -154,12 +154,12 @@ pub(super) fn body_of(
 }
 
 pub(super) fn plant(home: &Path) -> Plant {
+    let ledger = Ledger::open(&home.join("ledger.db")).expect("a ledger");
     Plant {
-        ledger: Ledger::open(&home.join("ledger.db")).expect("a ledger"),
-        vault: open_vault(None, home).expect("a vault"),
+        ciphertext: Ciphertext::of(&ledger),
+        ledger,
         provider: provider(ProviderName::default()),
         observer: Arc::new(Deaf),
-        backlog: u64::MAX,
     }
 }
 
@@ -181,7 +181,7 @@ fn record(owner: &Owner, topic: u8, seq: u64) -> NewRecord {
         captured_at: Timestamp(u64::from(topic) << 32 | seq),
         simulated: true,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     }
 }
 

@@ -61,6 +61,10 @@ pub struct Message {
 pub trait MessageSink: Send + Sync {
     /// Takes a message. It may block; meanwhile that publisher's socket is not read.
     fn accept(&self, message: Message);
+    /// Takes the definition of a publisher's messages that arrived after some of them; the message has no body of its own.
+    fn define(&self, message: Message) {
+        drop(message);
+    }
     /// Takes a notice about the capture itself. It must not block.
     fn notice(&self, notice: CaptureNotice);
 }

@@ -19,7 +19,7 @@ use crate::graph::{self, Graph};
 use crate::nodes::Nodes;
 use crate::pipe::read::{Quality, Told, Wish};
 use crate::pipe::{LONGEST_PAYLOAD, VERSION, send};
-use crate::reading::{Reading, Taken};
+use crate::reading::{Reading, Subject, Taken};
 use crate::{Ros2Error, names, quality, threads, wishes};
 
 const WAKE: Token = Token(0);
@@ -243,7 +243,7 @@ impl<'a, W: Write> Child<'a, W> {
             self.wanted.iter().map(|topic| names::dds_topic(topic)).chain([names::NODES.to_owned()]).collect();
         let now = Instant::now();
         let ended = |reading: &Reading| {
-            !wanted.contains(&reading.dds_topic) || reading.retires.is_some_and(|retires| retires <= now)
+            !wanted.contains(&reading.subject.dds_topic) || reading.retires.is_some_and(|retires| retires <= now)
         };
         for reading in self.readings.values_mut().filter(|reading| !reading.leaves && ended(reading)) {
             self.departures.tell(reading.id());
@@ -262,37 +262,37 @@ impl<'a, W: Write> Child<'a, W> {
             }
         }
         for topic in &wanted {
-            let mut offers: BTreeMap<String, Vec<Quality>> = BTreeMap::new();
+            let mut offers: BTreeMap<Subject, Vec<Quality>> = BTreeMap::new();
             for found in self.graph.of_topic(topic) {
-                offers.entry(found.dds_type.clone()).or_default().push(found.quality);
+                let (dds_topic, dds_type) = (topic.clone(), found.dds_type.clone());
+                let subject = Subject { dds_topic, dds_type, keyed: found.keyed };
+                offers.entry(subject).or_default().push(found.quality);
             }
-            for (type_name, offers) in offers {
-                self.fit_one(topic, &type_name, &offers)?;
+            for (subject, offers) in offers {
+                self.fit_one(subject, &offers)?;
             }
         }
         Ok(())
     }
 
-    fn fit_one(&mut self, topic: &str, type_name: &str, offers: &[Quality]) -> Result<(), Ros2Error> {
+    fn fit_one(&mut self, subject: Subject, offers: &[Quality]) -> Result<(), Ros2Error> {
         let request = quality::request(offers.iter().copied());
-        let mut current =
-            self.readings.values_mut().filter(|reading| reading.dds_topic == topic && reading.dds_type == type_name);
+        let mut current = self.readings.values_mut().filter(|reading| reading.subject == subject);
         if current.any(|reading| reading.retires.is_none() && reading.request == request) {
             return Ok(());
         }
         let parts = (&self.participant, &self.subscriber);
         let token = Token(self.next);
-        match Reading::begin(parts, (topic, type_name), request, (self.poll.registry(), token)) {
+        match Reading::begin(parts, subject.clone(), request, (self.poll.registry(), token)) {
             Ok(reading) => {
                 let retires = Some(Instant::now() + OVERLAP);
-                let same = |reading: &&mut Reading| reading.dds_topic == topic && reading.dds_type == type_name;
-                let former = self.readings.values_mut().filter(same);
+                let former = self.readings.values_mut().filter(|reading| reading.subject == subject);
                 former.for_each(|reading| reading.retires = reading.retires.or(retires));
                 self.readings.insert(self.next, reading);
                 self.next += 1;
                 Ok(())
             }
-            Err(error) => self.refuse(topic, &error),
+            Err(error) => self.refuse(&subject.dds_topic, &error),
         }
     }
 
@@ -318,7 +318,7 @@ impl<'a, W: Write> Child<'a, W> {
                 taken.clear();
                 continue;
             }
-            let (topic, type_name) = (reading.dds_topic.clone(), reading.dds_type.clone());
+            let Subject { dds_topic: topic, dds_type: type_name, .. } = reading.subject.clone();
             if topic == names::NODES {
                 taken.drain(..).for_each(|sample| self.nodes.take(&sample.writer, &sample.bytes));
                 nodes_changed = true;

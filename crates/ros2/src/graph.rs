@@ -24,6 +24,8 @@ pub struct Found {
     pub dds_topic: String,
     /// Its type.
     pub dds_type: String,
+    /// Whether its type has a key.
+    pub keyed: bool,
     /// Its offer.
     pub quality: Quality,
     /// In the site's form; `None` if it is not of ROS 2.
@@ -166,7 +168,10 @@ fn found(id: Id, writer_data: &DiscoveredWriterData, nodes: &Nodes) -> Found {
     let quality = quality::offered(data);
     let hash = names::type_hash(&writer_data.user_data);
     let told = writer(id, &data.topic_name, &data.type_name, (hash, quality), nodes.of(&id));
-    Found { dds_topic: data.topic_name.clone(), dds_type: data.type_name.clone(), quality, told }
+    let (dds_topic, dds_type) = (data.topic_name.clone(), data.type_name.clone());
+    // The last byte says what kind of endpoint it is: of the writers, 2 has a key, and 3 none.
+    let keyed = id[15] & 0x3f == 2;
+    Found { dds_topic, dds_type, keyed, quality, told }
 }
 
 fn writer(

@@ -70,6 +70,11 @@ pub fn policies(request: Request, depth: usize) -> QosPolicies {
     builder.build().with_data_representation(DataRepresentation { value: both })
 }
 
+/// The same for a reader of a type with a key: what is kept before it is taken is limited by the topic's own cache alone.
+pub fn of_keyed(policies: &QosPolicies) -> QosPolicies {
+    policies.modify_by(&QosPolicyBuilder::new().history(History::KeepAll).build())
+}
+
 /// The same with the first version of CDR alone, as a writer has to say.
 pub fn plain(policies: &QosPolicies) -> QosPolicies {
     policies.clone().with_data_representation(DataRepresentation { value: vec![XCDR_DATA_REPRESENTATION] })

@@ -2,8 +2,8 @@
 
 use std::convert::Infallible;
 
-use rustdds::RepresentationIdentifier;
-use rustdds::no_key::{Decode, DeserializerAdapter};
+use rustdds::no_key::{self, Decode, DeserializerAdapter};
+use rustdds::{Keyed, RepresentationIdentifier, with_key};
 
 /// A serialised sample: four bytes of header, then the body. The network code does not provide the options in the
 /// header's last two bytes, which are 0 here.
@@ -58,5 +58,35 @@ impl Decode<'_, Raw> for RawDecoder {
         bytes.extend_from_slice(&[0, 0]);
         bytes.extend_from_slice(input_bytes);
         Ok(Raw(bytes))
+    }
+}
+
+// Writers of a type with a key take only readers that have one, too. Here every sample counts, whatever its key, so that all of
+// them are of one instance.
+impl Keyed for Raw {
+    type K = ();
+
+    fn key(&self) {}
+}
+
+impl with_key::DeserializerAdapter<Raw> for RawAdapter {
+    type DecodedKey = ();
+
+    fn transform_decoded_key((): ()) {}
+}
+
+impl no_key::DefaultDecoder<Raw> for RawAdapter {
+    type Decoder = RawDecoder;
+    const DECODER: RawDecoder = RawDecoder;
+}
+
+impl with_key::DefaultDecoder<Raw> for RawAdapter {
+    type Decoder = RawDecoder;
+    const DECODER: RawDecoder = RawDecoder;
+}
+
+impl with_key::Decode<'_, Raw, ()> for RawDecoder {
+    fn decode_key_bytes(self, _: &[u8], _: RepresentationIdentifier) -> Result<(), Infallible> {
+        Ok(())
     }
 }

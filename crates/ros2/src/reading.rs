@@ -4,7 +4,8 @@ use std::time::Instant;
 
 use rustdds::mio1::{Interest, Registry, Token};
 use rustdds::no_key::SimpleDataReader;
-use rustdds::{DomainParticipant, Subscriber, Timestamp, TopicKind};
+use rustdds::with_key::{DataReader, Sample};
+use rustdds::{DomainParticipant, QosPolicies, RTPSEntity, ReadCondition, Subscriber, Timestamp, Topic, TopicKind};
 
 use crate::Ros2Error;
 use crate::graph::Id;
@@ -29,12 +30,54 @@ pub struct Taken {
     pub bytes: Vec<u8>,
 }
 
-/// A reader.
-pub struct Reading {
+/// What is read: a topic, and a type that its writers use.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Subject {
     /// The topic's DDS name.
     pub dds_topic: String,
     /// The type's DDS name.
     pub dds_type: String,
+    /// Whether the writers say that it has a key: they take only readers that say so, too.
+    pub keyed: bool,
+}
+
+impl Subject {
+    fn kind(&self) -> TopicKind {
+        if self.keyed { TopicKind::WithKey } else { TopicKind::NoKey }
+    }
+}
+
+/// How the network code reads.
+enum Port {
+    Plain(Box<SimpleDataReader<Raw, RawAdapter>>),
+    Keyed(Box<DataReader<Raw, RawAdapter>>),
+}
+
+impl Port {
+    fn open(
+        subscriber: &Subscriber,
+        topic: &Topic,
+        (policies, latched): (QosPolicies, bool),
+        keyed: bool,
+    ) -> Result<Self, Ros2Error> {
+        if !keyed {
+            let reader = subscriber.create_simple_datareader_no_key(topic, Some(policies));
+            return reader.map(Box::new).map(Self::Plain).map_err(refused);
+        }
+        let reader = subscriber.create_datareader::<Raw, RawAdapter>(topic, Some(quality::of_keyed(&policies)));
+        let mut reader = reader.map_err(refused)?;
+        if !latched {
+            // What is in the topic's cache already belongs to another reader; nobody is matched yet.
+            drop(reader.take(usize::MAX, ReadCondition::any()));
+        }
+        Ok(Self::Keyed(Box::new(reader)))
+    }
+}
+
+/// A reader.
+pub struct Reading {
+    /// What it reads.
+    pub subject: Subject,
     /// The request.
     pub request: Request,
     /// Whether there may be something to take.
@@ -48,7 +91,7 @@ pub struct Reading {
     /// Bytes of the largest sample.
     largest: usize,
     depth: usize,
-    reader: SimpleDataReader<Raw, RawAdapter>,
+    port: Port,
 }
 
 fn refused(error: impl std::fmt::Debug) -> Ros2Error {
@@ -62,38 +105,29 @@ impl Reading {
     /// [`Ros2Error::System`] with the words of the network code.
     pub fn begin(
         (participant, subscriber): (&DomainParticipant, &Subscriber),
-        (dds_topic, dds_type): (&str, &str),
+        subject: Subject,
         request: Request,
         (registry, token): (&Registry, Token),
     ) -> Result<Self, Ros2Error> {
         let (depth, begun) = (quality::FIRST_DEPTH, Timestamp::now());
         let policies = quality::policies(request, depth);
-        let topic = participant
-            .create_topic(dds_topic.to_owned(), dds_type.to_owned(), &policies, TopicKind::NoKey)
-            .map_err(refused)?;
-        let mut reader =
-            subscriber.create_simple_datareader_no_key::<Raw, RawAdapter>(&topic, Some(policies)).map_err(refused)?;
-        registry
-            .register(&mut reader, token, Interest::READABLE)
-            .map_err(|error| Ros2Error::system("wait for samples", &error))?;
-        let (dds_topic, dds_type) = (dds_topic.to_owned(), dds_type.to_owned());
-        Ok(Self {
-            dds_topic,
-            dds_type,
-            request,
-            ready: true,
-            retires: None,
-            leaves: false,
-            begun,
-            largest: 0,
-            depth,
-            reader,
-        })
+        let (name, type_name) = (subject.dds_topic.clone(), subject.dds_type.clone());
+        let topic = participant.create_topic(name, type_name, &policies, subject.kind()).map_err(refused)?;
+        let mut port = Port::open(subscriber, &topic, (policies, request.latched), subject.keyed)?;
+        match &mut port {
+            Port::Plain(reader) => registry.register(&mut **reader, token, Interest::READABLE),
+            Port::Keyed(reader) => registry.register(&mut **reader, token, Interest::READABLE),
+        }
+        .map_err(|error| Ros2Error::system("wait for samples", &error))?;
+        Ok(Self { subject, request, ready: true, retires: None, leaves: false, begun, largest: 0, depth, port })
     }
 
     /// Its id in the domain.
     pub fn id(&self) -> Id {
-        self.reader.guid().to_bytes()
+        match &self.port {
+            Port::Plain(reader) => reader.guid().to_bytes(),
+            Port::Keyed(reader) => reader.guid().to_bytes(),
+        }
     }
 
     /// Bytes that may be kept of this topic.
@@ -108,44 +142,81 @@ impl Reading {
             return;
         }
         let policies = quality::policies(self.request, depth);
-        let (topic, type_name) = (self.dds_topic.clone(), self.dds_type.clone());
+        let (topic, type_name) = (self.subject.dds_topic.clone(), self.subject.dds_type.clone());
         // The topic's cache takes over the greater depth when the topic is created again.
-        if participant.create_topic(topic, type_name, &policies, TopicKind::NoKey).is_ok() {
+        if participant.create_topic(topic, type_name, &policies, self.subject.kind()).is_ok() {
             self.depth = depth;
         }
     }
 
     /// Takes what is available, but no more than one turn's worth.
     pub fn take(&mut self, into: &mut Vec<Taken>) {
-        self.reader.drain_read_notifications();
-        let (mut bytes, before) = (0, into.len());
-        while into.len() - before < TURN && bytes < TURN_BYTES {
-            match self.reader.try_take_one_with(RawDecoder) {
-                Ok(Some(change)) if change.receive_instant < self.begun && !self.request.latched => {}
-                Ok(Some(change)) => {
-                    let writer = change.writer_guid().to_bytes();
-                    let number = i64::from(change.sequence_number);
-                    let sent = change.source_timestamp().and_then(nanoseconds);
-                    let arrived = nanoseconds(change.receive_instant).unwrap_or(0);
-                    let sample = change.into_value().0;
-                    bytes += sample.len();
-                    self.largest = self.largest.max(sample.len());
-                    into.push(Taken { writer, number, sent, arrived, bytes: sample });
-                }
-                Ok(None) => {
-                    self.ready = false;
-                    return;
-                }
-                // A sample that cannot be taken is skipped; its number is then missing, and counted.
-                Err(_) => bytes += TURN_BYTES / TURN,
+        let before = into.len();
+        self.ready = match &mut self.port {
+            Port::Plain(reader) => {
+                let is_old = |received: Timestamp| received < self.begun && !self.request.latched;
+                take_plain(reader, is_old, into)
             }
-        }
+            Port::Keyed(reader) => take_keyed(reader, into),
+        };
+        let taken = into.iter().skip(before).map(|sample| sample.bytes.len());
+        self.largest = taken.max().unwrap_or(0).max(self.largest);
     }
 
     /// No longer waited for.
     pub fn end(mut self, registry: &Registry) {
-        drop(registry.deregister(&mut self.reader));
+        drop(match &mut self.port {
+            Port::Plain(reader) => registry.deregister(&mut **reader),
+            Port::Keyed(reader) => registry.deregister(&mut **reader),
+        });
     }
+}
+
+/// Takes samples that are not too old for this reader; whether there may be more.
+fn take_plain(
+    reader: &SimpleDataReader<Raw, RawAdapter>,
+    is_old: impl Fn(Timestamp) -> bool,
+    into: &mut Vec<Taken>,
+) -> bool {
+    reader.drain_read_notifications();
+    let (mut bytes, before) = (0, into.len());
+    while into.len() - before < TURN && bytes < TURN_BYTES {
+        match reader.try_take_one_with(RawDecoder) {
+            Ok(Some(change)) if is_old(change.receive_instant) => {}
+            Ok(Some(change)) => {
+                let writer = change.writer_guid().to_bytes();
+                let number = i64::from(change.sequence_number);
+                let sent = change.source_timestamp().and_then(nanoseconds);
+                let arrived = nanoseconds(change.receive_instant).unwrap_or(0);
+                let sample = change.into_value().0;
+                bytes += sample.len();
+                into.push(Taken { writer, number, sent, arrived, bytes: sample });
+            }
+            Ok(None) => return false,
+            // A sample that cannot be taken is skipped; its number is then missing, and counted.
+            Err(_) => bytes += TURN_BYTES / TURN,
+        }
+    }
+    true
+}
+
+/// Takes all that the topic's cache has: the network code takes it out of there at once. What only says that a key is gone is no
+/// message. When a sample arrived is not told: it counts as arrived now.
+fn take_keyed(reader: &mut DataReader<Raw, RawAdapter>, into: &mut Vec<Taken>) -> bool {
+    // An error is a sample that cannot be taken; those behind it are there the next time.
+    let Ok(samples) = reader.take(usize::MAX, ReadCondition::any()) else { return true };
+    let arrived = nanoseconds(Timestamp::now()).unwrap_or(0);
+    for sample in samples {
+        let (writer, number) = {
+            let identity = sample.sample_info().sample_identity();
+            (identity.writer_guid.to_bytes(), i64::from(identity.sequence_number))
+        };
+        let sent = sample.sample_info().source_timestamp().and_then(nanoseconds);
+        if let Sample::Value(Raw(bytes)) = sample.into_value() {
+            into.push(Taken { writer, number, sent, arrived, bytes });
+        }
+    }
+    false
 }
 
 /// Nanoseconds since 1970; `None` for an invalid time.

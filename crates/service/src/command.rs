@@ -393,7 +393,7 @@ requests! {
     /// Records of all profiles of the home.
     #[serde(rename = "list_uploads")]
     ListAllUploads(query: UploadQuery) => RecordPage;
-    /// Write keyrings, ledger, embedded vault and chain, settings and pins into one encrypted file.
+    /// Write keyrings, store and chain, settings and pins into one encrypted file.
     BackUp {
         /// The file, absolute; must not exist.
         file: PathBuf,

@@ -2,12 +2,10 @@
 //! ids of records. Bounded, and silent if something is wrong. A word that a shell could read as anything but one plain
 //! word is never offered: names in a ledger may be a stranger's.
 
-use serde::Deserialize;
-
 use crate::model::{ContactName, ProfileName, TopicName};
 use crate::paths::Home;
-use crate::site::BOOK;
 use crate::store::Glance;
+use crate::store::notes::AddressBook;
 
 /// The most words returned.
 const MOST: usize = 200;
@@ -22,11 +20,6 @@ pub enum Completed {
     Record,
     /// A profile of the home.
     Profile,
-}
-
-#[derive(Deserialize)]
-struct Named {
-    name: String,
 }
 
 /// Words of a kind with this prefix; none if the home does not exist or cannot be read.
@@ -56,8 +49,8 @@ fn is_plain(kind: Completed, word: &str) -> bool {
 }
 
 fn contacts(glance: &Glance) -> Option<Vec<String>> {
-    let book: Vec<Named> = serde_json::from_str(&glance.setting(BOOK).ok()??).ok()?;
-    Some(book.into_iter().map(|contact| contact.name).collect())
+    let book = glance.note(&AddressBook {}).ok()??;
+    Some(book.into_iter().map(|contact| contact.name.to_string()).collect())
 }
 
 #[cfg(test)]

@@ -5,16 +5,16 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
+use crate::chain::{Chain, ChainOptions, Endpoint, SealedBy};
 use crate::config::Config;
 use crate::crypto::read_public;
 use crate::model::{Timestamp, clean, without_secrets};
 use crate::paths::Home;
+use crate::pipeline::network_pin_in;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::store::vault::{self, Gravity};
-use crate::store::{SiteLock, files, snapshot};
+use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
 /// none runs.
@@ -26,9 +26,9 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     tokio::task::block_in_place(|| {
         home_folder(home, &mut sheet);
         keys(home, &mut sheet);
-        ledger(home, &mut sheet);
+        store(home, &mut sheet);
         disk(home, &mut sheet);
-        vault(home, config, &mut sheet);
+        cache(config, &mut sheet);
         ros_master(config, &mut sheet);
         // A running site of this home is in the domain already, and says below what it sees.
         if !runs {
@@ -133,9 +133,12 @@ const FAR_AHEAD: u64 = 120;
 
 /// Checks it.
 async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
-    let pinned = match pin(home) {
+    let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
         Ok(pinned) => pinned,
-        Err(reason) => return sheet.fail("chain", &reason, "restore chain-pin.json from a backup"),
+        Err(error) => {
+            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
+            return sheet.fail("chain", &error.to_string(), advice);
+        }
     };
     if let Some(site) = &config.site {
         return remote(&site.addresses, sheet).await;
@@ -239,14 +242,6 @@ async fn remote(addresses: &[String], sheet: &mut Sheet) {
     sheet.fail("chain", &silent.join("; "), "start it or correct site.address");
 }
 
-fn pin(home: &Home) -> Result<Option<Pin>, String> {
-    match std::fs::read(home.pin()) {
-        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| "chain-pin.json is damaged".to_owned()),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(format!("chain-pin.json cannot be read: {error}")),
-    }
-}
-
 /// Free space below which a site soon stops acknowledging, bytes.
 const TIGHT: u64 = 1 << 30;
 /// Free space below which it cannot work, bytes.
@@ -290,12 +285,16 @@ fn look_at_modes(path: &Path, open: &mut Vec<String>, looked: &mut u64, depth: u
 
 fn is_secret(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    ["profiles", "vault", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
+    ["profiles", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
 }
 
 /// Every profile's keyring.
 fn keys(home: &Home, sheet: &mut Sheet) {
     let profiles = home.profiles();
+    for lost in home.profiles_without_keyring() {
+        let text = format!("the keyring of profile '{lost}' is gone, and with it the keys of its account and records");
+        sheet.fail(&format!("keys {lost}"), &text, "restore it: authros restore FILE, or a copy of the file keyring");
+    }
     if profiles.is_empty() {
         return sheet.warn("keys", "no profile has keys yet", "authros identity create");
     }
@@ -310,22 +309,27 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     }
 }
 
-/// Whether the ledger is well-formed.
-fn ledger(home: &Home, sheet: &mut Sheet) {
-    database("ledger", &home.ledger(), sheet);
-}
+/// What to do about a damaged file.
+const DAMAGED: &str = "keep a copy of the home, then restore the last backup: authros restore FILE";
 
-/// Whether a database is well-formed.
-fn database(name: &str, path: &Path, sheet: &mut Sheet) {
-    if !path.exists() {
-        return sheet.ok(name, &format!("{} does not exist yet", path.display()));
+/// Whether the store is well-formed, and what is noted in it can be read.
+fn store(home: &Home, sheet: &mut Sheet) {
+    let path = home.ledger();
+    if !path.exists() && home.chain().join("chain.db").exists() {
+        let text = format!("{} is gone, and the embedded chain of this home is there", path.display());
+        let advice = "restore the last backup: authros restore FILE; without one, name the contract with --contract";
+        return sheet.fail("store", &text, advice);
     }
-    match snapshot::examine(path) {
-        Ok(bytes) => sheet.ok(name, &format!("{} is well-formed, {bytes} bytes", path.display())),
-        Err(error) => {
-            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
-            sheet.fail(name, &error.to_string(), advice);
-        }
+    if !path.exists() {
+        return sheet.ok("store", &format!("{} does not exist yet", path.display()));
+    }
+    match snapshot::examine(&path) {
+        Ok(bytes) => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
+        Err(error) => return sheet.fail("store", &error.to_string(), DAMAGED),
+    }
+    match Glance::at(&path).and_then(|ledger| ledger.check_notes()) {
+        Ok(count) => sheet.ok("notes", &format!("{count} notes in the store can be read")),
+        Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
     }
 }
 
@@ -355,30 +359,16 @@ fn disk(home: &Home, sheet: &mut Sheet) {
 const LOOK: Duration = Duration::from_secs(6);
 const TICK: Duration = Duration::from_millis(50);
 
-/// The vault: the embedded file, or Redis with its policy and persistence.
-fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
-    let Some(url) = &config.vault_url else {
-        return database("vault", &home.vault().join("vault.db"), sheet);
-    };
-    match vault::examine(Some(url)) {
-        Ok(findings) => {
-            if findings.is_empty() {
-                let text = format!("{} answers, does not evict and has an append-only file", without_secrets(url));
-                sheet.ok("vault", &text);
-            }
-            for finding in findings {
-                let text = format!("Redis at {} {}", finding.server, finding.text);
-                match finding.gravity {
-                    Gravity::Warning => sheet.warn("vault", &text, &finding.advice),
-                    Gravity::Refused => sheet.fail("vault", &text, &finding.advice),
-                }
-            }
+/// The cache, if there is one: whether it answers.
+fn cache(config: &Config, sheet: &mut Sheet) {
+    let Some(url) = config.cache_url.clone() else { return };
+    match cache::examine(&CacheSettings { url, roots: config.cache_roots.clone() }) {
+        Ok(shown) => sheet.ok("cache", &format!("{shown} answers")),
+        Err(StoreError::CacheAway { url, detail }) => {
+            let advice = "start it, correct cache.url, or leave that empty; records are read from the store meanwhile";
+            sheet.warn("cache", &format!("{url} does not answer: {detail}"), advice);
         }
-        Err(error) => {
-            let text = error.to_string();
-            let (text, advice) = text.split_once(';').unwrap_or((&text, "start it or correct vault.url"));
-            sheet.fail("vault", text.trim(), advice.trim());
-        }
+        Err(error) => sheet.fail("cache", &error.to_string(), "correct cache.url and cache.roots in the settings"),
     }
 }
 

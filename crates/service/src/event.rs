@@ -51,7 +51,7 @@ pub enum Event {
         level: NoticeLevel,
         /// What happened, to what, what to do.
         text: String,
-        /// The subject, if a later notice about the same replaces this one (`vault`); one that is only information
+        /// The subject, if a later notice about the same replaces this one (`chain`); one that is only information
         /// clears it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         about: Option<String>,

@@ -13,8 +13,8 @@ use crate::model::{Digest, Timestamp, clean};
 use crate::pipeline::Observer;
 use crate::pipeline::session::Sessions;
 use crate::pipeline::stages::Stages;
-use crate::pipeline::storer::Condition;
-use crate::pipeline::watcher::foreign::ForeignAnchors;
+use crate::pipeline::watcher::foreign;
+use crate::store::notes::ForeignAnchors;
 
 /// Shortest time between two notes about the same part.
 const PACE: Duration = Duration::from_millis(250);
@@ -23,15 +23,8 @@ const REPEAT: Duration = Duration::from_secs(30);
 /// The most alerts remembered.
 const MOST_ALERTS: usize = 200;
 
-/// The subject of notices about the vault's health.
-const VAULT: &str = "vault";
 /// The subject of notices about anchors that were not sent from here.
 const ACCOUNT: &str = "account";
-
-/// The text for verified records that are missing in the vault.
-pub fn lacking(count: u64) -> String {
-    format!("{count} verified records are MISSING from the vault and have no local copy; restore it from a backup")
-}
 
 const PARTS: [Part; 6] = [Part::Topics, Part::Uploads, Part::Grants, Part::Chain, Part::Health, Part::Identity];
 
@@ -41,8 +34,6 @@ pub struct Hub {
     dirty: [AtomicBool; PARTS.len()],
     wake: Notify,
     told: Mutex<HashMap<String, Instant>>,
-    /// The state of the vault, and since when if it is not well.
-    vault: Mutex<(Condition, Option<Timestamp>)>,
     /// Which captures wait for which records.
     pub sessions: Arc<Sessions>,
     /// Rings when records were stored and wait to be anchored.
@@ -63,7 +54,6 @@ impl Hub {
             dirty: Default::default(),
             wake: Notify::new(),
             told: Mutex::default(),
-            vault: Mutex::default(),
             sessions: Arc::default(),
             stored: Notify::new(),
             confirmed: Notify::new(),
@@ -114,11 +104,6 @@ impl Hub {
     fn tell(&self, level: NoticeLevel, text: String, about: Option<String>) {
         // Having no listeners is not an error.
         drop(self.events.send(Event::Notice { at: Timestamp::now(), level, text, about }));
-    }
-
-    /// The state of the vault, and since when.
-    pub fn vault_condition(&self) -> (Condition, Option<Timestamp>) {
-        self.vault.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Passes the notes on until the site ends.
@@ -175,33 +160,7 @@ impl Observer for Hub {
         self.changed(Part::Health);
         // The first at once, then one now and then: the account's health keeps the count.
         if found.count.is_power_of_two() {
-            self.notice_about(ACCOUNT, NoticeLevel::Error, &found.text());
-        }
-    }
-
-    /// One alert while it lasts, whatever happens meanwhile, and a notice when it is over.
-    fn vault(&self, condition: Condition) {
-        let mut known = self.vault.lock().unwrap_or_else(PoisonError::into_inner);
-        if known.0 == condition {
-            return;
-        }
-        let (before, since) = std::mem::replace(&mut *known, (condition.clone(), None));
-        if !matches!(condition, Condition::Takes) {
-            let lasts = std::mem::discriminant(&before) == std::mem::discriminant(&condition);
-            known.1 = since.filter(|_| lasts).or_else(|| Some(Timestamp::now()));
-        }
-        drop(known);
-        self.changed(Part::Health);
-        match (&condition, &before) {
-            (Condition::Waits { .. }, Condition::Waits { .. }) | (Condition::Lacks(_), Condition::Lacks(_)) => {}
-            (Condition::Waits { why, .. }, _) => {
-                let text = format!("the vault is not accepting records; they wait on disk, nothing is lost: {why}");
-                self.notice_about(VAULT, NoticeLevel::Error, &text);
-            }
-            (Condition::Lacks(count), _) => self.notice_about(VAULT, NoticeLevel::Error, &lacking(*count)),
-            (Condition::Takes, _) => {
-                self.notice_about(VAULT, NoticeLevel::Info, "the vault accepts all records again");
-            }
+            self.notice_about(ACCOUNT, NoticeLevel::Error, &foreign::text(found));
         }
     }
 

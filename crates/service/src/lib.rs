@@ -38,4 +38,6 @@ pub use client::{Call, Client};
 pub use command::{Ask, Command, Epochs, KeyKind, Operation, Request, SecretBytes, SecretText, UploadQuery};
 pub use event::{Event, NoticeLevel, Part};
 pub use reply::{Failure, Reply};
-pub use site::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site, definition_of, record_page};
+pub use site::{
+    Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site, definition_of, is_bound, record_page,
+};

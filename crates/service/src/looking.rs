@@ -24,7 +24,7 @@ pub fn is_read_only(home: &Home) -> bool {
     home.ledger().exists() && tempfile::tempfile_in(home.root()).is_err_and(|error| denied(&error))
 }
 
-/// A working copy of such a home, private to this user; the ciphertext of the vault is not copied. `None` while another
+/// A working copy of such a home, private to this user. `None` while another
 /// process has the home. The caller deletes it with [`forget`].
 ///
 /// # Errors
@@ -61,9 +61,7 @@ fn copy_home(from: &Path, to: &Path) -> io::Result<()> {
         if is(&OWN) || name.to_string_lossy().ends_with("-shm") {
             continue;
         }
-        if about.is_dir() && name == "vault" {
-            copy_vault(&entry, &target)?;
-        } else if about.is_dir() && is(&COPIED) {
+        if about.is_dir() && is(&COPIED) {
             copy_folder(&entry, &target)?;
         } else if about.is_file() && (of_the_ledger || about.len() <= SMALL) {
             copy_file(&entry, &target)?;
@@ -72,20 +70,6 @@ fn copy_home(from: &Path, to: &Path) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// What is in the vault's log is not in its file yet; then both are needed together.
-fn copy_vault(from: &Path, to: &Path) -> io::Result<()> {
-    make_folder(to)?;
-    let (file, log) = (from.join("vault.db"), from.join("vault.db-wal"));
-    if fs::metadata(&log).is_ok_and(|about| about.len() > 0) {
-        copy_file(&file, &to.join("vault.db"))?;
-        copy_file(&log, &to.join("vault.db-wal"))
-    } else if file.exists() {
-        std::os::unix::fs::symlink(file, to.join("vault.db"))
-    } else {
-        Ok(())
-    }
 }
 
 fn copy_folder(from: &Path, to: &Path) -> io::Result<()> {
@@ -138,34 +122,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_copy_has_all_but_the_vault_and_secrets_and_goes_again() {
+    fn a_copy_has_all_but_secrets_and_goes_again() {
         let folder = tempfile::tempdir().expect("a folder");
         let home = Home::new(folder.path().join("home"));
         assert!(!is_read_only(&home), "there is none");
-        for name in ["vault", "chain", "profiles/alice", "ring", "back-ups"] {
+        for name in ["chain", "profiles/alice", "ring", "back-ups"] {
             fs::create_dir_all(home.root().join(name)).expect("made");
         }
-        let files = ["ledger.db", "ledger.db-wal", "ledger.db-shm", "chain-pin.json", "reserve", "vault/vault.db"];
+        let files = ["ledger.db", "ledger.db-wal", "ledger.db-shm", "reserve"];
         for name in files.into_iter().chain(["chain/chain.db", "profiles/alice/keyring", "profiles/alice/passphrase"]) {
             crate::store::atomic_write(&home.root().join(name), name.as_bytes()).expect("written");
         }
         assert!(!is_read_only(&home), "it can be written");
         let copy = working_copy(&home).expect("copied").expect("free");
         let is_there = |name: &str| fs::read(copy.root().join(name)).is_ok_and(|bytes| bytes == name.as_bytes());
-        let kept = ["ledger.db", "ledger.db-wal", "chain-pin.json", "vault/vault.db", "chain/chain.db"];
+        let kept = ["ledger.db", "ledger.db-wal", "chain/chain.db"];
         assert!(kept.into_iter().chain(["profiles/alice/keyring"]).all(is_there));
         assert!(!["ledger.db-shm", "reserve", "profiles/alice/passphrase"].into_iter().any(is_there));
         let is_link = |name: &str| fs::symlink_metadata(copy.root().join(name)).expect("there").is_symlink();
-        assert!(is_link("vault/vault.db") && is_link("ring") && !is_link("ledger.db"));
+        assert!(is_link("ring") && !is_link("ledger.db"));
         assert_eq!((copy.original(), home.original()), (Some(home.root()), None));
         forget(&home);
         forget(&copy);
         assert!(home.ledger().exists() && !copy.root().exists());
-
-        // What is in the log only is copied with its file.
-        crate::store::atomic_write(&home.root().join("vault/vault.db-wal"), b"log").expect("written");
-        let copy = working_copy(&home).expect("copied").expect("free");
-        assert!(!fs::symlink_metadata(copy.root().join("vault/vault.db")).expect("there").is_symlink());
-        forget(&copy);
     }
 }

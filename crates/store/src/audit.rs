@@ -8,9 +8,10 @@ use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 use sm3::{Digest as _, Sm3};
 
+use super::StoreError;
 use super::database::whole;
-use super::{Ledger, StoreError};
 use crate::database::Statements as _;
+use crate::ledger::Database;
 use crate::model::{Digest, Timestamp};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
@@ -73,22 +74,15 @@ pub struct AuditFault {
 
 /// The audit log of a home.
 #[derive(Debug, Clone)]
-pub struct AuditLog {
-    ledger: Ledger,
-}
+pub struct AuditLog(pub(crate) Database);
 
 impl AuditLog {
-    /// The log in this ledger's file.
-    pub fn new(ledger: Ledger) -> Self {
-        Self { ledger }
-    }
-
     /// Adds a line; it is durable when this returns. No grant and no decryption may proceed without it.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then the line was not added.
     pub fn append(&self, entry: AuditEntry) -> Result<(), StoreError> {
-        self.ledger.write(move |session| {
+        self.0.write(move |session| {
             let (count, head) = head(session.connection)?;
             let hash = chain(head, &entry);
             session.connection.run(
@@ -112,7 +106,7 @@ impl AuditLog {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn head(&self) -> Result<(u64, Digest), StoreError> {
-        self.ledger.read(head)
+        self.0.read(head)
     }
 
     /// The hash stored with a line, to compare with a head that was anchored when the log was that long.
@@ -121,7 +115,7 @@ impl AuditLog {
     /// [`StoreError::Database`] and the like.
     pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
         let line = whole("line", line)?;
-        self.ledger.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.find("SELECT hash FROM audit WHERE line = ?1", [line], |row| row.get(0))?.map(Digest))
         })
     }
@@ -131,7 +125,7 @@ impl AuditLog {
     /// # Errors
     /// [`AuditFault`] with the first line that is wrong, or that cannot be read.
     pub fn verify(&self) -> Result<u64, AuditFault> {
-        let walked = self.ledger.read(|connection| Ok(walk(connection)));
+        let walked = self.0.read(|connection| Ok(walk(connection)));
         walked.unwrap_or_else(|error| Err(AuditFault { line: 0, what: error.to_string() }))
     }
 
@@ -168,7 +162,7 @@ impl AuditLog {
     /// [`StoreError::Database`] and the like.
     pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
         let next = whole("line", line.saturating_add(1))?;
-        self.ledger.read(|connection| {
+        self.0.read(|connection| {
             let at = connection.find("SELECT at FROM audit WHERE line = ?1", [next], |row| row.get::<_, i64>(0))?;
             Ok(at.map(|at| Timestamp(at.cast_unsigned())))
         })
@@ -182,7 +176,7 @@ impl AuditLog {
         let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
         let limit = i64::try_from(query.limit).unwrap_or(i64::MAX);
-        self.ledger.read(|connection| {
+        self.0.read(|connection| {
             let sql = format!(
                 "SELECT {COLUMNS} FROM audit WHERE line < ?1 AND at >= ?2 AND (?3 IS NULL OR action = ?3) \
                  AND (?4 IS NULL OR profile = ?4 OR substr(profile, 1, length(?4) + 1) = ?4 || '/') \
@@ -255,11 +249,12 @@ fn walk(connection: &Connection) -> Result<u64, AuditFault> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Ledger;
 
     fn log_of(lines: u64) -> (tempfile::TempDir, AuditLog) {
         let home = tempfile::tempdir().expect("temporary directory");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-        let log = AuditLog::new(ledger);
+        let log = ledger.audit.clone();
         for number in 1..=lines {
             log.append(entry(number)).expect("appended");
         }
@@ -279,7 +274,7 @@ mod tests {
     /// Edits the table behind the log's back.
     fn forge(log: &AuditLog, sql: &str) -> Result<u64, AuditFault> {
         let sql = sql.to_owned();
-        log.ledger.write(move |session| Ok(session.connection.execute_batch(&sql)?)).expect("forged");
+        log.0.write(move |session| Ok(session.connection.execute_batch(&sql)?)).expect("forged");
         log.verify()
     }
 

@@ -1,7 +1,6 @@
-//! Opens an SQLite file the way both ledger and vault need it: private, WAL, every commit fsynced, schema up to date,
+//! Opens an SQLite file the way the ledger needs it: private, WAL, every commit fsynced, schema up to date,
 //! contents checked after an unclean shutdown.
 
-use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -9,7 +8,6 @@ use rusqlite::config::DbConfig;
 use rusqlite::{CachedStatement, Connection, OpenFlags, OptionalExtension as _, Params, Row, TransactionBehavior};
 
 use super::{StoreError, files};
-use crate::model::bytes::hex;
 
 const BUSY: Duration = Duration::from_secs(10);
 /// How long shutdown waits for readers.
@@ -29,7 +27,7 @@ const CELLS: &str = "FAST";
 /// How much room counts as plenty, bytes: far more than both logs and the reserve for a full disk.
 const PLENTY: u64 = 1024 * 1024 * 1024;
 
-/// The version of both schemas, kept in the file.
+/// The version of the schemas, kept in the file.
 const VERSION: i64 = 1;
 
 /// One SQLite file's shape.
@@ -175,47 +173,6 @@ pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
     Ok(connection)
 }
 
-/// Whether the file is there, neither it nor its folder can be written, and all of it is in the file itself.
-pub(super) fn is_read_only(path: &Path) -> bool {
-    let denied = |error: &std::io::Error| {
-        matches!(error.kind(), std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied)
-    };
-    let Ok(path) = path.canonicalize() else { return false };
-    let mut log = path.as_os_str().to_owned();
-    log.push("-wal");
-    let is_at_rest = std::fs::metadata(log).map_or(true, |log| log.len() == 0);
-    let is_denied = std::fs::OpenOptions::new().write(true).open(&path).is_err_and(|error| denied(&error));
-    let folder = path.parent().unwrap_or(Path::new("."));
-    is_at_rest && is_denied && tempfile::tempfile_in(folder).is_err_and(|error| denied(&error))
-}
-
-/// Opens a file that nobody can write, without a byte beside it: SQLite takes no lock and makes no index of a log.
-///
-/// # Errors
-/// [`StoreError::Home`], [`StoreError::Corrupt`].
-pub(super) fn open_immutable(path: &Path) -> Result<Connection, StoreError> {
-    let mut uri = "file:".to_owned();
-    for byte in path.as_os_str().as_bytes() {
-        match byte {
-            b'/' | b'-' | b'_' | b'.' | b'~' => uri.push(char::from(*byte)),
-            byte if byte.is_ascii_alphanumeric() => uri.push(char::from(*byte)),
-            byte => {
-                uri.push('%');
-                uri.push_str(&hex(&[*byte]));
-            }
-        }
-    }
-    uri.push_str("?mode=ro&immutable=1");
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    Connection::open_with_flags(uri, flags)
-        .and_then(|connection| {
-            connection.pragma_update(None, "temp_store", "MEMORY")?;
-            connection.pragma_update(None, "cache_size", READERS_CACHE)?;
-            Ok(connection)
-        })
-        .map_err(|error| StoreError::from(error).in_file(path))
-}
-
 fn connect(path: &Path) -> Result<Connection, StoreError> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     Connection::open_with_flags(path, flags)
@@ -266,9 +223,22 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
 /// # Errors
 /// [`StoreError::Corrupt`] with the first fault.
 pub(super) fn quick_check(connection: &Connection, path: &Path) -> Result<(), StoreError> {
-    let found: String = connection
-        .query_row("PRAGMA quick_check(1)", [], |row| row.get(0))
-        .map_err(|error| StoreError::from(error).in_file(path))?;
+    check(connection, "PRAGMA quick_check(1)", path)
+}
+
+/// The same for all tables but one.
+///
+/// # Errors
+/// See [`quick_check`].
+pub(super) fn quick_check_but(connection: &Connection, table: &str, path: &Path) -> Result<(), StoreError> {
+    let others = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> ?1 AND name NOT LIKE 'sqlite_%'";
+    let others: Vec<String> = connection.list(others, [table], |row| row.get(0))?;
+    others.iter().try_for_each(|name| check(connection, &format!("PRAGMA quick_check('{name}')"), path))
+}
+
+fn check(connection: &Connection, sql: &str, path: &Path) -> Result<(), StoreError> {
+    let found: String =
+        connection.query_row(sql, [], |row| row.get(0)).map_err(|error| StoreError::from(error).in_file(path))?;
     if found == "ok" {
         return Ok(());
     }
@@ -422,21 +392,6 @@ mod tests {
         assert_eq!(length(), filled, "the log began again");
         Checkpoints::new(&path).adjust(&connection);
         assert!([SHORT_LOG, LONG_LOG].contains(&number("PRAGMA wal_autocheckpoint")));
-    }
-
-    #[test]
-    fn what_cannot_be_written_is_read_without_a_byte_beside_it() {
-        let home = tempfile::tempdir().expect("temporary directory");
-        let path = home.path().join("a b%?#.db");
-        open_writer(&path, &FIRST).expect("new").execute("INSERT INTO a VALUES (7)", []).expect("row");
-        assert!(!is_read_only(&path) && !is_read_only(&home.path().join("none")));
-        let before = bytes_in(home.path());
-        let connection = open_immutable(&path).expect("opened");
-        assert_eq!(connection.query_row("SELECT x FROM a", [], |row| row.get::<_, i64>(0)), Ok(7));
-        assert!(connection.execute("INSERT INTO a VALUES (8)", []).is_err(), "nothing is written");
-        let names: Vec<_> =
-            std::fs::read_dir(home.path()).expect("read").flatten().map(|entry| entry.file_name()).collect();
-        assert!(bytes_in(home.path()) == before && names.len() == 1, "{names:?}");
     }
 
     #[test]

@@ -603,9 +603,11 @@ pub fn note_restored(folder: &Path) -> Result<bool, StoreError> {
 /// The last number that came out of a backup, and from when on all up to it age, where later than their capture.
 fn ages_from(folder: &Path, now: Timestamp) -> Option<(u64, Timestamp)> {
     let path = folder.join(RESTORED);
-    let text = fs::read_to_string(&path).ok()?;
+    let bytes = fs::read(&path).ok()?;
+    let text = String::from_utf8_lossy(&bytes);
     let mut words = text.split_whitespace();
-    let last: u64 = words.next()?.parse().ok()?;
+    // If that cannot be read, all that is there came out of the backup: it stays longer, nothing is lost.
+    let last: u64 = words.next().and_then(|word| word.parse().ok()).unwrap_or(u64::MAX);
     if let Some(opened) = words.next().and_then(|word| word.parse().ok()) {
         // A clock that was ahead then, and is set right now, keeps nothing for ever.
         return Some((last, Timestamp(opened).min(now)));

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::model::{ByteSize, Digest, Domain, ErrorKind, RecordState, clean};
+use crate::model::{Digest, Domain, ErrorKind, RecordState, clean};
 
-/// Why the ledger, the vault, the audit log or a file could not do as asked.
+/// Why the store, the audit log or a file could not do as asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum StoreError {
@@ -32,22 +32,22 @@ pub enum StoreError {
     /// The disk is full; nothing of the request was acknowledged.
     #[error("the disk that holds {} is full; free some space", file.display())]
     DiskFull { file: PathBuf },
-    /// The vault accepts no records, and those waiting for it have used up their space.
-    #[error(
-        "{} of records wait on disk for the vault, more than vault.backlog ({}) allows; bring the vault back, then \
-         work resumes automatically", ByteSize(*waiting), ByteSize(*limit)
-    )]
-    Backlog { waiting: u64, limit: u64 },
     /// A database file is damaged or not a database.
     #[error("{} is damaged ({detail}); keep a copy of it and restore the last backup", file.display())]
     Corrupt { file: PathBuf, detail: String },
+    /// A note of the home is not what it should be.
+    #[error(
+        "the note about {what}{about} in {} is damaged ({detail}); keep a copy of the home and restore the last backup",
+        file.display()
+    )]
+    Note { file: PathBuf, what: &'static str, about: String, detail: String },
     /// A database was written by a later version of this program.
     #[error("{} has schema {found}, but this program supports only {known}; use a newer authros", file.display())]
     Newer { file: PathBuf, found: i64, known: i64 },
     /// The ledger belongs to another chain or contract.
     #[error(
         "the ledger is bound to domain {bound}, but the chain and contract in use have domain {domain}; a home keeps its \
-         chain: restore `chain-pin.json` of this home, or begin a new home for the other chain"
+         chain: set `chain.url` and `chain.contract` to those of this home, or begin a new home for the other chain"
     )]
     Bound { bound: Domain, domain: Domain },
     /// Any other failure of SQLite.
@@ -90,26 +90,16 @@ pub enum StoreError {
     /// A malformed page cursor.
     #[error("'{0}' is not a cursor; use the `next` of the page before")]
     Cursor(String),
-    /// The vault's URL cannot be used.
+    /// The cache's URL cannot be used.
     #[error(
-        "vault.url {url} cannot be used: {detail}; use redis://HOST:PORT/DB, redis+unix:///PATH, \
-         redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
+        "cache.url {url} cannot be used: {detail}; use redis://HOST:PORT/DB, redis+unix:///PATH, \
+         redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER, with rediss for TLS, or \
+         leave it empty"
     )]
-    VaultUrl { url: String, detail: String },
-    /// Redis does not answer.
-    #[error("Redis at {url} does not answer: {detail}; start it or correct vault.url")]
-    Unreachable { url: String, detail: String },
-    /// Redis would evict records when its memory is full.
-    #[error("Redis at {url} {detail}; {advice}")]
-    Policy { url: String, detail: String, advice: String },
-    /// Redis is out of memory. Nothing is lost: try again later.
-    #[error(
-        "Redis at {url} is out of memory; nothing is lost; raise its maxmemory, and the waiting records are stored"
-    )]
-    VaultFull { url: String },
-    /// Redis refused a command.
-    #[error("Redis at {url} refused the request: {detail}; check its users, its configuration and its log")]
-    VaultRefused { url: String, detail: String },
+    CacheUrl { url: String, detail: String },
+    /// The cache does not answer, which costs time alone.
+    #[error("the cache {url} does not answer: {detail}; start it, correct cache.url, or leave that empty")]
+    CacheAway { url: String, detail: String },
 }
 
 impl StoreError {
@@ -122,15 +112,10 @@ impl StoreError {
             | Self::Id(_)
             | Self::Ambiguous(_)
             | Self::Cursor(_)
-            | Self::VaultUrl { .. } => ErrorKind::Input,
-            Self::Corrupt { .. } => ErrorKind::Tampered,
-            Self::Unreachable { .. } => ErrorKind::Unreachable,
-            Self::Bound { .. }
-            | Self::Policy { .. }
-            | Self::VaultRefused { .. }
-            | Self::Foreign { .. }
-            | Self::Open { .. } => ErrorKind::Refused,
-            Self::VaultFull { .. } | Self::Backlog { .. } => ErrorKind::Incomplete,
+            | Self::CacheUrl { .. } => ErrorKind::Input,
+            Self::Corrupt { .. } | Self::Note { .. } => ErrorKind::Tampered,
+            Self::CacheAway { .. } => ErrorKind::Unreachable,
+            Self::Bound { .. } | Self::Foreign { .. } | Self::Open { .. } => ErrorKind::Refused,
             Self::Database { .. }
             | Self::Closed
             | Self::TooBig { .. }
@@ -144,15 +129,7 @@ impl StoreError {
 
     /// Whether the same call can succeed later, unchanged.
     pub fn is_passing(&self) -> bool {
-        matches!(self, Self::DiskFull { .. } | Self::Backlog { .. } | Self::Unreachable { .. } | Self::VaultFull { .. })
-    }
-
-    /// Whether Redis failed to do as asked.
-    pub fn is_of_redis(&self) -> bool {
-        matches!(
-            self,
-            Self::Unreachable { .. } | Self::VaultFull { .. } | Self::VaultRefused { .. } | Self::Policy { .. }
-        )
+        matches!(self, Self::DiskFull { .. })
     }
 
     /// A failure of the file system at `path`.
@@ -166,7 +143,10 @@ impl StoreError {
     /// Names the database file in an error from SQLite that lacks one.
     pub(super) fn in_file(mut self, path: &Path) -> Self {
         match &mut self {
-            Self::DiskFull { file } | Self::Corrupt { file, .. } | Self::Database { file, .. }
+            Self::DiskFull { file }
+            | Self::Corrupt { file, .. }
+            | Self::Note { file, .. }
+            | Self::Database { file, .. }
                 if file.as_os_str().is_empty() =>
             {
                 path.clone_into(file);

@@ -1,16 +1,18 @@
-//! The ledger: one SQLite file with the description and state of every record.
+//! The ledger: one SQLite file with the description, the state and the ciphertext of every record.
 //!
 //! One thread writes and groups waiting work into one fsync ([`writer`]); readers have their own connections.
 //! Everything acknowledged is in here; workers are functions of these tables, so a restart simply runs them again.
-//! Ciphertext is kept permanently in the vault, not here.
+//! Ciphertext is read and deleted through [`crate::Ciphertext`].
 
 mod append;
 mod batches;
+mod branches;
 mod chain_proofs;
 mod counts;
 mod directory;
 mod erasures;
 mod feed;
+mod filters;
 mod forwarding;
 mod incidents;
 mod inspect;
@@ -18,7 +20,6 @@ mod quarantine;
 mod query;
 mod retention;
 mod rows;
-mod settings;
 mod sightings;
 #[cfg(test)]
 mod tests;
@@ -27,42 +28,75 @@ mod writer;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, OptionalExtension as _};
 
 pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
-pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, StampCounts, UnprovenBatch};
+pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, Proofs, StampCounts, UnprovenBatch};
 pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
-pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights, WaitingSigner};
+pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StandingRights, WaitingSigner};
 pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
 pub use self::feed::{Feed, FeedFilter, FeedPage, FeedPlace, FeedRow};
-pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
-pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
-pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
-pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};
+pub use self::filters::FilterChoice;
+pub use self::forwarding::{Bindings, ForwardedPage, KeptBinding, KeptReceipt};
+pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, Incidents, SpanCoverage};
+pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Inspection, Sequence};
+pub use self::quarantine::{
+    AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, Losses, PinRow, Pins, Quarantine,
+};
 pub use self::query::{Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
 pub use self::retention::{KeptTopic, OldRecord, Retained};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
-pub use self::settings::FilterChoice;
-pub use self::sightings::{KeptStanding, Sighting};
+pub use self::sightings::{KeptStanding, Sighting, Trail};
 pub use self::transactions::{
-    LaneCount, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
+    LaneCount, Lanes, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
 };
 pub(super) use self::writer::Session;
 
-use crate::StoreError;
 use crate::database::{self, Schema, Statements as _};
 use crate::model::RecorderPrefix;
+use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, Notes};
+use crate::{AuditLog, StoreError};
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
 const READERS_KEPT: usize = 8;
-/// The setting that says up to which block a copied ledger's accounts may have anchored without it.
-pub const HISTORY: &str = "foreign:history";
 
 /// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub struct Ledger {
+    database: Database,
+    /// Incidents, and what they hold.
+    pub incidents: Incidents,
+    /// Transactions, account by account.
+    pub lanes: Lanes,
+    /// Who may do what: events of the contract, and envelopes.
+    pub rights: Rights,
+    /// Records that wait for an operator.
+    pub quarantine: Quarantine,
+    /// Pinned publishers, and alarms about others.
+    pub pins: Pins,
+    /// Messages that were lost.
+    pub losses: Losses,
+    /// What the chain and time authorities prove of batches.
+    pub proofs: Proofs,
+    /// The blocks that the watcher has read.
+    pub trail: Trail,
+    /// Keys of signers, and names at this gateway.
+    pub bindings: Bindings,
+    /// What readers may be given, in the order in which it came to be so.
+    pub feed: Feed,
+    /// Who did what.
+    pub audit: AuditLog,
+    /// What an audit compares.
+    pub inspection: Inspection,
+    /// What is noted beside the tables.
+    pub notes: Notes,
+}
+
+/// The file that all stores of a home share. Clones share its writer thread and its readers.
+#[derive(Clone)]
+pub(crate) struct Database {
     shared: Arc<Shared>,
 }
 
@@ -73,8 +107,8 @@ struct Shared {
     clean: bool,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
-    /// Held while a setting is read, changed and written.
-    settings: Mutex<()>,
+    /// Held while a note is read, changed and written.
+    notes: Mutex<()>,
     /// How many holders are holding records back.
     held: AtomicUsize,
     /// How often something was named at the word of an owner elsewhere.
@@ -91,7 +125,7 @@ impl Ledger {
     }
 
     /// Opens the ledger file, or makes it with a random prefix for its recorders. After an unclean end its contents
-    /// are checked first (`quick_check`: about a second per million records).
+    /// are checked first, but for the ciphertext (`quick_check`: about a second per million records).
     ///
     /// # Errors
     /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
@@ -99,46 +133,60 @@ impl Ledger {
         let connection = database::open_writer(path, &SCHEMA)?;
         let (recorder, clean, is_new) = begin(&connection, path).map_err(|error| error.in_file(path))?;
         let writer = writer::Writer::start(connection, path, clean && !is_new)?;
-        let readers = Mutex::default();
+        let shared = Shared {
+            path: path.to_owned(),
+            recorder,
+            clean,
+            writer,
+            readers: Mutex::default(),
+            notes: Mutex::default(),
+            held: AtomicUsize::new(0),
+            told: AtomicU64::new(0),
+        };
+        let database = Database { shared: Arc::new(shared) };
         Ok(Self {
-            shared: Arc::new(Shared {
-                path: path.to_owned(),
-                recorder,
-                clean,
-                writer,
-                readers,
-                settings: Mutex::default(),
-                held: AtomicUsize::new(0),
-                told: AtomicU64::new(0),
-            }),
+            notes: Notes(database.clone()),
+            inspection: Inspection(database.clone()),
+            audit: AuditLog(database.clone()),
+            feed: Feed(database.clone()),
+            bindings: Bindings(database.clone()),
+            trail: Trail(database.clone()),
+            proofs: Proofs(database.clone()),
+            losses: Losses(database.clone()),
+            pins: Pins(database.clone()),
+            quarantine: Quarantine(database.clone()),
+            rights: Rights(database.clone()),
+            lanes: Lanes(database.clone()),
+            incidents: Incidents(database.clone()),
+            database,
         })
     }
 
     /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
     pub fn recorder(&self) -> RecorderPrefix {
-        self.shared.recorder
+        self.database.shared.recorder
     }
 
     /// Holds new records back until the guard is dropped: the space left on a full disk is needed for something else.
     pub fn hold_records(&self) -> RecordsHeld {
-        self.shared.held.fetch_add(1, Ordering::AcqRel);
+        self.database.shared.held.fetch_add(1, Ordering::AcqRel);
         RecordsHeld(self.clone())
     }
 
-    /// Whether new records are accepted now; checked before their bytes go into the vault.
+    /// Whether new records are accepted now.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] while they are held back.
     pub fn takes_records(&self) -> Result<(), StoreError> {
-        match self.shared.held.load(Ordering::Acquire) {
+        match self.database.shared.held.load(Ordering::Acquire) {
             0 => Ok(()),
-            _ => Err(StoreError::DiskFull { file: self.shared.path.clone() }),
+            _ => Err(StoreError::DiskFull { file: self.path().to_owned() }),
         }
     }
 
     /// The file's path.
     pub fn path(&self) -> &Path {
-        &self.shared.path
+        self.database.path()
     }
 
     /// Ends the writer thread after all waiting work, and marks the file as cleanly closed. From then on, writes
@@ -147,11 +195,45 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] or [`StoreError::Database`]; the next open then checks the contents.
     pub fn close(self) -> Result<(), StoreError> {
-        self.shared.writer.close()
+        self.database.shared.writer.close()
+    }
+
+    /// See [`Database::write`].
+    pub(super) fn write<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        self.database.write(work)
+    }
+
+    /// See [`Database::write_many`].
+    pub(super) fn write_many<T: Send + 'static>(
+        &self,
+        records: usize,
+        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        self.database.write_many(records, work)
+    }
+
+    /// See [`Database::read`].
+    pub(super) fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
+        self.database.read(work)
+    }
+}
+
+impl Database {
+    /// The file's path.
+    pub fn path(&self) -> &Path {
+        &self.shared.path
+    }
+
+    /// While this is held, nobody else changes a note by what it said before.
+    pub fn one_at_a_time(&self) -> MutexGuard<'_, ()> {
+        self.shared.notes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Does `work` on the writer thread, in one transaction with whatever else is waiting; returns after fsync.
-    pub(super) fn write<T: Send + 'static>(
+    pub fn write<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
@@ -160,7 +242,7 @@ impl Ledger {
 
     /// Like [`Self::write`], for work that changes this many records one by one; a large number starts a new
     /// transaction.
-    pub(super) fn write_many<T: Send + 'static>(
+    pub fn write_many<T: Send + 'static>(
         &self,
         records: usize,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
@@ -168,8 +250,8 @@ impl Ledger {
         self.shared.writer.write(records, work).map_err(|error| error.in_file(&self.shared.path))
     }
 
-    /// Does `work` on one snapshot of the ledger.
-    pub(super) fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
+    /// Does `work` on one snapshot of the file.
+    pub fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
         let connection = self.reader()?;
         let result = connection
             .unchecked_transaction()
@@ -195,13 +277,13 @@ pub struct RecordsHeld(Ledger);
 
 impl Drop for RecordsHeld {
     fn drop(&mut self) {
-        self.0.shared.held.fetch_sub(1, Ordering::AcqRel);
+        self.0.database.shared.held.fetch_sub(1, Ordering::AcqRel);
     }
 }
 
-impl std::fmt::Debug for Ledger {
+impl std::fmt::Debug for Database {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("Ledger").field("path", &self.shared.path).finish_non_exhaustive()
+        formatter.debug_struct("Database").field("path", &self.path()).finish_non_exhaustive()
     }
 }
 
@@ -212,7 +294,8 @@ fn begin(connection: &Connection, path: &Path) -> Result<(RecorderPrefix, bool, 
         Some(clean) => {
             let recorder = own_prefix(connection)?;
             if !clean {
-                database::quick_check(connection, path)?;
+                // Ciphertext is checked by its digest when it is read, and may be most of the file.
+                database::quick_check_but(connection, "ciphertext", path)?;
             }
             Ok((recorder, clean, false))
         }
@@ -235,13 +318,14 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     )?;
     // Whoever followed the original reads anew: numbers that it gave since would be given again.
     // The first of several restores counts: anything anchored since may be in another home.
-    transaction.execute(
-        "INSERT OR IGNORE INTO settings SELECT ?1, max(block) FROM cursors HAVING max(block) IS NOT NULL",
-        [inspect::COPIED_AT],
-    )?;
+    if let Some((block, _)) = sightings::cursor_in(&transaction)?
+        && notes::read_in(&transaction, &CopiedAt {})?.is_none()
+    {
+        notes::write_in(&transaction, &CopiedAt {}, &block)?;
+    }
     // Its location is new, and what its accounts anchored meanwhile is history.
-    let forgotten = params![rows::PLACE, HISTORY];
-    transaction.execute("DELETE FROM settings WHERE key IN (?1, ?2)", forgotten)?;
+    notes::forget_in(&transaction, &LastPlace {})?;
+    notes::forget_in(&transaction, &ForeignHistory {})?;
     transaction.commit()?;
     Ok(connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)")?)
 }

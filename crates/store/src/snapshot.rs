@@ -59,7 +59,7 @@ pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
 
 impl Ledger {
     /// A moment of the ledger, and the result of `also`, run while nothing is written to the ledger: so a moment of
-    /// another file that is written before the ledger (the vault, the chain) holds everything this moment of the ledger
+    /// another file that is written before the ledger (the chain) holds everything this moment of the ledger
     /// names.
     ///
     /// # Errors

@@ -177,7 +177,7 @@ pub struct PipelineArguments {
     /// Bytes of a small message
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(64..=67_108_864))]
     pub bytes: u32,
-    /// Records that are in ledger and vault before the load begins
+    /// Records that are in the store before the load begins
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=10_000_000))]
     pub before: u64,
     /// Publishers, each a ROS node with a topic of its own

@@ -126,7 +126,7 @@ pub async fn run(lab: &Lab, arguments: &ConsensusArguments) -> Result<Judgement,
             }
         }
     }
-    let preset = json!({ "message_bytes": MESSAGE, "accounts": 2, "vault": "embedded" });
+    let preset = json!({ "message_bytes": MESSAGE, "accounts": 2 });
     let about = json!({ "preset": preset, "networks": presets });
     let title = "Uploads at once: total time and success (the paper's figure 11)";
     let report = Report::new("figure-11-consensus", title, &NOTES, about, results);

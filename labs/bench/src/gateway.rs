@@ -49,7 +49,7 @@ const MEMORY: &str = "/dev/shm";
 
 const NOTES: [&str; 6] = [
     "each: an upload, its receipt, the next; window: 32 uploads in flight; many: 64 records in one UploadMany.",
-    "disk: ledger and vault in the temporary directory, fsynced before the receipt; memory: the same in /dev/shm, \
+    "disk: the store in the temporary directory, fsynced before the receipt; memory: the same in /dev/shm, \
      where fsync is free.",
     "A gateway processes a connection's frames one after another, so one connection keeps one core busy; per core = \
      records divided by the smaller of connections and cores.",
@@ -211,7 +211,7 @@ fn timed(
     Ok(rates)
 }
 
-/// A gateway with its own ledger and vault.
+/// A gateway with its own store.
 struct Stage {
     desk: Arc<BenchDesk>,
     server: Server,
@@ -263,7 +263,7 @@ fn of_gateway(error: GatewayError) -> Failure {
     Failure::new(error.kind(), error.to_string())
 }
 
-/// Records accepted per second, each run with a new gateway and empty ledger and vault.
+/// Records accepted per second, each run with a new gateway and an empty store.
 async fn rates(
     sender: &Sender,
     place: &Place,

@@ -96,7 +96,7 @@ pub struct Network {
     pub chain: Chain,
     /// The uploaders.
     pub accounts: [Arc<Account>; 2],
-    /// The vault.
+    /// The store.
     pub storer: Storer,
     /// Requests in flight.
     pub line: Semaphore,
@@ -104,7 +104,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// Opens it, deploys the contract, registers the accounts, opens a vault; the files are in `directory`. On a node
+    /// Opens it, deploys the contract, registers the accounts, opens a store; the files are in `directory`. On a node
     /// a funder pays, if there is one.
     ///
     /// # Errors
@@ -135,7 +135,7 @@ impl Network {
             client: status.client,
             sealing: chain.sealing().await?,
             gas_limit: head.gas_limit,
-            storer: Storer::open(&directory.join("vault"))?,
+            storer: Storer::open(&directory.join("store"))?,
             line: Semaphore::new(if embedded { Semaphore::MAX_PERMITS } else { MOST_REQUESTS }),
             price: Mutex::default(),
             chain,

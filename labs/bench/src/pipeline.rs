@@ -1,5 +1,5 @@
 //! `pipeline`: the whole line of a throw-away site at a constant rate, publishers included, through real TCPROS. ROS
-//! master, chain and vault are embedded.
+//! master, and chain are embedded.
 
 mod before;
 mod host;
@@ -33,10 +33,10 @@ const NOTES: [&str; 6] = [
     "Publishers, site and everything embedded share this process and its cores; cores = processor time over time.",
     "memory: resident bytes of the process, publishers included: at the start of the load, at the peak, and at the \
      end; minute by minute, those not backed by a file.",
-    "pre-existing records belong to another owner: 500 topics, 1,360 bytes each in the vault, verified; they were not \
+    "pre-existing records belong to another owner: 500 topics, 1,360 bytes each in the store, verified; they were not \
      really sealed, so the scrubber skips them.",
     "law: captured = verified + pending + right ended + quarantined + dropped + tampered, checked every second.",
-    "stages: busy time of each, including waits for disk, vault or node, divided by the duration of the load. With a \
+    "stages: busy time of each, including waits for disk or node, divided by the duration of the load. With a \
      backlog, seal and verify use several cores; for the cost of one record on one core, step by step, see `record`.",
 ];
 

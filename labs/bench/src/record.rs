@@ -26,7 +26,7 @@ const PROVIDERS: [ProviderName; 3] = [ProviderName::Authros, ProviderName::RustC
 
 const NOTES: [&str; 5] = [
     "One core; messages of random bytes, so compression is attempted but gains nothing and the whole length is sealed. \
-     For everything else in the pipeline (vault, ledger, chain) see `pipeline`, whose stages seal and verify are these.",
+     For everything else in the pipeline (store, chain) see `pipeline`, whose stages seal and verify are these.",
     "fields: head and header encoded or parsed, with all their checks. keys: HKDF-SM3 and the salt. SM4-GCM: head and \
      body, including the copy. SM3: the digest of the stored bytes. SM2: signing or verifying it.",
     "proof: the leaf and the path of a batch of 256 to its root. restore: decompression, not needed here.",

@@ -184,14 +184,14 @@ async fn counted(network: &Network) -> Result<u64, Failure> {
     Ok(sum)
 }
 
-/// Chain and vault must hold what was reported to the uploaders; an upload that ended too early may be there as well.
+/// Chain and store must hold what was reported to the uploaders; an upload that ended too early may be there as well.
 fn agree(found: u64, outcome: &Outcome) -> Result<(), Failure> {
     let (least, most) = (outcome.responses.len() as u64, outcome.uploaders as u64);
     if (least..=most).contains(&found) {
         return Ok(());
     }
     let text =
-        format!("{least} of {most} uploads succeeded, but chain or vault count {found}; this run cannot be trusted");
+        format!("{least} of {most} uploads succeeded, but chain or store count {found}; this run cannot be trusted");
     Err(Failure::new(ErrorKind::Refused, text))
 }
 
@@ -223,7 +223,7 @@ async fn upload(run: Arc<Run>, place: usize, begun: Instant) -> Result<Done, Fai
         run.put_on_chain(account, &message, prototype, *gas).await?
     } else {
         let sealed = account.seal(&message)?;
-        run.network.storer.put(sealed.leaf.digest, sealed.blob).await?;
+        run.network.storer.put(sealed.leaf, sealed.captured_at, sealed.blob).await?;
         match &run.line {
             Line::Batch(batchers) => (batchers[place].anchor(sealed.leaf).await?, None),
             _ => run.put_digest(account, sealed.leaf.digest, sealed.captured_at).await?,

@@ -288,16 +288,16 @@ impl Mission {
     }
 
     async fn flipped_bit_is_refused(&self, record: &RecordView) -> Result<bool, Failure> {
-        let vault = &self.site.plant.vault;
-        let genuine = block_in_place(|| vault.get(record.digest))?.ok_or_else(gone)?;
+        let store = &self.site.plant.ciphertext;
+        let genuine = block_in_place(|| store.get(record.digest))?.ok_or_else(gone)?;
         let mut forged = genuine.clone();
         if let Some(byte) = forged.last_mut() {
             *byte ^= 1;
         }
-        block_in_place(|| vault.replace(record.digest, &forged))?;
+        block_in_place(|| store.replace(record.digest, &forged))?;
         let checked = self.cura_b.client.ask(CheckShared { id: record.id.clone() }).await;
         let opened = self.cura_b.client.ask(OpenShared { id: record.id.clone() }).await;
-        block_in_place(|| vault.replace(record.digest, &genuine))?;
+        block_in_place(|| store.replace(record.digest, &genuine))?;
         let told = checked.is_ok_and(|view| view.verdict == Verdict::Tampered);
         Ok(told && opened.is_err_and(|failure| failure.kind == ErrorKind::Tampered))
     }
@@ -305,10 +305,8 @@ impl Mission {
     async fn never_anchored_is_told(&self, genuine: &Genuine) -> Result<bool, Failure> {
         let plant = &self.site.plant;
         let (row, blob) = demo::never_anchored(plant, genuine)?;
-        block_in_place(|| plant.vault.put(&[(row.digest, &blob)]))?;
         let reader = Reader { plant, network: &self.network, reader: &self.cura_b.owner };
-        let verdict = reader.open(&row).await.map(|opened| opened.verdict);
-        block_in_place(|| plant.vault.delete(row.digest))?;
+        let verdict = reader.open_bytes(&row, &blob).await.map(|opened| opened.verdict);
         Ok(verdict.is_ok_and(|verdict| verdict == Verdict::Unanchored))
     }
 
@@ -348,7 +346,7 @@ impl Mission {
         let mut opened = 0;
         for row in rows {
             let asked = self.cura_b.client.ask(OpenShared { id: row.id.clone() }).await.is_ok();
-            let blob = block_in_place(|| self.site.plant.vault.get(row.digest))?.ok_or_else(gone)?;
+            let blob = block_in_place(|| self.site.plant.ciphertext.get(row.digest))?.ok_or_else(gone)?;
             let names = Names::Derived(self.cura_a.owner.index());
             let expected = Expected::any_of(self.network.domain, self.cura_a.address, names);
             let signer = self.cura_a.owner.signing();
@@ -401,7 +399,7 @@ fn has_what_is_shown(seen: &CaptureSummary) -> bool {
 }
 
 fn gone() -> Failure {
-    internal("a record of the demo is missing from its ledger or vault; run the demo again in its own home")
+    internal("a record of the demo is missing from its store; run the demo again in its own home")
 }
 
 async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output) -> Result<Person, Failure> {

@@ -7,7 +7,7 @@ use authros::crypto::{
     provider, topic_key, unwrap,
 };
 use authros::model::{Domain, GrantTerms, Identity, ProfileName, RecordKind, Scope, Timestamp};
-use authros::store::{Ledger, RecordQuery, RecordRow, Vault, open_vault};
+use authros::store::{Ciphertext, Ledger, RecordQuery, RecordRow, Rights};
 
 use super::NO_NODE;
 use super::field::TOPIC;
@@ -58,14 +58,14 @@ impl Two {
     }
 }
 
-/// What the grantee has: his keyring, the chain's events, and a copy of ledger and vault.
+/// What the grantee has: his keyring, the chain's events, and a copy of the store.
 struct Kept {
     provider: &'static dyn Provider,
     domain: Domain,
     owner: Identity,
     keys: Vec<EpochKey>,
     ledger: Ledger,
-    vault: std::sync::Arc<dyn Vault>,
+    ciphertext: Ciphertext,
 }
 
 fn keyring(paths: &authros::paths::Home, name: &str) -> Keyring {
@@ -76,7 +76,8 @@ fn keyring(paths: &authros::paths::Home, name: &str) -> Keyring {
 }
 
 async fn events(paths: &authros::paths::Home, node: Option<&Anvil>) -> (Pin, Vec<EventAt>) {
-    let pin: Pin = serde_json::from_slice(&std::fs::read(paths.pin()).expect("a pin")).expect("JSON");
+    let text = Rights::contract_pin_in(&paths.ledger()).expect("a ledger").expect("a pin");
+    let pin: Pin = serde_json::from_str(&text).expect("JSON");
     let endpoint = match node {
         Some(node) => Endpoint::Node { url: node.http(), roots: None },
         None => Endpoint::Embedded { directory: paths.chain(), consensus: None },
@@ -128,8 +129,8 @@ async fn keep_everything(home: &Home, node: Option<&Anvil>) -> Kept {
         bob.networks[&domain].epochs.keys().map(|&epoch| bob.epoch_key(&domain, epoch).expect("his")).collect();
     keys.extend(own);
     let ledger = Ledger::open(&paths.ledger()).expect("the ledger opens");
-    let vault = open_vault(None, &paths.vault()).expect("the vault opens");
-    Kept { provider, domain, owner, keys, ledger, vault }
+    let ciphertext = Ciphertext::of(&ledger);
+    Kept { provider, domain, owner, keys, ledger, ciphertext }
 }
 
 impl Kept {
@@ -147,7 +148,7 @@ impl Kept {
     }
 
     fn opens(&self, row: &RecordRow) -> bool {
-        let blob = self.vault.get(row.digest).expect("the vault answers").expect("it is there");
+        let blob = self.ciphertext.get(row.digest).expect("the store answers").expect("it is there");
         let expected = Expected::any_of(self.domain, row.owner, Names::Given(TOPIC.to_owned()));
         let anchor = Anchor::Chain(row.digest);
         self.keys.iter().any(|key| {

@@ -35,7 +35,7 @@ fn the_doctor_looks_at_a_home_without_a_passphrase_and_names_what_is_wrong() {
     authros.enrol();
     fs::rename(home.path().join("profiles/default/passphrase"), home.root().join("kept")).expect("moved");
     let found = examined(&authros, 0);
-    for name in ["home", "keys default", "ledger", "vault", "chain", "contract", "clock", "ros", "site"] {
+    for name in ["home", "keys default", "store", "chain", "contract", "clock", "ros", "site"] {
         assert_eq!(status(&found, name), "ok", "{name}: {found}");
     }
     assert_ne!(status(&found, "disk"), "");
@@ -89,14 +89,20 @@ fn host_names_that_lead_nowhere_are_told() {
 }
 
 #[test]
-fn a_redis_that_forgets_or_evicts_is_told() {
-    let Some(redis) = Redis::start(&["--appendonly", "no"]) else { skipped!("no redis-server") };
+fn a_cache_that_answers_is_well_and_one_that_does_not_is_a_warning() {
+    let Some(mut redis) = Redis::start(&[]) else { skipped!("no redis-server") };
     let home = Home::new();
-    let authros = home.authros().with(&["--vault", &redis.url()]);
+    let authros = home.authros().with(&["--cache", &redis.url()]);
+    assert_eq!(status(&examined(&authros, 0), "cache"), "ok");
+    redis.kill();
     let found = examined(&authros, 0);
-    assert_eq!(status(&found, "vault"), "warn", "{found}");
-    redis.cli(&["CONFIG", "SET", "maxmemory-policy", "allkeys-lru"]);
-    let found = examined(&authros, INCOMPLETE);
-    assert_eq!(status(&found, "vault"), "fail", "{found}");
-    assert!(found.to_string().contains("noeviction"), "{found}");
+    assert_eq!(status(&found, "cache"), "warn", "{found}");
+    assert!(found.to_string().contains("read from the store meanwhile"), "{found}");
+    // A URL that cannot be one.
+    home.authros().with(&["--robots", "0"]).run(&["identity", "create"]).expect_code(0);
+    for url in ["http://me:s3cret@127.0.0.1:6379", "redis+cluster://me:s3cret@host"] {
+        let outcome = home.authros().with(&["--cache", url]).run(&["status"]);
+        let words = format!("{}{}", outcome.stdout, outcome.stderr);
+        assert!(outcome.code == Some(3) && words.contains("cache.url") && !words.contains("s3cret"), "{outcome}");
+    }
 }

@@ -1,4 +1,4 @@
-//! A backup that is killed leaves nothing behind: no copy of ledger, vault or chain in the home, which no erasure would
+//! A backup that is killed leaves nothing behind: no copy of store or chain in the home, which no erasure would
 //! reach, and no half file in the folder of the backups.
 
 use std::fs;
@@ -32,7 +32,7 @@ fn a_killed_backup_leaves_nothing_in_the_home_nor_beside_the_others() {
     let foreign = folder.join(".new-by-somebody-else");
     fs::write(&foreign, b"not ours").expect("written");
     let path = |number: usize| folder.join(format!("{number}.backup")).to_str().expect("UTF-8").to_owned();
-    let places = ["backup-moment", "backup-copied:1", "backup-copied:2", "backup-sealed", "file-unfinished"];
+    let places = ["backup-moment", "backup-copied", "backup-sealed", "file-unfinished"];
     let mut seen = 0;
     for (number, place) in places.into_iter().enumerate() {
         let mut site = authros.with_program(&program).with_variable("AUTHROS_FAIL_POINT", place).spawn(&["serve"]);

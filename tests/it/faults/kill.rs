@@ -1,5 +1,5 @@
-//! kill -9 at random moments of a running load and at every named place in a record's life, on the embedded vault and
-//! chain and on Redis and anvil: nothing acknowledged is lost, nothing is anchored twice, every store opens.
+//! kill -9 at random moments of a running load and at every named place in a record's life, on the embedded chain and on
+//! anvil with Redis as a cache: nothing acknowledged is lost, nothing is anchored twice, every store opens.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,10 +17,8 @@ use sha3::{Digest as _, Keccak256};
 
 const TOPICS: [&str; 3] = ["/robot1/odom", "/robot2/odom", "/robot2/camera/compressed"];
 const NO_PEERS: &str = "no redis-server or no anvil";
-/// Places passed only by a vault that is durable by itself, or by a chain in this process.
-const EMBEDDED: [&str; 3] = ["vault-put", "block-due", "block-sealed"];
-/// Places passed only by a vault that may forget.
-const FORGETFUL: [&str; 4] = ["store-read", "store-put", "store-advanced", "put-back"];
+/// Places passed only by a chain in this process.
+const EMBEDDED: [&str; 2] = ["block-due", "block-sealed"];
 
 /// Nanoseconds since 1970.
 pub fn now() -> u64 {
@@ -58,9 +56,9 @@ impl Field {
     }
 
     fn on_redis_and_anvil() -> Option<Self> {
-        let redis = Redis::start(&["--appendonly", "yes", "--appendfsync", "everysec"])?;
+        let redis = Redis::start(&[])?;
         let anvil = Anvil::start(&[])?;
-        let options = ["--vault".to_owned(), redis.url(), "--chain".to_owned(), anvil.http()];
+        let options = ["--cache".to_owned(), redis.url(), "--chain".to_owned(), anvil.http()];
         Some(Self::open(&options.each_ref().map(String::as_str), Some((redis, anvil))))
     }
 
@@ -117,9 +115,8 @@ impl Field {
 
     /// Some places are reached only if something happens beside the load.
     fn provoke(&self, place: &str, tries: u64) {
-        match (place, &self.peers) {
-            ("put-back", Some((redis, _))) => drop(redis.cli(&["FLUSHALL"])),
-            ("directory-kept", _) if tries % 15 == 1 && self.home.socket().is_some() => {
+        match place {
+            "directory-kept" if tries % 15 == 1 && self.home.socket().is_some() => {
                 let name = format!("visitor{}", now() % 1_000_000_000);
                 drop(self.home.profile(&name).spawn(&["register"]).wait(60));
             }
@@ -250,7 +247,7 @@ fn random_kills(mut field: Field, what: &str) {
 }
 
 #[test]
-fn random_kills_on_the_embedded_vault_and_chain_lose_and_double_nothing() {
+fn random_kills_on_the_embedded_chain_lose_and_double_nothing() {
     random_kills(Field::embedded(), "random kills, embedded");
 }
 
@@ -274,7 +271,7 @@ fn kills_at(field: Option<Field>, places: &[&str], what: &str) {
         for place in places {
             // Commits and blocks are frequent, some before the first record; the others occur a few times a second.
             let most = if matches!(*place, "commit-begun" | "committed") { 60 } else { 3 };
-            let most = if *place == "directory-kept" || *place == "put-back" { 1 } else { most };
+            let most = if *place == "directory-kept" { 1 } else { most };
             field.live_until(&program, place, 1 + dice.below(most));
         }
     }
@@ -282,21 +279,19 @@ fn kills_at(field: Option<Field>, places: &[&str], what: &str) {
     field.settle(what);
 }
 
-fn places(of_this_side: &[&str], of_the_other: &[&str], half: usize) -> Vec<&'static str> {
-    let common = |place: &&&str| !EMBEDDED.contains(place) && !FORGETFUL.contains(place);
-    let common: Vec<&str> = POINTS.iter().filter(common).copied().collect();
+fn places(own: &[&'static str], half: usize) -> Vec<&'static str> {
+    let common: Vec<&str> = POINTS.iter().filter(|place| !EMBEDDED.contains(place)).copied().collect();
     let (first, second) = common.split_at(common.len() / 2);
     let shared = if long() { common.clone() } else { [first, second][half].to_vec() };
-    let own = POINTS.iter().filter(|place| of_this_side.contains(place) && !of_the_other.contains(place)).copied();
-    shared.into_iter().chain(own).collect()
+    shared.into_iter().chain(own.iter().copied()).collect()
 }
 
 #[test]
-fn ends_at_every_place_of_a_records_life_on_the_embedded_vault_and_chain() {
-    kills_at(Some(Field::embedded()), &places(&EMBEDDED, &FORGETFUL, 0), "ends at places, embedded");
+fn ends_at_every_place_of_a_records_life_on_the_embedded_chain() {
+    kills_at(Some(Field::embedded()), &places(&EMBEDDED, 0), "ends at places, embedded");
 }
 
 #[test]
 fn ends_at_every_place_of_a_records_life_on_redis_and_anvil() {
-    kills_at(Field::on_redis_and_anvil(), &places(&FORGETFUL, &EMBEDDED, 1), "ends at places, Redis and anvil");
+    kills_at(Field::on_redis_and_anvil(), &places(&[], 1), "ends at places, Redis and anvil");
 }

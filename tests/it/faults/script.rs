@@ -1,14 +1,13 @@
-//! A script of operations on ledger, vault and audit log, and the model that says what must be there after each.
+//! A script of operations on the store and the audit log, and the model that says what must be there after each.
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
 
 use authros::chain::merkle::Tree;
 use authros::model::{Address, Digest, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId};
 use authros::store::{
-    Anchors, AuditEntry, AuditLog, Ledger, NewBatch, NewRecord, NewTransaction, RecordQuery, RootSighting, StoreError,
-    Vault, open_vault,
+    Anchors, AuditEntry, AuditLog, Ciphertext, Ledger, NewBatch, NewRecord, NewTransaction, RecordQuery, RootSighting,
+    StoreError,
 };
 
 const OWNER: Address = Address([1; 20]);
@@ -16,7 +15,7 @@ const OWNER: Address = Address([1; 20]);
 /// What one operation does; each is one commit of the ledger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Operation {
-    /// Seals this many records: into the vault, then acknowledged by the ledger.
+    /// Stores this many records, rows and bytes in one commit.
     Capture(usize),
     /// Closes a batch over everything stored.
     Close,
@@ -134,14 +133,14 @@ fn record(number: usize) -> NewRecord {
         captured_at: Timestamp(1_000 + number as u64),
         simulated: false,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: Some(blob(number)),
     }
 }
 
-/// Ledger, vault and audit log of one directory.
+/// Store and audit log of one directory.
 pub struct Store {
     pub ledger: Ledger,
-    vault: Arc<dyn Vault>,
+    ciphertext: Ciphertext,
     audit: AuditLog,
 }
 
@@ -149,8 +148,7 @@ impl Store {
     /// Opens it.
     pub fn open(directory: &Path) -> Result<Self, StoreError> {
         let ledger = Ledger::open(&directory.join("ledger.db"))?;
-        let vault = open_vault(None, directory)?;
-        Ok(Self { audit: AuditLog::new(ledger.clone()), ledger, vault })
+        Ok(Self { audit: ledger.audit.clone(), ciphertext: Ciphertext::of(&ledger), ledger })
     }
 
     /// Does the model's next operation.
@@ -159,9 +157,6 @@ impl Store {
         match operation {
             Operation::Capture(count) => {
                 let numbers = model.records.len()..model.records.len() + count;
-                let blobs: Vec<_> = numbers.clone().map(|number| (digest(number), blob(number))).collect();
-                let entries: Vec<_> = blobs.iter().map(|(digest, bytes)| (*digest, bytes.as_slice())).collect();
-                self.vault.put(&entries)?;
                 self.ledger.append(numbers.map(record).collect())
             }
             Operation::Close => {
@@ -175,7 +170,14 @@ impl Store {
                 let nonce = model.submitted as u64;
                 let hash = Hash([number(model.submitted); 32]);
                 let (purpose, anchors) = ("anchor".to_owned(), Anchors::Batch(batch.root));
-                self.ledger.submit(NewTransaction { hash, account: OWNER, nonce, raw: vec![3; 300], purpose, anchors })
+                self.ledger.lanes.submit(NewTransaction {
+                    hash,
+                    account: OWNER,
+                    nonce,
+                    raw: vec![3; 300],
+                    purpose,
+                    anchors,
+                })
             }
             Operation::Mine if model.mined < model.submitted => {
                 let root = self.ledger.open_roots(OWNER)?[model.mined];
@@ -190,7 +192,7 @@ impl Store {
                 let digests: Vec<Digest> =
                     self.ledger.in_state(None, RecordState::Confirmed, 10_000)?.iter().map(|row| row.digest).collect();
                 for digest in &digests {
-                    assert!(self.vault.get(*digest)?.is_some(), "{digest} is in the vault");
+                    assert!(self.ciphertext.get(*digest)?.is_some(), "{digest} is in the store");
                 }
                 self.ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified).map(drop)
             }
@@ -216,7 +218,7 @@ impl Store {
                 let number = states.len();
                 assert_eq!((row.digest, row.seq), (digest(number), number as u64 + 1), "in order and without a hole");
                 assert_eq!(
-                    self.vault.get(row.digest).expect("reads").as_deref(),
+                    self.ciphertext.get(row.digest).expect("reads").as_deref(),
                     Some(&*blob(number)),
                     "record {number}"
                 );

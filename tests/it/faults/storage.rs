@@ -1,5 +1,5 @@
 //! A disk that fails, dies, hangs or tears at the k-th write or sync of a script of a thousand operations: whatever
-//! ledger and vault acknowledged is there afterwards, nothing is half done, and the work continues.
+//! the store acknowledged is there afterwards, nothing is half done, and the work continues.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};

@@ -121,7 +121,7 @@ fn a_panic_in_the_middle_of_a_records_life_is_one_more_try() {
         skipped!("authros-faulty is not built; cargo test builds it with the examples")
     };
     let (home, authros, observer) = under_load();
-    let all = ["sealed:4", "checked:2", "block-due:3", "vault-put:4", "batch-closed:2", "signed-kept:2", "mined:2"];
+    let all = ["sealed:4", "checked:2", "block-due:3", "committed:4", "batch-closed:2", "signed-kept:2", "mined:2"];
     for place in if long() { &all[..] } else { &all[..3] } {
         let point = format!("panic:{place}");
         let failing = authros.with_program(&program).with_variable("AUTHROS_FAIL_POINT", &point);

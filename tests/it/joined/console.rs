@@ -45,12 +45,12 @@ fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it(
     let alice = Member::new("alice", &gateway);
     let robot = Robot::enrol(&alice, "scout", &gateway);
     alice.home.file("scout.toml", format!("[[topic]]\nmatch = \"{TOPIC}\"\nevery = 2\n"), 0o600);
-    alice.home.file("wrong.toml", "vault.url = \"redis://elsewhere\"\n", 0o600);
+    alice.home.file("wrong.toml", "cache.url = \"redis://elsewhere\"\n", 0o600);
 
     let mut owner = Operator::opens(&alice.authros);
     owner.presses("8").sees("joined another one").sees("Robots").sees("scout");
     owner.presses("p").sees("Set a robot's policy").presses("~/wro\t").sees("~/wrong.toml").presses("\r");
-    owner.sees("vault.url").presses("\u{15}~/sco\t").sees("~/scout.toml").presses("\r").sees("Set this policy?");
+    owner.sees("cache.url").presses("\u{15}~/sco\t").sees("~/scout.toml").presses("\r").sees("Set this policy?");
     owner.sees("1 rule").presses("y").sees("policy 1 waiting").sees("1 in drift");
     owner.presses("1").sees("robot scout drifts: policy 1 waiting");
     owner.presses("8").sees("waiting").presses("\r").sees("Robot scout").sees("drift").sees("every = 2").presses("q");

@@ -180,7 +180,7 @@ fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
     let own = state.identity.as_ref().and_then(|identity| identity.address);
     let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
     match rule {
-        "chain" | "vault" => true,
+        "chain" | "store" => true,
         "tampered" | "quarantine" => own.is_some_and(|own| begins(own).eq_ignore_ascii_case(subject)),
         "gap" => site.life.lost_in_transport > 0 || site.life.dropped > site.life.discarded,
         "grant_ends" => own.is_some_and(|own| {
@@ -335,16 +335,16 @@ mod tests {
     fn an_alert_says_since_when_how_often_and_that_it_is_over() {
         let at = Timestamp::from_seconds;
         let mut book = AlertBook::default();
-        book.refresh(vec![alert("vault", 10)], at(10));
-        book.refresh(vec![alert("vault", 20)], at(20));
+        book.refresh(vec![alert("store", 10)], at(10));
+        book.refresh(vec![alert("store", 20)], at(20));
         assert_eq!((book.shown()[0].since, book.shown()[0].count), (at(10), 1));
         book.refresh(vec![], at(30));
         assert_eq!(book.shown()[0].resolved, Some(at(30)));
-        book.refresh(vec![alert("vault", 40), alert("chain", 40)], at(40));
-        let vault = book.shown().into_iter().find(|alert| alert.about == "vault").cloned().expect("it is back");
-        assert_eq!((vault.since, vault.count, vault.resolved), (at(40), 2, None));
+        book.refresh(vec![alert("store", 40), alert("chain", 40)], at(40));
+        let store = book.shown().into_iter().find(|alert| alert.about == "store").cloned().expect("it is back");
+        assert_eq!((store.since, store.count, store.resolved), (at(40), 2, None));
         book.refresh(vec![alert("chain", 50)], at(50));
-        assert_eq!(book.shown().iter().map(|alert| alert.about.as_str()).collect::<Vec<_>>(), ["chain", "vault"]);
+        assert_eq!(book.shown().iter().map(|alert| alert.about.as_str()).collect::<Vec<_>>(), ["chain", "store"]);
         assert_eq!(book.forgotten_at(), Some(at(50 + 15 * 60)));
         book.refresh(vec![alert("chain", 50)], at(50 + 15 * 60));
         assert_eq!(book.shown().len(), 1);
@@ -384,14 +384,14 @@ mod toast_tests {
     #[test]
     fn an_alert_about_something_that_lasts_is_one_and_goes_when_that_is_over() {
         let mut toasts = Toasts::default();
-        let about = || Some("vault".to_owned());
+        let about = || Some("store".to_owned());
         toasts.push(NoticeLevel::Error, "node gone".into(), Timestamp(0));
         for text in ["down", "still down"] {
-            toasts.supersede("vault");
+            toasts.supersede("store");
             toasts.push_about(NoticeLevel::Error, text.into(), Timestamp(0), about());
         }
         assert_eq!(toasts.unseen(), 2);
-        toasts.supersede("vault");
+        toasts.supersede("store");
         toasts.push_about(NoticeLevel::Info, "back".into(), Timestamp(0), about());
         assert_eq!(toasts.unseen(), 1);
         assert_eq!(toasts.shown().map(|toast| toast.text.as_str()), Some("back"), "the newest result is on top");

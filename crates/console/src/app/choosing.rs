@@ -36,7 +36,7 @@ pub fn choices(state: &State) -> Vec<Choice> {
         let watched = state.topics.rows.iter().filter(|row| row.watched || row.messages > 0);
         all.extend(watched.map(|row| choice(&row.topic, format!("{} captured", row.messages), row.topic.clone())));
         all.extend(seen(&state.uploads.rows, &all));
-        let states = ["sealed", "verified", "quarantined", "tampered"];
+        let states = ["stored", "verified", "quarantined", "tampered"];
         all.extend(states.map(|word| choice(word, "by state".to_owned(), format!("state:{word}"))));
     } else {
         all.extend(shared(state));

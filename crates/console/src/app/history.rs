@@ -225,8 +225,8 @@ const WINDOW: u64 = 2_000_000_000;
 /// After this long without news, the rates are zero, nanoseconds.
 const STILL_AFTER: u64 = 6_000_000_000;
 
-/// Stages of a record: captured, sealed, stored, anchored, confirmed, verified.
-pub const STATIONS: usize = 6;
+/// Stages of a record: captured, stored, anchored, confirmed, verified.
+pub const STATIONS: usize = 5;
 
 /// Records per second at each stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -237,7 +237,7 @@ pub struct Rates {
 }
 
 fn counts(life: &LifeLine) -> [u64; STATIONS] {
-    [life.captured, life.sealed, life.stored, life.anchored, life.confirmed, life.verified]
+    [life.captured, life.stored, life.anchored, life.confirmed, life.verified]
 }
 
 impl Rates {

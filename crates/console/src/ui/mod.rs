@@ -1,7 +1,7 @@
 //! Pure `draw(frame, state, theme)`: screens, popups, widgets. Nothing here changes state.
 //!
 //! ```text
-//! AuthROS default   ros ● ok  chain ● ok  vault ● ok  gateway ○ absent   FROZEN   header
+//! AuthROS default   ros ● ok  chain ● ok  store ● ok  gateway ○ absent   FROZEN   header
 //! 1 Overview  2 Topics  3 Uploads  4 Shared  5 Grants  6 Keys  7 Chain ...        header
 //! Topics  12 of 40, by name, filter: odom                                         table
 //!   Topic                 Watched     Hz     kB/s  Lost  Last                     table

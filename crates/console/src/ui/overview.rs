@@ -80,20 +80,19 @@ fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
 fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) -> Rect {
     let stations = [
         ("captured", life.captured),
-        ("sealed", life.sealed),
         ("stored", life.stored),
         ("anchored", life.anchored),
         ("confirmed", life.confirmed),
         ("verified", life.verified),
     ];
-    let width = (area.width / 6).min(16);
+    let width = (area.width / 5).min(16);
     for (place, (name, count)) in (0u16..).zip(stations) {
         let column = Rect { width, ..right_of(area, place * width) };
         let count = words::count(count);
         // `confirmed ›` and a gap must fit.
-        let arrow = if place == 5 || width < 12 { "" } else { " ›" };
+        let arrow = if place == 4 || width < 12 { "" } else { " ›" };
         canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
-        canvas.put(row(column, 1), &count, if place == 5 { Role::Good } else { Role::Accent });
+        canvas.put(row(column, 1), &count, if place == 4 { Role::Good } else { Role::Accent });
         let rate = state.rates.stations.get(usize::from(place)).copied().unwrap_or(0.0);
         canvas.put(row(column, 2), &format!("{rate:.1}/s"), Role::Dim);
     }

@@ -260,10 +260,10 @@ fn in_trouble() -> Robot {
     site.health[1].level = HealthLevel::Waiting;
     site.health[1].text = "retry in 4 s".to_owned();
     site.health[2].level = HealthLevel::Failed;
-    site.health[2].text = "redis://127.0.0.1:6379 evicts keys; set maxmemory-policy noeviction".to_owned();
+    site.health[2].text = "the disk of /srv/authros is full; free some space".to_owned();
     robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
-    let text = "vault: redis://127.0.0.1:6379 evicts keys, so nothing is stored there; set maxmemory-policy noeviction \
-                and the vault goes on by itself, nothing sealed is lost meanwhile";
+    let text = "chain: http://127.0.0.1:8545 does not answer, so nothing is anchored there; start the node again \
+                and the chain goes on by itself, nothing sealed is lost meanwhile";
     let notice = Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned(), about: None };
     robot.act(Action::Told(notice));
     robot

@@ -3,6 +3,27 @@ use crate::{ProviderName, provider};
 
 const HOME: Domain = Domain([1; 32]);
 
+impl Keyring {
+    pub(crate) fn start_epoch(&mut self, domain: &Domain) -> Result<u64, CryptoError> {
+        let owner = self.eoa.address();
+        let network = self.networks.entry(*domain).or_default();
+        let epoch = network.epochs.last_key_value().map_or(0, |(last, _)| *last) + 1;
+        let secret = EpochSecret::begin(&self.sm4, domain, &owner, epoch)?;
+        network.epochs.insert(epoch, secret);
+        network.current = epoch;
+        Ok(epoch)
+    }
+
+    pub(crate) fn current_epoch(&self, domain: &Domain) -> Option<u64> {
+        self.networks.get(domain).map(|network| network.current).filter(|epoch| *epoch > 0)
+    }
+
+    pub(crate) fn pending_epochs(&self, domain: &Domain) -> Vec<u64> {
+        let epochs = self.networks.get(domain).into_iter().flat_map(|network| &network.epochs);
+        epochs.filter(|(_, secret)| secret.state == EpochState::Pending).map(|(epoch, _)| *epoch).collect()
+    }
+}
+
 fn keyring() -> Keyring {
     Keyring::generate(provider(ProviderName::RustCrypto)).expect("generates")
 }

@@ -1,4 +1,4 @@
-//! A desk that keeps in memory what a chain and a vault would keep on disk.
+//! A desk that keeps in memory what a chain and a store would keep on disk.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::net::SocketAddr;

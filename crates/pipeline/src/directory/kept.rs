@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{Directory, Extension, Granted};
 use crate::chain::{Event, EventAt};
 use crate::model::{Address, Hash, Identity, Token};
-use crate::store::{KeptEnvelope, KeptRight, Ledger, RightEvent, RightKind, StoreError};
+use crate::store::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StoreError};
 
 /// An event with what follows from it alone.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -75,20 +75,28 @@ impl Told {
     }
 
     /// From a row; without its envelope.
-    pub(crate) fn from_row(row: &KeptRight) -> Option<Self> {
-        let Written { transaction, proven, event } = serde_json::from_str(&row.event).ok()?;
-        Some(Self { block: row.block, place: row.place, transaction, event, proven })
+    ///
+    /// # Errors
+    /// [`StoreError::Corrupt`] if it cannot be read.
+    pub(crate) fn from_row(rights: &Rights, row: &KeptRight) -> Result<Self, StoreError> {
+        let Written { transaction, proven, event } = serde_json::from_str(&row.event).map_err(|_| {
+            let detail = format!("the event {} of block {} cannot be read", row.place, row.block);
+            StoreError::Corrupt { file: rights.path().to_owned(), detail }
+        })?;
+        Ok(Self { block: row.block, place: row.place, transaction, event, proven })
     }
 }
 
-/// Fills an empty directory from the ledger; `false` if nothing is stored, or it cannot be read.
+/// Fills an empty directory from the ledger; `false` if nothing is stored.
 ///
 /// # Errors
-/// Errors of the ledger.
-pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreError> {
-    let standing = ledger.standing_rights()?;
-    let told: Option<Vec<Told>> = standing.events.iter().map(Told::from_row).collect();
-    let Some(told) = told.filter(|_| standing.last.is_some()) else { return Ok(false) };
+/// Errors of the ledger; [`StoreError::Corrupt`] if what is stored cannot be read, and the directory is then empty.
+pub fn read_back(rights: &Rights, directory: &Directory) -> Result<bool, StoreError> {
+    let standing = rights.standing_rights()?;
+    let told: Vec<Told> = standing.events.iter().map(|row| Told::from_row(rights, row)).collect::<Result<_, _>>()?;
+    if standing.last.is_none() {
+        return Ok(false);
+    }
     for told in &told {
         directory.take(told);
     }
@@ -100,31 +108,34 @@ pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreEr
 ///
 /// # Errors
 /// Errors of the ledger; then nothing more is stored.
-pub fn keep(ledger: &Ledger, told: &[Told]) -> Result<(), StoreError> {
-    ledger.keep_rights(told.iter().map(Told::to_row).collect())
+pub fn keep(rights: &Rights, told: &[Told]) -> Result<(), StoreError> {
+    rights.keep_rights(told.iter().map(Told::to_row).collect())
 }
 
 /// The identity of an account with this version of its keys, as registered; `None` if the chain's events have none.
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn identity(ledger: &Ledger, account: Address, version: u64) -> Result<Option<Identity>, StoreError> {
-    let registered = |row: &KeptRight| match Told::from_row(row)?.event {
-        Event::Registered { identity, .. } if version == 1 => Some(identity),
-        Event::KeysRotated { keys, identity, .. } if keys == version => Some(identity),
-        _ => None,
-    };
-    Ok(ledger.other_rights(account)?.iter().find_map(registered))
+pub fn identity(rights: &Rights, account: Address, version: u64) -> Result<Option<Identity>, StoreError> {
+    for row in rights.other_rights(account)? {
+        match Told::from_row(rights, &row)?.event {
+            Event::Registered { identity, .. } if version == 1 => return Ok(Some(identity)),
+            Event::KeysRotated { keys, identity, .. } if keys == version => return Ok(Some(identity)),
+            _ => {}
+        }
+    }
+    Ok(None)
 }
 
 /// The grants that an account gave or received, including revoked ones, oldest first.
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
+pub fn history(rights: &Rights, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
     let mut revoked: BTreeMap<(Address, Address, u64), Granted> = BTreeMap::new();
-    for row in ledger.revoked_grants(account)? {
-        let (Some(told), Some(epoch)) = (Told::from_row(&row), row.revoked) else { continue };
+    for row in rights.revoked_grants(account)? {
+        let Some(epoch) = row.revoked else { continue };
+        let told = Told::from_row(rights, &row)?;
         match &told.event {
             // What it renewed was the same grant.
             Event::Granted { terms, .. } => {
@@ -152,9 +163,9 @@ pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Resu
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn envelopes(ledger: &Ledger, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
+pub fn envelopes(rights: &Rights, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
     let terms = &grant.terms;
-    let all = ledger.envelopes_between(terms.owner, terms.grantee, grant.revoked)?;
+    let all = rights.envelopes_between(terms.owner, terms.grantee, grant.revoked)?;
     let mut epochs: BTreeMap<u64, Vec<KeptEnvelope>> = BTreeMap::new();
     for envelope in all {
         let known = epochs.entry(envelope.epoch).or_default();
@@ -171,11 +182,12 @@ pub fn envelopes(ledger: &Ledger, grant: &Granted) -> Result<Vec<KeptEnvelope>, 
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn handed_over(ledger: &Ledger, account: Address) -> Result<Vec<(Identity, Vec<u8>)>, StoreError> {
+pub fn handed_over(rights: &Rights, account: Address) -> Result<Vec<(Identity, Vec<u8>)>, StoreError> {
     let mut found = Vec::new();
-    for told in ledger.other_rights(account)?.iter().filter_map(Told::from_row) {
+    for row in rights.other_rights(account)? {
+        let told = Told::from_row(rights, &row)?;
         let Event::KeysRotated { identity, .. } = &told.event else { continue };
-        if let Some(envelope) = ledger.envelope_at(told.block, told.place)? {
+        if let Some(envelope) = rights.envelope_at(told.block, told.place)? {
             found.push((*identity, envelope));
         }
     }
@@ -186,18 +198,18 @@ pub fn handed_over(ledger: &Ledger, account: Address) -> Result<Vec<(Identity, V
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
+pub fn token(rights: &Rights, directory: &Directory, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
     let now = directory.with_account(owner, |account| {
         account.filter(|account| account.epoch == epoch).and_then(|account| account.token)
     });
-    now.map_or_else(|| ledger.epoch_token(owner, epoch), |token| Ok(Some(token)))
+    now.map_or_else(|| rights.epoch_token(owner, epoch), |token| Ok(Some(token)))
 }
 
 /// Whether an account ever registered this token.
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn has_token(ledger: &Ledger, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
+pub fn has_token(rights: &Rights, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
     let now = directory.with_account(owner, |account| account.is_some_and(|account| account.token == Some(token)));
-    Ok(now || ledger.ever_had_token(owner, token)?)
+    Ok(now || rights.ever_had_token(owner, token)?)
 }

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::crypto::{ProviderName, SmKeyPair, prove, provider};
 use crate::model::{Hash, Scope, Signature};
-use crate::store::Ledger;
+use crate::store::{Ledger, RightEvent, RightKind};
 
 const DOMAIN: Domain = Domain([9; 32]);
 const EVERYBODY: [u8; 3] = [1, 2, 3];
@@ -211,7 +211,7 @@ impl Pair {
     fn new() -> Self {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
-        ledger.bind_contract(DOMAIN).expect("bound");
+        ledger.rights.bind_contract(DOMAIN, "{}").expect("bound");
         let mut pair = Self { story: Story::default(), directory: blank(), ledger, _home: home };
         let provider = provider(ProviderName::RustCrypto);
         let [keys, sealing] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("a pair"));
@@ -232,21 +232,21 @@ impl Pair {
             assert!(self.directory.take(one), "new");
             assert!(!self.directory.take(one), "twice is once");
         }
-        kept::keep(&self.ledger, &told).expect("kept");
-        kept::keep(&self.ledger, &told).expect("twice is once");
+        kept::keep(&self.ledger.rights, &told).expect("kept");
+        kept::keep(&self.ledger.rights, &told).expect("twice is once");
     }
 
     fn replace(&mut self, blocks: u64) {
         self.story.block = self.story.block.saturating_sub(blocks).max(1);
         let last = self.story.block;
         self.story.events.retain(|at| at.block <= last);
-        self.ledger.take_back_rights(last + 1).expect("undone");
+        self.ledger.rights.take_back_rights(last + 1).expect("undone");
         self.directory = self.read_back();
     }
 
     fn read_back(&self) -> Directory {
         let directory = blank();
-        assert!(kept::read_back(&self.ledger, &directory).expect("read"), "kept");
+        assert!(kept::read_back(&self.ledger.rights, &directory).expect("read"), "kept");
         directory
     }
 
@@ -258,22 +258,22 @@ impl Pair {
         let plain = self.story.grants();
         for account in EVERYBODY.map(address) {
             let mine = plain.iter().filter(|one| one.terms.owner == account || one.terms.grantee == account);
-            let found = kept::history(&self.ledger, &self.directory, account).expect("history");
+            let found = kept::history(&self.ledger.rights, &self.directory, account).expect("history");
             let found: Vec<Plain> = found.iter().map(|grant| self.plain(grant)).collect();
             let mine: Vec<Plain> = mine.cloned().map(shown).collect();
             assert_eq!(found, mine);
         }
         for at in &self.story.events {
             if let Event::Revoked { owner, epoch, token, .. } | Event::Rotated { owner, epoch, token } = &at.event {
-                assert_eq!(kept::token(&self.ledger, &self.directory, *owner, *epoch), Ok(Some(*token)));
-                assert_eq!(kept::has_token(&self.ledger, &self.directory, *owner, *token), Ok(true));
+                assert_eq!(kept::token(&self.ledger.rights, &self.directory, *owner, *epoch), Ok(Some(*token)));
+                assert_eq!(kept::has_token(&self.ledger.rights, &self.directory, *owner, *token), Ok(true));
             }
         }
-        assert_eq!(kept::has_token(&self.ledger, &self.directory, address(1), Token([0xee; 32])), Ok(false));
+        assert_eq!(kept::has_token(&self.ledger.rights, &self.directory, address(1), Token([0xee; 32])), Ok(false));
     }
 
     fn plain(&self, grant: &Granted) -> Plain {
-        let envelopes = kept::envelopes(&self.ledger, grant).expect("envelopes");
+        let envelopes = kept::envelopes(&self.ledger.rights, grant).expect("envelopes");
         Plain {
             terms: grant.terms.clone(),
             block: grant.block,
@@ -369,4 +369,31 @@ fn granted(owner: u8, grantee: u8, epoch: u64) -> Event {
     let (owner, grantee) = (address(owner), address(grantee));
     let terms = GrantTerms { owner, grantee, epoch, expiry: None, scope: Scope::All };
     Event::Granted { terms, envelope: vec![1; 1_300] }
+}
+
+#[test]
+fn what_is_damaged_among_the_rights_is_an_error_and_not_nothing() {
+    let home = tempfile::tempdir().expect("a folder");
+    let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
+    let row = |place, kind| RightEvent {
+        block: 5,
+        place,
+        kind,
+        owner: Some(address(1)),
+        grantee: None,
+        epoch: None,
+        token: None,
+        event: "{\"transaction\":".to_owned(),
+        envelope: None,
+    };
+    ledger.rights.keep_rights(vec![row(0, RightKind::Other)]).expect("kept");
+    let damaged = [
+        kept::read_back(&ledger.rights, &blank()).map(drop),
+        kept::identity(&ledger.rights, address(1), 1).map(drop),
+        kept::handed_over(&ledger.rights, address(1)).map(drop),
+    ];
+    for found in damaged {
+        let error = found.expect_err("damaged").to_string();
+        assert!(error.contains("ledger.db") && error.contains("the event 0 of block 5"), "{error}");
+    }
 }

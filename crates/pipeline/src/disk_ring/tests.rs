@@ -15,7 +15,7 @@ use crate::pipeline::sealer::Sealer;
 use crate::pipeline::tests::body_of;
 use crate::pipeline::{Author, CaptureSession, Losses, Recorder};
 use crate::ros::MessageSink as _;
-use crate::store::{RecordQuery, RecordRow, open_vault};
+use crate::store::{Ciphertext, Ledger, RecordQuery, RecordRow};
 
 const SECOND: u64 = 1_000_000_000;
 const CAMERA: &str = "/camera";
@@ -37,12 +37,12 @@ impl Robot {
     fn new(home: &Path) -> Self {
         let ours = provider(ProviderName::default());
         let notes = Arc::new(Notes::default());
+        let ledger = Ledger::open(&home.join("ledger.db")).expect("ledger");
         let plant = Plant {
-            ledger: Ledger::open(&home.join("ledger.db")).expect("ledger"),
-            vault: open_vault(None, home).expect("vault"),
+            ciphertext: Ciphertext::of(&ledger),
+            ledger,
             provider: ours,
             observer: Arc::clone(&notes) as Arc<dyn crate::pipeline::Observer>,
-            backlog: u64::MAX,
         };
         let signing = SmKeyPair::generate(ours).expect("pair");
         let (key, index) = (SealingKey::Epoch(EpochKey::new([1; 32])), IndexKey::new([2; 32]));
@@ -66,7 +66,7 @@ impl Robot {
     }
 
     fn pull(&self, span: &RingSpan) -> Brought {
-        ask(&self.plant.ledger, 7, span).expect("noted");
+        ask(&self.plant.ledger.notes, 7, span).expect("noted");
         let mut pulls = Pulls::new(self.plant.clone(), Arc::clone(&self.ring), self.author.address);
         loop {
             match pulls.step().expect("a step") {
@@ -86,7 +86,7 @@ impl Robot {
     }
 
     fn body(&self, row: &RecordRow) -> Vec<u8> {
-        let blob = self.plant.vault.get(row.digest).expect("vault").expect("stored");
+        let blob = self.plant.ciphertext.get(row.digest).expect("read").expect("stored");
         body_of(self.plant.provider, &self.keys, row, &blob)
     }
 }
@@ -159,8 +159,8 @@ fn what_is_asked_for_outlives_the_process_and_damaged_bytes_are_left_out() {
     bytes[last] ^= 1;
     std::fs::write(&path, bytes).expect("written");
     let asked = span(begun, begun + 60 * SECOND, CAMERA);
-    ask(&robot.plant.ledger, 3, &asked).expect("noted");
-    ask(&robot.plant.ledger, 3, &asked).expect("noted once");
+    ask(&robot.plant.ledger.notes, 3, &asked).expect("noted");
+    ask(&robot.plant.ledger.notes, 3, &asked).expect("noted once");
     // Another run, of which nothing is left but the ledger and the ring.
     let mut pulls = Pulls::new(robot.plant.clone(), Arc::clone(&robot.ring), robot.author.address);
     assert_eq!(pulls.step().expect("a step"), Step::Moved(2));
@@ -171,9 +171,9 @@ fn what_is_asked_for_outlives_the_process_and_damaged_bytes_are_left_out() {
     assert_eq!(pulls.step().expect("a step"), Step::Idle);
     assert_eq!(robot.rows(RecordKind::Data).len(), 2);
     for number in 0..MOST as u64 {
-        ask(&robot.plant.ledger, number, &asked).expect("noted");
+        ask(&robot.plant.ledger.notes, number, &asked).expect("noted");
     }
-    assert!(ask(&robot.plant.ledger, 1000, &asked).is_err(), "not without bound");
+    assert!(ask(&robot.plant.ledger.notes, 1000, &asked).is_err(), "not without bound");
 }
 
 #[test]
@@ -183,9 +183,9 @@ fn what_is_asked_for_while_another_request_ends_is_not_lost() {
     let (ledger, asked) = (robot.plant.ledger.clone(), span(1, 9, CAMERA));
     let mut pulls = Pulls::new(robot.plant.clone(), Arc::clone(&robot.ring), robot.author.address);
     // A home that was restored has asked for something else under this number.
-    ask(&ledger, 0, &span(2, 9, CAMERA)).expect("noted");
+    ask(&ledger.notes, 0, &span(2, 9, CAMERA)).expect("noted");
     let asking = std::thread::spawn(move || {
-        (0..40u64).for_each(|number| ask(&ledger, number, &asked).expect("noted"));
+        (0..40u64).for_each(|number| ask(&ledger.notes, number, &asked).expect("noted"));
     });
     let mut done = 0;
     loop {

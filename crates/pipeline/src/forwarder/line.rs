@@ -303,7 +303,7 @@ impl Outbox {
         let rows = self.plant.ledger.list(&query)?.rows;
         let (mut window, mut bytes, mut spoilt) = (Vec::new(), 0, Vec::new());
         for row in rows.into_iter().filter(|row| !refused.contains(&row.digest)).take(most) {
-            let blob = self.plant.vault.get(row.digest)?;
+            let blob = self.plant.ciphertext.get(row.digest)?;
             let Some(blob) = blob.filter(|blob| self.plant.provider.sm3(&[blob]) == row.digest.0) else {
                 spoilt.push(row.digest);
                 continue;
@@ -360,7 +360,7 @@ impl Outbox {
 
     fn give_up(&self, digests: &[Digest]) -> Result<(), PipelineError> {
         // Deleted first: after an interruption it is deleted again.
-        self.plant.vault.discard(digests)?;
+        self.plant.ciphertext.discard(digests)?;
         Ok(self.plant.ledger.proven_gone(digests)?)
     }
 }

@@ -9,7 +9,7 @@ use crate::gateway::{Client, Upload};
 use crate::gateway_stage::{Member, Stage, context, notice_of, pair};
 use crate::model::{Header, RecordKind, RecordState};
 use crate::pipeline::fixture::Notes;
-use crate::store::{Foreign, Ledger, NewRecord, StateCounts, open_vault};
+use crate::store::{Ciphertext, Foreign, Ledger, NewRecord, StateCounts};
 use relay::Relay;
 
 mod addresses;
@@ -54,12 +54,12 @@ impl Drop for Work {
 }
 
 fn plant(home: &std::path::Path, notes: &Arc<Notes>) -> Plant {
+    let ledger = Ledger::open(&home.join("ledger.db")).expect("ledger");
     Plant {
-        ledger: Ledger::open(&home.join("ledger.db")).expect("ledger"),
-        vault: open_vault(None, home).expect("vault"),
+        ciphertext: Ciphertext::of(&ledger),
+        ledger,
         provider: context().provider,
         observer: Arc::clone(notes) as Arc<dyn crate::pipeline::Observer>,
-        backlog: u64::MAX,
     }
 }
 
@@ -129,7 +129,6 @@ impl Scene {
             self.numbers += 1;
             let upload = self.alice.record(&self.device, self.numbers, &vec![7; length]);
             rows.push(self.row(&upload));
-            self.plant.vault.put(&[(rows[rows.len() - 1].digest, &upload.blob)]).expect("kept");
         }
         self.plant.ledger.append(rows).expect("acknowledged");
         self.stored.notify_waiters();
@@ -154,7 +153,7 @@ impl Scene {
             captured_at: header.captured_at,
             simulated: false,
             state: RecordState::Stored,
-            local_copy: None,
+            blob: Some(upload.blob.clone()),
         }
     }
 
@@ -179,7 +178,7 @@ impl Scene {
     }
 
     fn kept_here(&self) -> u64 {
-        self.plant.vault.usage().expect("usage").entries
+        self.plant.ciphertext.usage().expect("usage").entries
     }
 
     /// The gateway anchors and verifies everything it has.
@@ -302,11 +301,10 @@ async fn one_bad_record_does_not_hold_up_the_others() {
     let foreign = bob.record(&scene.device, 1, b"not alice's");
     let row = scene.row(&foreign);
     let digest = row.digest;
-    scene.plant.vault.put(&[(digest, &foreign.blob)]).expect("kept");
     scene.plant.ledger.append(vec![row]).expect("acknowledged");
-    // Damaged in the vault: never sent.
+    // Damaged in the store: never sent.
     let spoilt = scene.plant.ledger.in_state(None, RecordState::Stored, 1).expect("rows")[0].digest;
-    scene.plant.vault.replace(spoilt, b"something else").expect("replaced");
+    scene.plant.ciphertext.replace(spoilt, b"something else").expect("replaced");
     scene.capture(10, 100);
     let work = scene.work();
     scene.until_state(RecordState::Submitted, 19).await;
@@ -331,7 +329,6 @@ async fn a_record_refused_for_itself_is_sent_again_after_its_pause() {
     let bob = Member::new("bob", 0x31);
     let foreign = bob.record(&scene.device, 1, b"not alice's");
     let row = scene.row(&foreign);
-    scene.plant.vault.put(&[(row.digest, &foreign.blob)]).expect("kept");
     scene.plant.ledger.append(vec![row]).expect("acknowledged");
     let _work = scene.work_at(Pace { retry: Duration::from_millis(20), ..QUICK });
     scene.until("refused again and again", |scene| scene.notes.with("stays in the outbox") >= 3).await;

@@ -24,7 +24,7 @@ impl Desk {
         let ledger = Ledger::open(&home.join("ledger.db")).expect("opens");
         let notes = Arc::new(Notes::default());
         let rules = PinRules { mode, listed: listed.parse().expect("a list") };
-        let pins = Pins::new(ledger.clone(), Arc::clone(&notes) as _, rules);
+        let pins = Pins::new(&ledger, Arc::clone(&notes) as _, rules);
         pins.introduce(OWNER, "alice");
         Self { pins, notes, ledger, numbers: std::cell::Cell::new(0) }
     }
@@ -121,7 +121,7 @@ fn a_restart_is_accepted_and_a_replacement_is_not_until_the_operator_says_so() {
     assert_eq!((desk.alarms(), desk.judge("/t", &restarted)), (1, None));
     // Nobody can tell the next one from either, in this process or a later one.
     assert_eq!(desk.judge("/t", &desk.origin("/a", "h")), Some(Doubt::Undecided));
-    desk.ledger.close_alarms(OWNER, "/t").expect("closed");
+    desk.ledger.pins.close_alarms(OWNER, "/t").expect("closed");
     drop(desk);
     let desk = Desk::open(home.path(), PinMode::First, "");
     let next = desk.origin("/a", "h");
@@ -167,7 +167,7 @@ fn a_publisher_without_a_name_is_not_pinned_and_its_name_is_no_other_publisher()
     let home = tempfile::tempdir().expect("folder");
     let desk = Desk::open(home.path(), PinMode::First, "");
     let pinned = || {
-        let rows = desk.ledger.pins(OWNER, Some("/t")).expect("read").into_iter();
+        let rows = desk.ledger.pins.list(OWNER, Some("/t")).expect("read").into_iter();
         rows.map(|row| row.publisher.caller_id).collect::<Vec<_>>()
     };
     let unnamed = Origin { unnamed: true, ..desk.origin("/unnamed_fastdds", "h") };
@@ -180,7 +180,7 @@ fn a_publisher_without_a_name_is_not_pinned_and_its_name_is_no_other_publisher()
     assert_eq!(desk.judge("/u", &plain), None);
     let named = Origin { caller_id: "/talker".into(), ..plain.clone() };
     assert_eq!(desk.judge("/u", &named), None);
-    let rows = desk.ledger.pins(OWNER, Some("/u")).expect("read");
+    let rows = desk.ledger.pins.list(OWNER, Some("/u")).expect("read");
     assert_eq!(rows.iter().map(|row| row.publisher.caller_id.as_str()).collect::<Vec<_>>(), ["/talker"]);
     assert_eq!(desk.judge("/u", &desk.origin("/unnamed_fastdds", "h")), Some(Doubt::New), "another writer");
     assert_eq!(desk.alarms(), 2);
@@ -217,7 +217,7 @@ fn lists_and_off() {
     let desk = Desk::open(home.path(), PinMode::Off, &listed);
     assert_eq!(desk.judge("/t", &desk.origin("/c", "h")), None);
     desk.pins.unconfirmed(OWNER, "/t", "http://evil:1/");
-    assert_eq!((desk.alarms(), desk.ledger.pins(OWNER, None)), (0, Ok(Vec::new())));
+    assert_eq!((desk.alarms(), desk.ledger.pins.list(OWNER, None)), (0, Ok(Vec::new())));
 }
 
 #[test]
@@ -241,7 +241,7 @@ fn a_flood_of_names_is_neither_a_flood_of_words_nor_of_rows() {
         assert_eq!(desk.judge("/t", &desk.origin(&format!("/n{number}"), "h")), Some(Doubt::New));
     }
     assert_eq!(desk.alarms(), MOST_ALARMS + 1);
-    assert_eq!(desk.ledger.alarms(OWNER, None).expect("read").len(), MOST_ALARMS + 1);
+    assert_eq!(desk.ledger.pins.alarms(OWNER, None).expect("read").len(), MOST_ALARMS + 1);
 }
 
 proptest! {

@@ -7,17 +7,17 @@ use super::super::tests::owner_with_keys;
 use super::*;
 use crate::crypto::{ProviderName, provider};
 use crate::model::{RecordState, SignerId};
-use crate::store::{HeldQuery, Ledger, NewRecord, open_vault};
+use crate::store::{Ciphertext, HeldQuery, Ledger, NewRecord};
 
 const MINUTE: u64 = 60_000_000_000;
 
 fn plant(home: &std::path::Path) -> Plant {
+    let ledger = Ledger::open(&home.join("ledger.db")).expect("ledger");
     Plant {
-        ledger: Ledger::open(&home.join("ledger.db")).expect("ledger"),
-        vault: open_vault(None, home).expect("vault"),
+        ciphertext: Ciphertext::of(&ledger),
+        ledger,
         provider: provider(ProviderName::RustCrypto),
         observer: Arc::new(Notes::default()),
-        backlog: u64::MAX,
     }
 }
 
@@ -39,15 +39,14 @@ fn record(owner: Address, topic: u8, seq: u64, at: u64) -> NewRecord {
         captured_at: Timestamp(at),
         simulated: false,
         state: RecordState::Quarantined,
-        local_copy: None,
+        blob: Some(b"ciphertext".to_vec()),
     }
 }
 
 fn keep(plant: &Plant, record: NewRecord) -> Digest {
     let digest = record.digest;
-    plant.vault.put(&[(digest, b"ciphertext")]).expect("stored");
     let hold = Hold { digest, reason: "new", publisher: "/evil@h:a/B:0".to_owned() };
-    plant.ledger.append_held(vec![record], vec![hold]).expect("held");
+    plant.ledger.quarantine.append_held(vec![record], vec![hold]).expect("held");
     digest
 }
 
@@ -70,7 +69,7 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
     assert!(rows.iter().all(|row| row.kind == RecordKind::Quarantine && row.topic == TOPIC));
     let mut found = Vec::new();
     for row in &rows {
-        let blob = plant.vault.get(row.digest).expect("read").expect("there");
+        let blob = plant.ciphertext.get(row.digest).expect("read").expect("there");
         let keys = owner.sealing().expect("keys");
         let body = super::super::tests::body_of(plant.provider, &keys, row, &blob);
         found.push((row.digest, QuarantineReport::parse(&body).expect("a report")));
@@ -88,7 +87,11 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
             (report.first_seq, report.last_seq, report.topic.as_str()),
             (seqs.0, seqs.1, &*format!("/t{topic}"))
         );
-        let held = plant.ledger.held(owner.address, &HeldQuery { limit: 100, ..HeldQuery::default() }).expect("held");
+        let held = plant
+            .ledger
+            .quarantine
+            .held(owner.address, &HeldQuery { limit: 100, ..HeldQuery::default() })
+            .expect("held");
         let counted = held.iter().filter(|row| row.report == Some(*digest)).map(|row| row.record.digest);
         assert_eq!(counted.collect::<Vec<_>>(), digests);
     }
@@ -109,13 +112,13 @@ fn what_is_discarded_is_gone_and_still_counted() {
     assert_eq!(report(&plant, &owner.author, u64::MAX).expect("counted"), 1);
     assert_eq!(discard(&plant, &digests[..2]).expect("discarded"), 2);
     assert_eq!(discard(&plant, &digests[..2]).expect("again"), 0);
-    assert_eq!(plant.vault.get(digests[0]), Ok(None));
-    assert!(plant.vault.get(digests[2]).expect("read").is_some());
+    assert_eq!(plant.ciphertext.get(digests[0]), Ok(None));
+    assert!(plant.ciphertext.get(digests[2]).expect("read").is_some());
     let counts = plant.ledger.counts(Some(owner.address)).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.dropped, topic.quarantined, topic.pending), (3, 2, 1, 0));
     let all = HeldQuery { decided: true, limit: 9, topic: Some("/t1".to_owned()), messages: true };
-    let rows = plant.ledger.held(owner.address, &all).expect("held");
+    let rows = plant.ledger.quarantine.held(owner.address, &all).expect("held");
     assert!(rows.iter().all(|row| row.report.is_some()));
     let decisions: Vec<_> = rows.iter().map(|row| row.decision.as_deref()).collect();
     assert_eq!(decisions, [Some("discarded"), Some("discarded"), None]);
@@ -128,5 +131,5 @@ fn without_keys_nothing_is_counted_and_nothing_is_lost() {
     let (owner, _) = super::super::tests::owner_without_keys(plant.provider, home.path());
     keep(&plant, record(owner.address, 1, 1, 1));
     assert_eq!(report(&plant, &owner.author, u64::MAX).expect("waits"), 0);
-    assert!(plant.ledger.unreported(owner.address, u64::MAX).expect("read").is_some());
+    assert!(plant.ledger.quarantine.unreported(owner.address, u64::MAX).expect("read").is_some());
 }

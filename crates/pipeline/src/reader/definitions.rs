@@ -29,6 +29,15 @@ const MOST_KEPT: usize = 1024;
 /// What decides about a message's definition within an epoch: its owner, topic, digest, type and the type's hash.
 type Key = (Address, TopicId, u64, Digest, String, Option<String>);
 
+/// How the records of definitions are opened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Opening {
+    /// As every record that is read: with its anchor and its reader's rights.
+    Anchored,
+    /// As the owner's own, without the chain.
+    Own,
+}
+
 /// Definitions found so far, so that opening many messages looks each one up once.
 #[derive(Default)]
 pub struct Definitions(HashMap<Key, Arc<str>>);
@@ -37,34 +46,18 @@ impl Definitions {
     /// Like [`Reader::definition_text`].
     ///
     /// # Errors
-    /// Errors of the ledger.
+    /// Errors of ledger and vault.
     pub async fn text(
         &mut self,
         reader: &Reader<'_>,
         row: &RecordRow,
         opened: &OpenedRecord,
+        by: Opening,
     ) -> Result<Option<Arc<str>>, PipelineError> {
         let key = key(row, opened);
         match self.0.get(&key) {
             Some(known) => Ok(Some(Arc::clone(known))),
-            None => Ok(reader.definition_text(row, opened).await?.map(|text| self.keep(key, text))),
-        }
-    }
-
-    /// Like [`Reader::own_definition`].
-    ///
-    /// # Errors
-    /// Errors of ledger and vault.
-    pub fn own_text(
-        &mut self,
-        reader: &Reader<'_>,
-        row: &RecordRow,
-        opened: &OpenedRecord,
-    ) -> Result<Option<Arc<str>>, PipelineError> {
-        let key = key(row, opened);
-        match self.0.get(&key) {
-            Some(known) => Ok(Some(Arc::clone(known))),
-            None => Ok(reader.own_definition(row, opened)?.map(|text| self.keep(key, text))),
+            None => Ok(reader.definition_text(row, opened, by).await?.map(|text| self.keep(key, text))),
         }
     }
 
@@ -91,36 +84,23 @@ impl Reader<'_> {
     /// gave it; for a message that names an empty one, a text that has its type's hash.
     ///
     /// # Errors
-    /// Errors of the ledger. `None` if no readable record holds it.
+    /// Errors of ledger and vault. `None` if no readable record holds it.
     pub async fn definition_text(
         &self,
         row: &RecordRow,
         opened: &OpenedRecord,
+        by: Opening,
     ) -> Result<Option<String>, PipelineError> {
         let wanted = Wanted::of(opened);
         for query in wanted.attempts(row) {
             let listed = block_in_place(|| self.plant.ledger.list(&query))?.rows;
-            for candidate in listed.iter().filter(|candidate| candidate.epoch == row.epoch).take(MOST_OPENED) {
-                let Ok(found) = self.open(candidate).await else { continue };
-                if wanted.is_in(&found) {
-                    return Ok(Some(String::from_utf8_lossy(&found.body).into_owned()));
-                }
-            }
-        }
-        Ok(wanted.otherwise())
-    }
-
-    /// The definition that an opened own message names, or has by its type's hash; `None` if no record that opens holds it.
-    /// Waits for ledger and vault.
-    ///
-    /// # Errors
-    /// Errors of ledger and vault.
-    pub fn own_definition(&self, row: &RecordRow, opened: &OpenedRecord) -> Result<Option<String>, PipelineError> {
-        let wanted = Wanted::of(opened);
-        for query in wanted.attempts(row) {
-            for candidate in self.plant.ledger.list(&query)?.rows.iter().take(MOST_OPENED) {
-                let Some(found) = self.own_contents(candidate)? else { continue };
-                if wanted.is_in(&found) {
+            let may_open = |candidate: &&RecordRow| by == Opening::Own || candidate.epoch == row.epoch;
+            for candidate in listed.iter().filter(may_open).take(MOST_OPENED) {
+                let found = match by {
+                    Opening::Anchored => self.open(candidate).await.ok(),
+                    Opening::Own => block_in_place(|| self.own_contents(candidate))?,
+                };
+                if let Some(found) = found.filter(|found| wanted.is_in(found)) {
                     return Ok(Some(String::from_utf8_lossy(&found.body).into_owned()));
                 }
             }

@@ -12,6 +12,7 @@ use crate::chain::{Chain, ChainError, Event, EventAt};
 use crate::chain_proofs::is_root_in;
 use crate::model::{Address, Digest, Hash};
 use crate::record_audit;
+use crate::store::notes::CopiedAt;
 use crate::store::{AuditedBatch, Ledger, StoreError};
 
 /// Batches requested at once.
@@ -33,7 +34,7 @@ pub(super) fn compare(
     let mut asked = network;
     let mut after = 0;
     loop {
-        let page = ledger.audit_batches(after, PAGE)?;
+        let page = ledger.inspection.audit_batches(after, PAGE)?;
         let Some(last) = page.last() else { break };
         after = last.key;
         tally.batches += u64::try_from(page.len()).unwrap_or(0);
@@ -82,7 +83,12 @@ async fn compare_page(
         }
         // The chain may have been replaced below us, or a node have answered that is behind: what the ledger and the next
         // answer say now counts.
-        let now = ledger.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key).unwrap_or(batch);
+        let now = ledger
+            .inspection
+            .audit_batches(batch.key - 1, 1)?
+            .pop()
+            .filter(|now| now.key == batch.key)
+            .unwrap_or(batch);
         if now.block.is_none() {
             continue;
         }
@@ -132,7 +138,7 @@ async fn walk(
     tally: &mut Tally,
 ) -> Result<Result<(), ChainError>, StoreError> {
     let mut own: HashSet<Address> = scope.accounts.iter().copied().collect();
-    own.extend(plant.ledger.signing_accounts()?);
+    own.extend(plant.ledger.inspection.signing_accounts()?);
     let mut walk = Walk::new(&plant.ledger, own.clone())?;
     if let Err(error) = walk.all(plant, network, Some(tally)).await? {
         return Ok(Err(error));
@@ -167,7 +173,7 @@ struct Walk {
 
 impl Walk {
     fn new(ledger: &Ledger, own: HashSet<Address>) -> Result<Self, StoreError> {
-        let (previous, copied_at) = (HashMap::new(), ledger.copied_at()?);
+        let (previous, copied_at) = (HashMap::new(), ledger.notes.read(&CopiedAt {})?);
         Ok(Self { own, previous, copied_at, elsewhere: 0, found: Tally::default() })
     }
 
@@ -221,10 +227,10 @@ impl Walk {
                 _ => {}
             }
         }
-        for root in ledger.unknown_roots(&roots)? {
+        for root in ledger.inspection.unknown_roots(&roots)? {
             self.unknown(&name(&root), blocks.get(&root.0).copied());
         }
-        for digest in ledger.unknown_digests(&digests)? {
+        for digest in ledger.inspection.unknown_digests(&digests)? {
             self.unknown(&format!("record {digest}"), blocks.get(&digest.0).copied());
         }
         Ok(())

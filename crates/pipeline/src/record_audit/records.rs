@@ -17,7 +17,7 @@ use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
 use crate::columns::Keys;
 use crate::crypto::Provider;
-use crate::model::{Digest, RecordState, Timestamp, clean};
+use crate::model::{RecordState, Timestamp, clean};
 use crate::store::{AuditedRecord, StoreError};
 
 /// Rows per page.
@@ -37,8 +37,6 @@ pub(super) struct Bench<'a> {
     /// Whether there is a chain that could not be queried.
     pub blind: bool,
     pub deep: bool,
-    /// Whether the vault can be asked for headers.
-    pub headers: bool,
     /// The keys for comparing names.
     pub keys: Option<&'a (dyn Keys + Send + Sync)>,
 }
@@ -65,8 +63,7 @@ pub(super) fn compare(
     runtime: &Handle,
     tally: &mut Tally,
 ) -> Result<Reading, StoreError> {
-    let headers = scope.deep || vault_answers(plant, tally)?;
-    let bench = Bench { plant, network, blind, deep: scope.deep, headers, keys: Some(&*scope.keys) };
+    let bench = Bench { plant, network, blind, deep: scope.deep, keys: Some(&*scope.keys) };
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
     let begun = Instant::now();
     let (pieces, waiting) = sync_channel::<Vec<Looked>>(threads);
@@ -85,29 +82,16 @@ pub(super) fn compare(
         };
         tally.join(one.ok_or_else(lost)??);
     }
-    if headers && scope.since.0 == 0 {
+    if scope.since.0 == 0 {
         compare_index(plant, tally)?;
     }
     Ok(Reading { seconds: begun.elapsed().as_secs_f64(), threads })
 }
 
-/// Whether headers can be read; if not, that is reported once.
-fn vault_answers(plant: &Plant, tally: &mut Tally) -> Result<bool, StoreError> {
-    match plant.vault.fronts(&[Digest([0; 32])], 1) {
-        Ok(_) => Ok(true),
-        Err(error @ StoreError::Unreachable { .. }) => {
-            let text = format!("rows could not be compared with the headers of their records: {error}");
-            tally.find(FindingKind::Unreachable, "vault", &text);
-            Ok(false)
-        }
-        Err(error) => Err(error),
-    }
-}
-
 /// Whether the index of tags has entries that no header supports.
 fn compare_index(plant: &Plant, tally: &mut Tally) -> Result<(), StoreError> {
     // Records whose bytes are not here reveal nothing about their tags.
-    let strangers = plant.ledger.size_of_index(tally.last)?.saturating_sub(tally.indexed);
+    let strangers = plant.ledger.inspection.size_of_index(tally.last)?.saturating_sub(tally.indexed);
     if strangers > 0 && tally.unread == 0 {
         let text =
             format!("{strangers} entries of the tag index match no header: searches find records they should not");
@@ -134,7 +118,7 @@ fn feed(
     let mut after = Some(0);
     let mut chain = bench.network;
     while let Some(from) = after {
-        let page = bench.plant.ledger.audit_page(from, scope.since, PAGE)?;
+        let page = bench.plant.ledger.inspection.audit_page(from, scope.since, PAGE)?;
         after = page.next;
         let mut records = Vec::with_capacity(page.records.len());
         for record in page.records {
@@ -259,30 +243,23 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
         tally.records += 1;
         tally.last = tally.last.max(record.number);
         tally.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
-        if is_missed(bench, record)? {
-            let text = "its stored bytes are missing from the vault, and there is no local copy";
-            // A deep audit finds it among the bytes.
-            if !bench.deep {
-                tally.find(FindingKind::Missing, &subject(record), text);
-            }
-        } else if let Some(text) = row_fault(bench, record, *uploaded) {
+        // What is missing is found among the bytes.
+        if !is_missed(record)
+            && let Some(text) = row_fault(bench, record, *uploaded)
+        {
             tally.find(FindingKind::Tampered, &subject(record), &text);
         }
         if !bench.deep {
             tally.bytes += record.row.bytes;
         }
     }
-    match (bench.deep, bench.headers) {
-        (true, _) => look_deep(bench, piece, tally),
-        (false, true) => look_at_headers(bench, piece, tally),
-        (false, false) => Ok(()),
-    }
+    if bench.deep { look_deep(bench, piece, tally) } else { look_at_headers(bench, piece, tally) }
 }
 
 /// The same records as they are now.
 pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedRecord>, StoreError> {
     let first = piece.first().map_or(0, |(record, _)| record.number);
-    let page = plant.ledger.audit_page(first.saturating_sub(1), Timestamp(0), piece.len())?;
+    let page = plant.ledger.inspection.audit_page(first.saturating_sub(1), Timestamp(0), piece.len())?;
     let mut now: HashMap<u64, AuditedRecord> =
         page.records.into_iter().flatten().map(|record| (record.number, record)).collect();
     let mut again = Vec::with_capacity(piece.len());
@@ -292,6 +269,7 @@ pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedR
             Some(found) => Some(found),
             None => plant
                 .ledger
+                .inspection
                 .audit_page(record.number.saturating_sub(1), Timestamp(0), 1)?
                 .records
                 .pop()
@@ -303,9 +281,8 @@ pub(super) fn read_again(plant: &Plant, piece: &[Looked]) -> Result<Vec<AuditedR
 }
 
 /// Whether it is known as tampered because its bytes are no longer stored.
-fn is_missed(bench: Bench<'_>, record: &AuditedRecord) -> Result<bool, StoreError> {
-    let known = record.row.state == RecordState::Tampered && record.row.deleted_at.is_none() && !record.has_copy;
-    Ok(known && !bench.plant.vault.contains(record.row.digest)?)
+fn is_missed(record: &AuditedRecord) -> bool {
+    record.row.state == RecordState::Tampered && record.row.deleted_at.is_none() && !record.is_stored
 }
 
 pub(super) fn subject(record: &AuditedRecord) -> String {
@@ -361,7 +338,7 @@ const MOST_HOLES: usize = 5;
 /// reader only what it may see, and of a robot's records some may be on their way or at another gateway.
 pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
     let mut elsewhere = Vec::new();
-    for sequence in plant.ledger.sequences()? {
+    for sequence in plant.ledger.inspection.sequences()? {
         let lost = sequence.last.saturating_sub(sequence.count);
         // What is missing of a ring fell out of it, or was not asked for.
         if lost == 0 || sequence.recorder.is_ring() {
@@ -374,7 +351,7 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
             continue;
         }
         tally.gaps += lost;
-        let holes = plant.ledger.holes(&sequence, MOST_HOLES)?;
+        let holes = plant.ledger.inspection.holes(&sequence, MOST_HOLES)?;
         let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
         let text = format!(
             "{lost} of the numbers 1 to {} that the key {} gave for {} are missing from the ledger: {}",
@@ -395,7 +372,7 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
             elsewhere.join(", ")
         ));
     }
-    for (topic, count) in plant.ledger.backwards()? {
+    for (topic, count) in plant.ledger.inspection.backwards()? {
         tally.note(&format!(
             "{count} records of {} are dated earlier than the record before them: the clock was set back, or a \
              recording was imported",

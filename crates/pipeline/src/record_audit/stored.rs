@@ -14,11 +14,8 @@ use crate::store::{AuditedRecord, RecordRow, Retained, StoreError};
 pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
     let mut found = Vec::with_capacity(piece.len());
-    for ((record, _), blob) in piece.iter().zip(bench.plant.vault.get_many(&digests)?) {
-        let blob = match blob {
-            None if record.has_copy => bench.plant.ledger.local_copy(record.row.digest)?,
-            blob => blob,
-        };
+    // Never from the cache: an audit is of what lies on the disk.
+    for ((record, _), blob) in piece.iter().zip(bench.plant.ciphertext.get_many(&digests)?) {
         match blob {
             Some(blob) => found.push((record, blob, signer_of(bench, &record.row)?)),
             None => {
@@ -55,7 +52,7 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
 
 /// Nothing is stored under a digest: whether that is as it should be.
 fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(), StoreError> {
-    // It may have been deleted, or arrived in the vault, since its row was read.
+    // It may have been deleted since its row was read.
     let Some(now) = bench.plant.ledger.record(record.row.digest)? else { return Ok(()) };
     let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
     if now.state == RecordState::Dropped || handed_over {
@@ -65,8 +62,8 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
             None => tally.given_up += 1,
             Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }
-    } else if bench.plant.vault.get(now.digest)?.is_none() && bench.plant.ledger.local_copy(now.digest)?.is_none() {
-        tally.find(FindingKind::Missing, &subject(record), "its stored bytes are missing from the vault");
+    } else if bench.plant.ciphertext.get(now.digest)?.is_none() {
+        tally.find(FindingKind::Missing, &subject(record), "its stored bytes are missing from the store");
     }
     Ok(())
 }
@@ -99,7 +96,7 @@ fn signer_of(bench: Bench<'_>, row: &RecordRow) -> Result<Option<PublicKey>, Sto
             Err(PipelineError::Store(error)) => Err(error),
             Err(_) => Ok(None),
         },
-        None => bench.plant.ledger.signer(row.signer),
+        None => bench.plant.ledger.bindings.signer(row.signer),
     }
 }
 
@@ -147,15 +144,14 @@ fn header_fault(bench: Bench<'_>, row: &RecordRow, header: &Header) -> Option<&'
 /// says.
 pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
-    for ((record, _), front) in piece.iter().zip(bench.plant.vault.fronts(&digests, columns::FRONT)?) {
+    for ((record, _), front) in piece.iter().zip(bench.plant.ciphertext.fronts(&digests, columns::FRONT)?) {
         let front = match front {
-            None if record.has_copy => bench.plant.ledger.local_copy(record.row.digest)?,
-            // What is missing altogether is reported by the deep check.
             None => bench.plant.ledger.retained(record.row.digest)?.map(|retained| retained.header),
             front => front,
         };
         let Some(front) = front else {
             tally.unread += 1;
+            gone(bench, record, tally)?;
             continue;
         };
         match Header::parse(&front) {
@@ -220,7 +216,7 @@ fn compare_tags(
     header: &Header,
     tally: &mut Tally,
 ) -> Result<(), StoreError> {
-    let indexed = bench.plant.ledger.indexed(record.number, &header.filters)?;
+    let indexed = bench.plant.ledger.inspection.indexed(record.number, &header.filters)?;
     tally.indexed += indexed;
     if indexed < u64::try_from(header.filters.len()).unwrap_or(u64::MAX) {
         tally.find(FindingKind::Tampered, &subject(record), "the tag index lacks some of its tags");

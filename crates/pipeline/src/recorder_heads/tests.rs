@@ -42,7 +42,7 @@ impl Home {
         let query = RecordQuery { topic: Some(TOPIC.to_owned()), ..RecordQuery::default() };
         let rows = self.plant.ledger.list(&query).expect("listed").rows;
         let read = |row: &crate::store::RecordRow| {
-            let blob = self.plant.vault.get(row.digest).expect("read").expect("stored");
+            let blob = self.plant.ciphertext.get(row.digest).expect("read").expect("stored");
             (row.type_name.clone(), body_of(self.plant.provider, &self.keys(), row, &blob), row.digest)
         };
         let mut rows: Vec<_> = rows;
@@ -89,21 +89,21 @@ fn what_was_just_looked_at_waits_and_a_note_from_the_future_does_not() {
     let home = Home::at(folder.path());
     home.say("/odom");
     let ledger = &home.plant.ledger;
-    let place = place(&home.plant, home.owner.address, &home.keys());
+    let note = noted(&home.plant, home.owner.address, &home.keys());
     let hour = Duration::from_secs(3600);
     let ahead = Timestamp(Timestamp::now().0 + 1_000_000 * 3_600_000_000);
-    let text = serde_json::to_string(&Noted { looked: ahead, root: Hash([0; 32]), heads: None }).expect("text");
-    ledger.put_setting(&place, &text).expect("noted");
+    let before = StatedRoot { looked: ahead, root: Hash([0; 32]), heads: None };
+    ledger.notes.write(&note, &before).expect("noted");
     let mut seen = None;
     let mut look = || state(&home.plant, home.owner.address, &home.keys(), hour, &mut seen).expect("stated");
     assert!(look().is_some(), "the clock ran ahead when the note was written");
     home.say("/odom");
-    ledger.put_setting(&place, &text).expect("noted");
+    ledger.notes.write(&note, &before).expect("noted");
     assert_eq!(look(), None, "it was looked at just now");
     let unchanged = home.state(NOW).expect("the second number");
-    let noted = ledger.setting(&place).expect("read");
+    let noted = ledger.notes.read(&note).expect("read");
     assert_eq!(home.state(NOW), None, "nothing has changed after {unchanged}");
-    assert_eq!(ledger.setting(&place).expect("read"), noted, "and nothing is written");
+    assert_eq!(ledger.notes.read(&note).expect("read"), noted, "and nothing is written");
 }
 
 #[test]

@@ -9,6 +9,7 @@ use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::{PipelineError, Plant};
+use crate::store::notes::StoredDefinition;
 
 /// The most definition hashes remembered.
 const MOST_HASHES: usize = 1024;
@@ -16,31 +17,10 @@ const MOST_HASHES: usize = 1024;
 /// The owner, signer and topic of a sequence.
 pub type Stream = (Address, SignerId, TopicId);
 
-/// A stored definition: once for each topic and epoch of an owner.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct DefinitionId {
-    domain: Domain,
-    owner: Address,
-    epoch: u64,
-    topic: TopicId,
-    digest: Digest,
-    /// A quarantined definition does not count for readers who may never see it.
-    held: bool,
-}
-
-impl DefinitionId {
-    /// Its name in the ledger.
-    pub fn name(&self) -> String {
-        let Self { domain, owner, epoch, topic, digest, held } = self;
-        let held = if *held { ":quarantined" } else { "" };
-        format!("definition:{domain}:{owner}:{epoch}:{topic}:{digest}{held}")
-    }
-}
-
 /// What is sealed of a message.
 pub enum Content {
     /// Its definition.
-    Definition(DefinitionId),
+    Definition(StoredDefinition),
     /// Itself; compressed, where that is tried and pays.
     Message(Option<Try>),
 }
@@ -48,7 +28,7 @@ pub enum Content {
 impl Content {
     /// A definition on its way into the ring, of (network, owner, epoch).
     pub fn ring_definition((domain, owner, epoch): (Domain, Address, u64), topic: TopicId, digest: Digest) -> Self {
-        Self::Definition(DefinitionId { domain, owner, epoch, topic, digest, held: false })
+        Self::Definition(StoredDefinition { domain, owner, epoch, topic, digest, held: false })
     }
 }
 
@@ -77,9 +57,9 @@ impl Task<'_> {
     }
 
     /// The definition in this task, if it is one.
-    pub fn definition_id(&self) -> Option<DefinitionId> {
-        match self.content {
-            Content::Definition(definition) => Some(definition),
+    pub fn definition_id(&self) -> Option<StoredDefinition> {
+        match &self.content {
+            Content::Definition(definition) => Some(definition.clone()),
             Content::Message(_) => None,
         }
     }
@@ -95,7 +75,7 @@ pub struct Plan<'a> {
     /// Numbers assigned, the last of each stream.
     pub seqs: HashMap<Stream, u64>,
     /// The definitions among the tasks.
-    definitions: HashSet<DefinitionId>,
+    definitions: HashSet<StoredDefinition>,
 }
 
 /// What is known from earlier rounds.
@@ -103,7 +83,7 @@ pub struct Planner {
     /// The last stored number of each stream.
     pub seqs: HashMap<Stream, u64>,
     /// Definitions that are stored.
-    pub definitions: HashSet<DefinitionId>,
+    pub definitions: HashSet<StoredDefinition>,
     hashes: HashMap<Arc<str>, Digest>,
     /// The last definition of each topic: nearly always the next one too, and then the same text.
     last: HashMap<Arc<str>, (Arc<str>, Digest)>,
@@ -137,7 +117,7 @@ impl Planner {
                 continue;
             };
             // Only messages have a definition.
-            let has_definition = item.kind == RecordKind::Data;
+            let has_definition = matches!(item.kind, RecordKind::Data | RecordKind::Definition);
             let definition = match has_definition {
                 true => self.definition_digest(plant, &item.message.topic, &item.message.definition),
                 false => Digest([0; 32]),
@@ -153,11 +133,13 @@ impl Planner {
                 false => None,
             };
             if let Some(unsent) = unsent {
-                plan.definitions.insert(unsent);
+                plan.definitions.insert(unsent.clone());
                 add(self, &mut plan, Content::Definition(unsent))?;
             }
-            let tried = self.packing.as_mut().and_then(|packing| packing.decide(&item.message));
-            add(self, &mut plan, Content::Message(tried))?;
+            if item.kind != RecordKind::Definition {
+                let tried = self.packing.as_mut().and_then(|packing| packing.decide(&item.message));
+                add(self, &mut plan, Content::Message(tried))?;
+            }
         }
         Ok(plan)
     }
@@ -169,13 +151,13 @@ impl Planner {
         plan: &Plan<'_>,
         item: &CapturedMessage,
         (keys, topic, digest): (&EpochKeys, TopicId, Digest),
-    ) -> Result<Option<DefinitionId>, PipelineError> {
+    ) -> Result<Option<StoredDefinition>, PipelineError> {
         let (owner, held) = (item.author.address, item.doubt.is_some());
-        let definition = DefinitionId { domain: keys.domain, owner, epoch: keys.epoch, topic, digest, held };
+        let definition = StoredDefinition { domain: keys.domain, owner, epoch: keys.epoch, topic, digest, held };
         if plan.definitions.contains(&definition) || self.definitions.contains(&definition) {
             return Ok(None);
         }
-        if plant.ledger.setting(&definition.name())?.is_none() {
+        if plant.ledger.notes.read(&definition)?.is_none() {
             return Ok(Some(definition));
         }
         self.definitions.insert(definition);

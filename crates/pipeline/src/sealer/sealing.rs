@@ -18,7 +18,7 @@ use crate::ring::Weighted as _;
 use crate::store::{DiskRing, Hold, KnownDefinition, NewRecord, RingRecord};
 use crate::{PipelineError, Plant, importer, quarantine};
 
-/// A sealed record on its way into vault and ledger.
+/// A sealed record on its way into the store.
 pub struct Ready {
     /// The record with its bytes.
     pub row: NewRecord,
@@ -239,7 +239,7 @@ fn record(task: &Task<'_>, row: NewRecord) -> Option<Numbered> {
         is_definition: !task.is_message(),
         simulated: row.simulated,
         plain_length: row.bytes,
-        blob: row.local_copy?,
+        blob: row.blob?,
     };
     Some((record, row.seq, known_definition(task), row.topic_id))
 }

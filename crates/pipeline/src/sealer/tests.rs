@@ -9,10 +9,10 @@ use super::super::fixture::{Notes, message};
 use super::super::tests::body_of;
 use super::*;
 use crate::crypto::{CryptoError, IndexKey, Provider, ProviderName, SealingKey, SmKeyPair, SmSecret, provider};
-use crate::model::{Address, Digest, Domain, PublicKey, RecordKind, RecordState, Signature, Token};
+use crate::model::{Address, Domain, PublicKey, RecordKind, RecordState, Signature, Token};
 use crate::pipeline::Author;
 use crate::pipeline::epoch::EpochKeys;
-use crate::store::{Ledger, RecordQuery, open_vault};
+use crate::store::{Ciphertext, Ledger, RecordQuery};
 
 /// A text on which [`Trap`] panics.
 const BAD: &[u8] = b"the bad one";
@@ -79,12 +79,12 @@ impl Line {
     fn new(home: &Path) -> Self {
         let ours = provider(ProviderName::default());
         let notes = Arc::new(Notes::default());
+        let ledger = Ledger::open(&home.join("ledger.db")).expect("ledger");
         let plant = Plant {
-            ledger: Ledger::open(&home.join("ledger.db")).expect("ledger"),
-            vault: open_vault(None, home).expect("vault"),
+            ciphertext: Ciphertext::of(&ledger),
+            ledger,
             provider: Box::leak(Box::new(Trap(ours))),
             observer: Arc::clone(&notes) as Arc<dyn super::super::Observer>,
-            backlog: u64::MAX,
         };
         let signing = SmKeyPair::generate(ours).expect("pair");
         let (key, index) = (SealingKey::Epoch(crate::crypto::EpochKey::new([1; 32])), IndexKey::new([2; 32]));
@@ -123,7 +123,7 @@ impl Line {
             .rows
             .iter()
             .map(|row| {
-                let blob = plant.vault.get(row.digest).expect("vault").expect("stored");
+                let blob = plant.ciphertext.get(row.digest).expect("read").expect("stored");
                 (row.seq, row.kind, body_of(plant.provider, &self.keys, row, &blob))
             })
             .collect();
@@ -217,16 +217,31 @@ fn a_round_gathers_only_where_more_come_and_find_room() {
 }
 
 #[test]
-fn a_definition_keeps_its_name_in_the_ledger() {
+fn a_definition_is_stored_once() {
     let home = tempfile::tempdir().expect("folder");
     let mut line = Line::new(home.path());
     let item = line.item("/a", 1, b"x".to_vec());
     let definitions = line.sealer.round(std::slice::from_ref(&item)).expect("sealed");
-    let digest = Digest(crate::crypto::sm3::sm3(&[b"string data"]));
-    let topic = line.keys.topic("/a").expect("covered").id;
-    let (domain, owner) = (Domain([3; 32]), Address([5; 20]));
-    let names: Vec<String> = definitions.iter().map(plan::DefinitionId::name).collect();
-    assert_eq!(names, [format!("definition:{domain}:{owner}:1:{topic}:{digest}")]);
+    assert_eq!(definitions.len(), 1);
     line.sealer.note_definitions(definitions);
     assert!(line.sealer.round(&[item]).expect("sealed").is_empty(), "once");
+}
+
+#[test]
+fn a_definition_alone_is_one_record_once_and_never_a_loss() {
+    let home = tempfile::tempdir().expect("folder");
+    let mut line = Line::new(home.path());
+    let alone = CapturedMessage { kind: RecordKind::Definition, ..line.item("/a", 1, Vec::new()) };
+    for expected in [1, 0] {
+        let definitions = line.sealer.round(std::slice::from_ref(&alone)).expect("sealed");
+        assert_eq!(definitions.len(), expected);
+        line.sealer.note_definitions(definitions);
+    }
+    assert_eq!(line.stored("/a"), [(1, RecordKind::Definition, b"string data".to_vec())]);
+    let counts = || line.losses.counts(&line.sealer.plant, line.author.address).expect("counted");
+    let before = counts();
+    line.sealer.lose(&alone, LossReason::End);
+    let mut waiting = InMemory::default();
+    waiting.add(&alone);
+    assert!(waiting.is_empty() && counts() == before);
 }

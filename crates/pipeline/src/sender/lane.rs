@@ -92,7 +92,7 @@ impl Lane<'_> {
     /// # Errors
     /// Errors of the ledger.
     pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>, PipelineError> {
-        Ok(block_in_place(|| self.sender.ledger.open_lane(self.account))?)
+        Ok(block_in_place(|| self.sender.ledger.lanes.open_lane(self.account))?)
     }
 
     /// The next nonce, after everything mined, pending at the node (signed here or elsewhere), or open here.
@@ -101,7 +101,7 @@ impl Lane<'_> {
     /// Errors of chain and ledger.
     pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
         let pending = self.sender.nonces(self.chain, self.account).await?.pending;
-        let open = block_in_place(|| self.sender.ledger.lane_count(self.account))?;
+        let open = block_in_place(|| self.sender.ledger.lanes.lane_count(self.account))?;
         Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending))
     }
 
@@ -138,7 +138,7 @@ impl Lane<'_> {
         }
         let sent: Vec<(Hash, Vec<u8>)> = rows.iter().map(|row| (row.hash, row.raw.clone())).collect();
         fault::point("signed");
-        block_in_place(|| self.sender.ledger.submit_many(rows))?;
+        block_in_place(|| self.sender.ledger.lanes.submit_many(rows))?;
         fault::point("signed-kept");
         let (sender, chain, account) = (self.sender, self.chain, self.account);
         drop(self.held);
@@ -179,7 +179,7 @@ impl Lane<'_> {
             purpose: purpose.to_owned(),
             anchors: Anchors::Nothing,
         };
-        block_in_place(|| self.sender.ledger.submit(row))?;
+        block_in_place(|| self.sender.ledger.lanes.submit(row))?;
         let (sender, chain) = (self.sender, self.chain);
         drop(self.held);
         sender.hand_in(chain, account, hash, &raw).await;
@@ -242,7 +242,7 @@ impl Sender {
     /// # Errors
     /// Errors of chain and ledger; [`ChainError::Answer`] if the second answer contradicts the first.
     pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces, PipelineError> {
-        let known = block_in_place(|| self.ledger.highest_nonce(account))?.map_or(0, |nonce| nonce + 1);
+        let known = block_in_place(|| self.ledger.lanes.highest_nonce(account))?.map_or(0, |nonce| nonce + 1);
         let first = chain.nonces(account).await?;
         if first.pending <= known.saturating_add(JUMP) {
             return Ok(first);

@@ -21,7 +21,6 @@ use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
 use crate::store::{Anchors, Ledger, NewTransaction, TransactionRow, TransactionState};
-use crate::watcher::CURSOR;
 use crate::{Observer, PipelineError};
 
 /// Transactions of one account that may wait for a block.
@@ -63,7 +62,7 @@ impl Sender {
     /// # Errors
     /// Errors of the ledger.
     pub fn state_of(&self, account: Address) -> Result<LaneState, PipelineError> {
-        let count = block_in_place(|| self.ledger.lane_count(account))?;
+        let count = block_in_place(|| self.ledger.lanes.lane_count(account))?;
         let paused = self.cell(account).memory().paused.clone();
         Ok(LaneState { account, open: count.open, oldest: count.oldest, paused })
     }
@@ -177,7 +176,7 @@ impl Sender {
     /// Follows a transaction to its last replacement.
     fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>, PipelineError> {
         for _ in 0..1000 {
-            let row = block_in_place(|| self.ledger.transaction(hash))?;
+            let row = block_in_place(|| self.ledger.lanes.transaction(hash))?;
             let is_replaced = |row: &&TransactionRow| row.state == TransactionState::Replaced;
             match row.as_ref().filter(is_replaced).and_then(|row| row.replaced_by) {
                 Some(next) => hash = next,
@@ -272,7 +271,7 @@ impl Sender {
     /// Why the account cannot pay so much. A node that is behind its own earlier head does not know what it holds.
     async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason, PipelineError> {
         // Before the head is asked for; where the chain became shorter, the watcher goes back itself.
-        let read = block_in_place(|| self.ledger.cursor(CURSOR))?.map(|(block, _)| block);
+        let read = block_in_place(|| self.ledger.trail.cursor())?.map(|(block, _)| block);
         let block = chain.head().await?.number;
         let seen = self.see_head(block).max(read.filter(|read| *read > block));
         if let Some(highest) = seen {
@@ -326,7 +325,7 @@ impl Sender {
         let account = eoa.address();
         let cell = self.cell(account);
         let _alone = cell.tending.lock().await;
-        let open = block_in_place(|| self.ledger.open_lane(account))?;
+        let open = block_in_place(|| self.ledger.lanes.open_lane(account))?;
         let Some(row) = open.into_iter().find(|row| row.nonce == nonce) else {
             return Err(PipelineError::Refused(format!(
                 "{account} has no transaction with nonce {nonce} waiting here; `authros chain status` lists those that wait"
@@ -336,7 +335,7 @@ impl Sender {
             let text = format!("the transaction with nonce {nonce} ({}) is in a block already", row.purpose);
             return Err(PipelineError::Refused(format!("{text}; nothing was cancelled")));
         }
-        let raw = block_in_place(|| self.ledger.raw_transaction(row.hash))?.unwrap_or_default();
+        let raw = block_in_place(|| self.ledger.lanes.raw_transaction(row.hash))?.unwrap_or_default();
         let price = match self.policy().replacement(offered(&raw)?.price, &chain.market().await?) {
             Priced::At(price) => price,
             Priced::Capped { needed, cap } => {
@@ -353,7 +352,7 @@ impl Sender {
         }
         let (hash, raw, purpose) = (signed.hash, signed.raw, PURPOSE.to_owned());
         let new = NewTransaction { hash, account, nonce, raw: raw.clone(), purpose, anchors: Anchors::Nothing };
-        block_in_place(|| self.ledger.replace_transaction(row.hash, new))?;
+        block_in_place(|| self.ledger.lanes.replace_transaction(row.hash, new))?;
         self.hand_in(chain, account, hash, &raw).await;
         Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash, price: Wei(price) })
     }
@@ -381,8 +380,8 @@ impl Sender {
             }
             head = seen;
         }
-        for (hash, _) in block_in_place(|| self.ledger.of_nonce(account, cancelled.nonce))? {
-            let row = block_in_place(|| self.ledger.transaction(hash))?;
+        for (hash, _) in block_in_place(|| self.ledger.lanes.of_nonce(account, cancelled.nonce))? {
+            let row = block_in_place(|| self.ledger.lanes.transaction(hash))?;
             if row.is_some_and(|row| row.purpose == PURPOSE)
                 && let Some(receipt) = chain.receipt(hash).await?
             {

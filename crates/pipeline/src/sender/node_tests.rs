@@ -159,7 +159,7 @@ async fn dropped_transactions_are_sent_again() {
     let process = node.process(None, 12).await;
     node.call("evm_setAutomine", json!([false])).await;
     process.anchor(12).await;
-    let open = process.plant.ledger.open_transactions(process.eoa.address()).expect("open");
+    let open = process.plant.ledger.lanes.open_transactions(process.eoa.address()).expect("open");
     for row in open.iter().skip(2).step_by(3) {
         node.call("anvil_dropTransaction", json!([row.hash.to_string()])).await;
     }
@@ -186,7 +186,7 @@ async fn a_base_fee_that_rose_a_hundredfold_is_paid_up_to_the_cap() {
     node.call("evm_mine", json!([])).await;
     process
         .rounds_until("they are replaced", |process| {
-            let open = process.plant.ledger.open_transactions(process.eoa.address()).expect("open");
+            let open = process.plant.ledger.lanes.open_transactions(process.eoa.address()).expect("open");
             open.iter().all(|row| crate::chain::offered(&row.raw).is_ok_and(|offer| offer.price >= 100 * GWEI))
         })
         .await;
@@ -264,11 +264,11 @@ async fn a_cancelled_transaction_gives_its_records_back() {
     let (chain, account) = (process.network.chain.clone(), process.eoa.address());
     node.call("evm_setAutomine", json!([false])).await;
     process.anchor(3).await;
-    let first = process.plant.ledger.open_lane(account).expect("open")[0].clone();
+    let first = process.plant.ledger.lanes.open_lane(account).expect("open")[0].clone();
     let cancelled = process.sender.cancel(&chain, &process.eoa, first.nonce).await.expect("cancelled");
     assert_eq!((cancelled.anchors, cancelled.purpose.as_str()), (true, "dataUpload"));
     assert_eq!((process.count(RecordState::Stored), process.count(RecordState::Submitted)), (1, 2));
-    let replaced = process.plant.ledger.raw_transaction(first.hash).expect("read").expect("kept");
+    let replaced = process.plant.ledger.lanes.raw_transaction(first.hash).expect("read").expect("kept");
     let old = crate::chain::offered(&replaced).expect("offer").price;
     assert!((cancelled.price.0 - old) * 8 >= old, "an eighth more: {old} {}", cancelled.price);
     // A cancelled one can be cancelled again, at a higher price.
@@ -294,7 +294,7 @@ async fn whoever_waits_for_a_cancelled_call_is_told() {
     let call = Call::Lend { device: crate::model::SignerId([5; 32]), until: None };
     let cancelling = async {
         let nonce = loop {
-            let open = process.plant.ledger.open_lane(process.eoa.address()).expect("open");
+            let open = process.plant.ledger.lanes.open_lane(process.eoa.address()).expect("open");
             match open.first() {
                 Some(row) => break row.nonce,
                 None => tokio::time::sleep(Duration::from_millis(20)).await,
@@ -351,7 +351,7 @@ async fn a_floor_that_was_raised_is_offered_by_what_waits() {
     process.sender.note_needed(40 * GWEI);
     process
         .rounds_until("both are offered at what was needed", |process| {
-            let open = process.plant.ledger.open_transactions(process.eoa.address()).expect("open");
+            let open = process.plant.ledger.lanes.open_transactions(process.eoa.address()).expect("open");
             open.iter().all(|row| crate::chain::offered(&row.raw).is_ok_and(|offer| offer.price == 40 * GWEI))
         })
         .await;
@@ -378,7 +378,8 @@ async fn what_blocks_pass_by_is_raised_until_it_is_taken_and_the_rest_follows() 
     expect_all_once(&process, 3).await;
     for row in 0..3 {
         let record = process.plant.ledger.record(crate::pipeline::fixture::digest(row)).expect("read").expect("kept");
-        let raw = process.plant.ledger.raw_transaction(record.transaction.expect("one")).expect("read").expect("kept");
+        let raw =
+            process.plant.ledger.lanes.raw_transaction(record.transaction.expect("one")).expect("read").expect("kept");
         let price = crate::chain::offered(&raw).expect("offer").price;
         assert!((u128::from(least)..=20 * GWEI).contains(&price), "{price}");
     }

@@ -11,7 +11,7 @@ fn lend(number: u8) -> Call {
 }
 
 fn states(process: &Process, hash: Hash) -> TransactionState {
-    process.plant.ledger.transaction(hash).expect("read").expect("kept").state
+    process.plant.ledger.lanes.transaction(hash).expect("read").expect("kept").state
 }
 
 /// Stores a signed transaction as if the process had ended right after.
@@ -20,7 +20,7 @@ async fn keep(process: &Process, nonce: u64, outgoing: &Outgoing) -> (Hash, Vec<
     let (account, raw) = (process.eoa.address(), signed.raw.clone());
     let (purpose, anchors) = (outgoing.purpose.clone(), outgoing.anchors.clone());
     let row = NewTransaction { hash: signed.hash, account, nonce, raw, purpose, anchors };
-    process.plant.ledger.submit(row).expect("kept");
+    process.plant.ledger.lanes.submit(row).expect("kept");
     (signed.hash, signed.raw)
 }
 
@@ -113,8 +113,8 @@ async fn a_replaced_transaction_that_was_mined_after_all_is_recognised() {
     // At a price: this account holds nothing, so the more expensive one can never be mined.
     let dearer = process.network.chain.resign(&process.eoa, &raw, nonce, 5).await.expect("signs");
     let reissue = Reissue { hash: dearer.hash, nonce, raw: dearer.raw };
-    process.plant.ledger.reissue(old, reissue.clone()).expect("replaced");
-    assert!(process.plant.ledger.reissue(old, reissue).is_err(), "only an open one is replaced");
+    process.plant.ledger.lanes.reissue(old, reissue.clone()).expect("replaced");
+    assert!(process.plant.ledger.lanes.reissue(old, reissue).is_err(), "only an open one is replaced");
     let row = process.plant.ledger.record(crate::pipeline::fixture::digest(0)).expect("read").expect("kept");
     assert_eq!((row.state, row.transaction), (RecordState::Submitted, Some(dearer.hash)));
     process.network.chain.broadcast(&raw).await.expect("sent");
@@ -134,7 +134,7 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     let signed = process.network.chain.sign_transfer(&process.eoa, nonce, account, 5, 0).expect("signs");
     let (hash, raw) = (signed.hash, signed.raw);
     let row = NewTransaction { hash, account, nonce, raw, purpose: "x".to_owned(), anchors: Anchors::Nothing };
-    process.plant.ledger.submit(row).expect("kept");
+    process.plant.ledger.lanes.submit(row).expect("kept");
     process
         .rounds_until("it is paused", |process| {
             matches!(process.sender.state_of(account).expect("state").paused, Some(PauseReason::NoEther(_)))
@@ -145,7 +145,7 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     process.round().await;
     assert_eq!((process.notes.with("too little ether"), process.notes.with("resumes")), (1, 0));
     assert!(process.notes.all().iter().any(|(urgent, text)| *urgent && text.contains("nothing is lost")));
-    process.plant.ledger.close_transaction(hash, TransactionOutcome::Replaced).expect("given up");
+    process.plant.ledger.lanes.close_transactions(vec![(hash, TransactionOutcome::Replaced)]).expect("given up");
     process.round().await;
     assert_eq!((process.notes.with("resumes"), process.sender.room(account).expect("room")), (1, 1024));
 }
@@ -159,7 +159,7 @@ async fn what_offered_far_too_much_is_offered_again_for_less() {
     let (old, raw) = keep(&process, nonce, &Process::upload(0)).await;
     let dear = process.network.chain.resign(&process.eoa, &raw, nonce, 1_000).await.expect("signs");
     let reissue = Reissue { hash: dear.hash, nonce, raw: dear.raw };
-    process.plant.ledger.reissue(old, reissue).expect("replaced");
+    process.plant.ledger.lanes.reissue(old, reissue).expect("replaced");
     // The price is 0 now, so the very first bytes come out again.
     process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
     assert_eq!(process.anchored(0..1).await, [1]);

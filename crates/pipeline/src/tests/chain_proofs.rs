@@ -24,7 +24,7 @@ async fn what_is_kept_of_a_block_proves_its_anchor_when_the_chain_has_forgotten_
     let (chain, mut rounds) = (&line.network.chain, Rounds::default());
     assert_eq!(collect(&line.plant, &line.network, &mut rounds).await.expect("a round"), Collected::default());
     line.go_on(1, 2).await;
-    let waiting = line.plant.ledger.unproven_batches(1 << 40, 9).expect("read");
+    let waiting = line.plant.ledger.proofs.unproven_batches(1 << 40, 9).expect("read");
     let [second, first] = waiting.as_slice() else { panic!("{waiting:?}") };
     let asked = slots(first.signers.iter().map(|(owner, signer)| Shown {
         owner: *owner,
@@ -69,6 +69,6 @@ async fn what_is_kept_of_a_block_proves_its_anchor_when_the_chain_has_forgotten_
         }
         let refused = [(0, 0, true), (0, 0, true), (0, 2, true), (0, 0, false)];
         assert_eq!((&results[..2], &results[2..]), ([(64, 0, false); 2].as_slice(), refused.as_slice()));
-        assert_eq!(line.plant.ledger.chain_proof_counts().expect("read").missed, 2);
+        assert_eq!(line.plant.ledger.proofs.chain_proof_counts().expect("read").missed, 2);
     }
 }

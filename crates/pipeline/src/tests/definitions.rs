@@ -4,7 +4,7 @@ use super::keeping::{head, sealed_as};
 use super::*;
 use crate::crypto::SealedRecord;
 use crate::model::{Address, Head};
-use crate::pipeline::reader::Reader;
+use crate::pipeline::reader::{Opening, Reader};
 
 /// More than twice as many as are opened at one attempt.
 const MANY: u64 = 450;
@@ -43,8 +43,9 @@ async fn the_first_of_many_definitions_is_found() {
         let place = usize::try_from(2 * number + 1).expect("small");
         let row = line.plant.ledger.record(messages[place]).expect("read").expect("there");
         let opened = reader.own_contents(&row).expect("read").expect("opens");
-        assert_eq!(reader.own_definition(&row, &opened).expect("read"), Some(text(number)));
-        assert_eq!(reader.definition_text(&row, &opened).await.expect("read"), Some(text(number)));
+        for by in [Opening::Own, Opening::Anchored] {
+            assert_eq!(reader.definition_text(&row, &opened, by).await.expect("read"), Some(text(number)), "{by:?}");
+        }
     }
 }
 
@@ -82,7 +83,9 @@ async fn a_definition_that_comes_later_serves_the_messages_before_it() {
     for (digest, expected) in messages.into_iter().zip([FORCE, "", FORCE]) {
         let row = line.plant.ledger.record(digest).expect("read").expect("there");
         let opened = reader.own_contents(&row).expect("read").expect("opens");
-        assert_eq!(reader.own_definition(&row, &opened).expect("read").as_deref(), Some(expected));
-        assert_eq!(reader.definition_text(&row, &opened).await.expect("read").as_deref(), Some(expected));
+        for by in [Opening::Own, Opening::Anchored] {
+            let found = reader.definition_text(&row, &opened, by).await.expect("read");
+            assert_eq!(found.as_deref(), Some(expected), "{by:?}");
+        }
     }
 }

@@ -134,7 +134,7 @@ async fn what_a_gateway_says_was_erased_is_not_believed() {
     assert!(is_held(&take(&line, owner, digest, honest).await, false), "nothing to do");
     let row = line.plant.ledger.record(digest).expect("read").expect("here");
     assert_eq!(row.deleted_at, None);
-    assert_eq!(line.plant.vault.get(digest).expect("read"), Some(sealed.blob));
+    assert_eq!(line.plant.ciphertext.get(digest).expect("read"), Some(sealed.blob));
 }
 
 /// A robot brings a record in the very moment in which its owner tells that she had it erased.
@@ -150,16 +150,15 @@ async fn bytes_that_arrive_while_they_are_erased_do_not_stay() {
     let (root, count) = (inclusion.root, inclusion.count);
     let anchor = RootSighting { account, root, count, transaction, block, block_hash };
     let brought = NewRecord::foreign(sealed.clone(), Address([8; 20]));
-    let listed = NewRecord { local_copy: None, state: RecordState::Stored, ..brought.clone() };
+    let listed = NewRecord { blob: None, ..brought.clone() };
     let taken = crate::pipeline::intake::taken_erased(record.blob, &statement);
     let kept = plant.keep([brought], |rows| {
-        assert!(plant.vault.contains(digest)?, "its bytes come first");
         let told = ledger.take_told(listed, (taken, vec![1; 65]), (inclusion, anchor))?;
         assert_eq!(told, ToldErased::Listed);
         ledger.append(rows.into())
     });
     kept.expect("acknowledged");
-    assert_eq!((plant.vault.get(digest), ledger.local_copy(digest)), (Ok(None), Ok(None)));
+    assert_eq!(plant.ciphertext.get(digest), Ok(None));
     let row = ledger.record(digest).expect("read").expect("listed");
     assert_eq!(row.deleted_at, Some(AT));
 }

@@ -1,7 +1,5 @@
-//! Every writer asks before it writes: what is not accepted leaves no bytes in the vault, and a vault that accepts
-//! nothing does not fill the disk, whoever owns the records.
+//! Row and bytes are one commit: what is not accepted leaves no bytes, whoever owns the records.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use super::*;
@@ -13,68 +11,7 @@ use crate::model::head::Compression;
 use crate::model::{Address, FilterId, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
 use crate::pipeline::intake::{Accepted, Anchors, Intake, Reason, Refused};
-use crate::pipeline::statement::{Statement, state};
-use crate::pipeline::watcher::CURSOR;
-use crate::store::{StoreError, Usage, Vault};
-
-/// A vault that may forget, and counts what it is given. It loses a record between two requests (whether it has it, and
-/// for its bytes), as often as `forgets` says.
-pub(super) struct Forgetful {
-    vault: Arc<dyn Vault>,
-    given: AtomicUsize,
-    forgets: AtomicUsize,
-}
-
-impl Forgetful {
-    pub(super) fn over(vault: &Arc<dyn Vault>, forgets: usize) -> Arc<Self> {
-        Arc::new(Self { vault: Arc::clone(vault), given: AtomicUsize::new(0), forgets: AtomicUsize::new(forgets) })
-    }
-}
-
-impl Vault for Forgetful {
-    fn name(&self) -> &'static str {
-        "forgetful"
-    }
-    fn durable(&self) -> bool {
-        false
-    }
-    fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError> {
-        self.given.fetch_add(entries.len(), Ordering::Relaxed);
-        self.vault.put(entries)
-    }
-    fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
-        let left = |left: usize| left.checked_sub(1);
-        if self.forgets.fetch_update(Ordering::Relaxed, Ordering::Relaxed, left).is_ok() {
-            self.vault.delete(digest)?;
-        }
-        self.vault.get(digest)
-    }
-    fn delete(&self, digest: Digest) -> Result<bool, StoreError> {
-        self.vault.delete(digest)
-    }
-    fn contains(&self, digest: Digest) -> Result<bool, StoreError> {
-        self.vault.contains(digest)
-    }
-    fn usage(&self) -> Result<Usage, StoreError> {
-        self.vault.usage()
-    }
-    fn policy_warnings(&self) -> Vec<String> {
-        Vec::new()
-    }
-    fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError> {
-        self.vault.dump(each)
-    }
-    fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError> {
-        self.vault.replace(digest, bytes)
-    }
-}
-
-/// A plant whose vault may forget, in which no more than one record may wait.
-fn forgetful(home: &Path) -> (Plant, Arc<Forgetful>) {
-    let plant = plant(home);
-    let vault = Forgetful::over(&plant.vault, 0);
-    (Plant { vault: Arc::clone(&vault) as _, backlog: 0, ..plant }, vault)
-}
+use crate::store::StoreError;
 
 pub(super) fn head(body: &[u8]) -> Head {
     Head {
@@ -170,11 +107,11 @@ pub(super) async fn taken(line: &Line, sealed: SealedRecord) -> Result<Accepted,
 }
 
 fn entries(plant: &Plant) -> u64 {
-    plant.vault.usage().expect("usage").entries
+    plant.ciphertext.usage().expect("usage").entries
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_a_mirror_does_not_take_in_leaves_no_bytes_in_the_vault() {
+async fn what_a_mirror_does_not_take_in_leaves_no_bytes() {
     let line = Line::new().await;
     let line =
         Line { plant: Plant { observer: Arc::new(super::super::fixture::Notes::default()), ..line.plant }, ..line };
@@ -193,11 +130,11 @@ async fn what_a_mirror_does_not_take_in_leaves_no_bytes_in_the_vault() {
     let unproven = taken_with(&line, first.clone(), Vec::new()).await;
     assert!(matches!(unproven, Ok(Accepted::Refused(Refused { reason: Reason::NoProof, .. }))), "{unproven:?}");
     let proof = proof_of(&line, &first).await;
-    let (block, hash) = line.plant.ledger.cursor(CURSOR).expect("read").expect("it watches");
-    line.plant.ledger.set_cursor(CURSOR, 0, hash).expect("set");
+    let (block, hash) = line.plant.ledger.trail.cursor().expect("read").expect("it watches");
+    line.plant.ledger.trail.set_cursor(0, hash).expect("set");
     let early = taken_with(&line, first.clone(), proof.clone()).await.expect("asked");
     assert!(matches!(early, Accepted::Later), "the watcher has not read its block: {early:?}");
-    line.plant.ledger.set_cursor(CURSOR, block, hash).expect("set");
+    line.plant.ledger.trail.set_cursor(block, hash).expect("set");
     let held = taken_with(&line, first, proof).await.expect("taken in");
     assert!(matches!(held, Accepted::Held(true)), "{held:?}");
     let row = line.plant.ledger.record(digest).expect("read").expect("acknowledged");
@@ -208,7 +145,7 @@ async fn what_a_mirror_does_not_take_in_leaves_no_bytes_in_the_vault() {
 }
 
 #[test]
-fn what_a_gateway_refuses_leaves_no_bytes_in_the_vault() {
+fn what_a_gateway_refuses_leaves_no_bytes() {
     let home = tempfile::tempdir().expect("folder");
     let plant = plant(home.path());
     let (owner, _) = owner_with_keys(plant.provider, home.path());
@@ -216,6 +153,9 @@ fn what_a_gateway_refuses_leaves_no_bytes_in_the_vault() {
     let known = upload(&owner, 1, b"one");
     keep(vec![known.clone()]).expect("kept");
     keep(vec![known.clone()]).expect("sent twice, it is kept once");
+    // Altered on the disk meanwhile, and sent again: right again.
+    assert_eq!(plant.ciphertext.replace(known.digest, b"altered"), Ok(true));
+    keep(vec![known.clone()]).expect("sent a third time");
     let conflict = keep(vec![upload(&owner, 2, b"two"), upload(&owner, 1, b"another one")]);
     assert!(matches!(conflict, Err(StoreError::Conflict { .. })), "{conflict:?}");
     let renamed = NewRecord { topic: "/other".to_owned(), ..upload(&owner, 3, b"three") };
@@ -224,7 +164,7 @@ fn what_a_gateway_refuses_leaves_no_bytes_in_the_vault() {
     let moved = NewRecord { topic_id: TopicId([1; 16]), ..known.clone() };
     assert!(matches!(keep(vec![moved]), Err(StoreError::Conflict { .. })));
     assert_eq!(entries(&plant), 2);
-    assert_eq!(plant.vault.get(known.digest).expect("read"), known.local_copy);
+    assert_eq!(plant.ciphertext.get(known.digest).expect("read"), known.blob);
 }
 
 #[test]
@@ -235,38 +175,14 @@ fn what_was_deleted_does_not_come_back_when_it_is_sent_again() {
     let keep = |records: Vec<NewRecord>| plant.keep(records, |records| plant.ledger.append(records));
     let (face, other) = (upload(&owner, 1, b"a face"), upload(&owner, 2, b"a wall"));
     keep(vec![face.clone()]).expect("kept");
-    plant.vault.scour(&[face.digest]).expect("overwritten");
+    plant.ciphertext.scour(&[face.digest]).expect("overwritten");
     plant.ledger.deleted(&[face.digest]).expect("noted");
     keep(vec![face.clone(), other.clone()]).expect("acknowledged again, as known");
-    assert_eq!(plant.vault.get(face.digest).expect("read"), None);
-    assert_eq!(plant.ledger.local_copy(face.digest).expect("read"), None);
-    assert_eq!(plant.vault.get(other.digest).expect("read"), other.local_copy, "what came with it is stored");
-    // Even bytes that lie in the vault stay out of bundles and exports.
-    plant.vault.put(&[(face.digest, &b"a face"[..])]).expect("there again");
+    assert_eq!(plant.ciphertext.get(face.digest), Ok(None));
+    assert_eq!(plant.ciphertext.get(other.digest).expect("read"), other.blob, "what came with it is stored");
     let read = |record: &NewRecord| {
         let row = plant.ledger.record(record.digest).expect("reads").expect("known");
         plant.stored_bytes(&row).expect("read")
     };
-    assert_eq!((read(&face), read(&other)), (None, other.local_copy.clone()));
-}
-
-#[test]
-fn beyond_the_backlog_no_writer_adds_a_record() {
-    let home = tempfile::tempdir().expect("folder");
-    let (plant, vault) = forgetful(home.path());
-    let (owner, _) = owner_with_keys(plant.provider, home.path());
-    let keep = |record| plant.keep([record], |[record]| plant.ledger.append(vec![record]));
-    let first = upload(&owner, 1, b"one");
-    keep(first.clone()).expect("nothing waits yet");
-    let row = plant.ledger.record(first.digest).expect("read").expect("acknowledged");
-    assert_eq!(row.state, RecordState::Sealed);
-    assert_eq!(plant.ledger.local_copy(first.digest).expect("read"), first.local_copy, "the ledger has its bytes");
-    let refused = keep(upload(&owner, 2, b"two"));
-    assert!(matches!(refused, Err(StoreError::Backlog { limit: 0, .. })), "a gateway's: {refused:?}");
-    let keys = owner.sealing().expect("keys");
-    let said = Statement { kind: RecordKind::Audit, topic: "authros/audit", type_name: "a/B", body: b"said" };
-    let refused = state(&plant, owner.address, &keys, said);
-    assert!(matches!(refused, Err(PipelineError::Store(StoreError::Backlog { .. }))), "a statement: {refused:?}");
-    assert_eq!(plant.ledger.counts(None).expect("counts").acknowledged, 1);
-    assert_eq!(vault.given.load(Ordering::Relaxed), 0, "the storer alone gives it records");
+    assert_eq!((read(&face), read(&other)), (None, other.blob.clone()));
 }

@@ -3,48 +3,25 @@
 
 use std::collections::HashMap;
 
-use serde::{Deserialize, Serialize};
-
 use crate::chain::{Event, EventAt};
 use crate::model::{Address, Digest, Hash, Timestamp};
 use crate::pipeline::{PipelineError, Plant};
-use crate::store::ledger::HISTORY;
-use crate::store::{AuditEntry, AuditLog};
+use crate::store::AuditEntry;
+use crate::store::notes::{CopiedAt, ForeignAnchors, ForeignHistory, SeenForeign};
 
-/// The ledger's note of what was seen.
-const SEEN: &str = "foreign:anchors";
 /// How long it is part of `status` after the last one; nanoseconds.
 const RECENT: u64 = 24 * 3600 * 1_000_000_000;
 /// The shortest time between two lines in the audit log; nanoseconds.
 const LINES_EVERY: u64 = 3600 * 1_000_000_000;
 
-/// What was seen of such anchors.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ForeignAnchors {
-    /// The account, one of this home's.
-    pub account: Address,
-    /// How many transactions elsewhere anchored for it.
-    pub count: u64,
-    /// The block of the last one.
-    pub block: u64,
-    /// Its transaction.
-    pub transaction: Hash,
-    /// When it was seen here.
-    pub seen: Timestamp,
-    /// When it was last written to the audit log.
-    pub noted: Timestamp,
-}
-
-impl ForeignAnchors {
-    /// In words, with the likely cause and what to do.
-    pub fn text(&self) -> String {
-        format!(
-            "{} anchored {} times without this home sending it, last in block {}: a copy of this home is running \
-             elsewhere, or its key was stolen; stop the copy, or have the administrator propose a new account \
-             (`authros chain succession propose LOST SUCCESSOR`)",
-            self.account, self.count, self.block
-        )
-    }
+/// What was seen, in words, with the likely cause and what to do.
+pub fn text(found: &ForeignAnchors) -> String {
+    let ForeignAnchors { account, count, block, .. } = found;
+    format!(
+        "{account} anchored {count} times without this home sending it, last in block {block}: a copy of this home is \
+         running elsewhere, or its key was stolen; stop the copy, or have the administrator propose a new account \
+         (`authros chain succession propose LOST SUCCESSOR`)"
+    )
 }
 
 /// Those seen within the last day.
@@ -53,11 +30,8 @@ impl ForeignAnchors {
 /// Errors of the ledger.
 pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
     let now = Timestamp::now().0;
-    Ok(seen(plant)?.filter(|found| now.abs_diff(found.seen.0) < RECENT))
-}
-
-fn seen(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
-    Ok(plant.ledger.setting(SEEN)?.and_then(|text| serde_json::from_str(&text).ok()))
+    let seen = plant.ledger.notes.read(&SeenForeign {})?;
+    Ok(seen.filter(|found| now.abs_diff(found.seen.0) < RECENT))
 }
 
 /// Searches events of blocks up to `head` for anchors that this home does not know.
@@ -70,7 +44,7 @@ pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), P
     let mut own: HashMap<Address, bool> = HashMap::new();
     for (account, at) in found.into_iter().filter(|(_, at)| at.block > history) {
         let known = own.get(&account).copied();
-        let signs = known.map_or_else(|| plant.ledger.signs_for(account), Ok)?;
+        let signs = known.map_or_else(|| plant.ledger.inspection.signs_for(account), Ok)?;
         own.insert(account, signs);
         if signs {
             tell(plant, account, at)?;
@@ -82,13 +56,13 @@ pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), P
 /// A restored or copied ledger does not know what came between; anything on the chain when it is first examined is
 /// history, not a rival.
 fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
-    if plant.ledger.copied_at()?.is_none() {
+    if plant.ledger.notes.read(&CopiedAt {})?.is_none() {
         return Ok(0);
     }
-    if let Some(history) = plant.ledger.setting(HISTORY)?.and_then(|text| text.parse().ok()) {
+    if let Some(history) = plant.ledger.notes.read(&ForeignHistory {})? {
         return Ok(history);
     }
-    plant.ledger.put_setting(HISTORY, &head.to_string())?;
+    plant.ledger.notes.write(&ForeignHistory {}, &head)?;
     Ok(head)
 }
 
@@ -103,15 +77,17 @@ fn unknown<'a>(plant: &Plant, events: &'a [EventAt]) -> Result<Vec<(Address, &'a
         }
     }
     let asked: Vec<Hash> = roots.keys().copied().collect();
-    let mut found: Vec<_> = plant.ledger.unknown_roots(&asked)?.iter().filter_map(|root| roots.remove(root)).collect();
+    let mut found: Vec<_> =
+        plant.ledger.inspection.unknown_roots(&asked)?.iter().filter_map(|root| roots.remove(root)).collect();
     let asked: Vec<Digest> = digests.keys().copied().collect();
-    found.extend(plant.ledger.unknown_digests(&asked)?.iter().filter_map(|digest| digests.remove(digest)));
+    found.extend(plant.ledger.inspection.unknown_digests(&asked)?.iter().filter_map(|digest| digests.remove(digest)));
     found.sort_by_key(|(_, at)| (at.block, at.log_index));
     Ok(found)
 }
 
 fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineError> {
-    let (now, before) = (Timestamp::now(), seen(plant)?.filter(|before| before.account == account));
+    let (now, before) = (Timestamp::now(), plant.ledger.notes.read(&SeenForeign {})?);
+    let before = before.filter(|before| before.account == account);
     // A chunk of events may be read twice.
     if before.as_ref().is_some_and(|before| (before.block, before.transaction) == (at.block, at.transaction)) {
         return Ok(());
@@ -120,10 +96,9 @@ fn tell(plant: &Plant, account: Address, at: &EventAt) -> Result<(), PipelineErr
     let count = before.map_or(0, |before| before.count) + 1;
     let (block, transaction) = (at.block, at.transaction);
     let found = ForeignAnchors { account, count, block, transaction, seen: now, noted: noted.unwrap_or(now) };
-    let text = serde_json::to_string(&found).unwrap_or_default();
-    plant.ledger.put_setting(SEEN, &text)?;
+    plant.ledger.notes.write(&SeenForeign {}, &found)?;
     if noted.is_none() {
-        AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+        plant.ledger.audit.append(AuditEntry {
             at: now,
             profile: account.to_string(),
             action: "foreign anchor".to_owned(),

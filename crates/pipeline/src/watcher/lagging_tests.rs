@@ -15,7 +15,7 @@ use crate::model::{Address, Header, RecordState, Scope, SignerId, Timestamp, Tok
 use crate::pipeline::columns::Keys;
 use crate::pipeline::fixture::{Process, by_hand, identity, network};
 use crate::pipeline::record_audit::{RecordAudit, Scope as Audited, audit};
-use crate::store::{AuditLog, RecordRow};
+use crate::store::RecordRow;
 
 /// A chain as it is seen through nodes that lag. Their headers name no logs, and what they do not have they call empty:
 /// the worst there is.
@@ -116,7 +116,7 @@ async fn expect_as_on_the_chain(process: &Process, chain: &Chain, accounts: &[Ad
         assert_eq!(process.network.directory.grants_of(*account), whole.grants_of(*account));
     }
     let stored = process.network.directory.blank();
-    assert!(kept::read_back(&process.plant.ledger, &stored).expect("read"));
+    assert!(kept::read_back(&process.plant.ledger.rights, &stored).expect("read"));
     for account in accounts {
         assert_eq!(stored.account(*account), whole.account(*account), "and so it is stored");
     }
@@ -204,11 +204,11 @@ async fn a_node_that_names_an_older_head_is_waited_for_and_nothing_is_undone() {
     process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == 2).await;
     let reader = newcomer(&chain).await;
     watch_round(&process.plant, &process.network).await.expect("reads");
-    let cursor = process.plant.ledger.cursor(CURSOR).expect("read");
+    let cursor = process.plant.ledger.trail.cursor().expect("read");
     lag.blocks.store(2, SeqCst);
     let error = watch_round(&process.plant, &process.network).await.expect_err("it is behind");
     assert!(matches!(error, PipelineError::NodeBehind { .. }), "{error}");
-    assert_eq!(process.plant.ledger.cursor(CURSOR).expect("read"), cursor);
+    assert_eq!(process.plant.ledger.trail.cursor().expect("read"), cursor);
     assert_eq!(process.count(RecordState::Confirmed), 2);
     assert!(process.network.directory.identity(reader.address()).is_ok(), "registered all the same");
     assert_eq!(process.notes.with("replaced its last"), 0);
@@ -233,7 +233,7 @@ async fn audited(process: &Process) -> RecordAudit {
     let (plant, network) = (process.plant.clone(), process.network.clone());
     let runtime = tokio::runtime::Handle::current();
     let work = move || {
-        let log = AuditLog::new(plant.ledger.clone());
+        let log = plant.ledger.audit.clone();
         let scope = Audited {
             deep: false,
             since: Timestamp(0),
@@ -257,7 +257,7 @@ async fn an_audit_finds_events_that_the_ledger_missed_and_the_watcher_then_reads
     assert!(audited(&process).await.ok, "{:?}", audited(&process).await.findings);
 
     let block = chain.head().await.expect("head").number;
-    process.plant.ledger.take_back_rights(block).expect("forgotten");
+    process.plant.ledger.rights.take_back_rights(block).expect("forgotten");
     let found = audited(&process).await;
     let told: Vec<_> = found.findings.iter().filter(|finding| finding.subject == format!("block {block}")).collect();
     assert_eq!((told.len(), found.missing), (1, 1), "{:?}", found.findings);
@@ -284,7 +284,7 @@ async fn an_audit_finds_events_that_the_chain_does_not_have() {
         event: Event::Recalled { owner: process.eoa.address(), device: SignerId([1; 32]) },
         proven: false,
     };
-    kept::keep(&process.plant.ledger, &[forged]).expect("stored");
+    kept::keep(&process.plant.ledger.rights, &[forged]).expect("stored");
     let found = audited(&process).await;
     assert!(found.tampered == 1 && found.findings[0].text.contains("Recalled"), "{:?}", found.findings);
     process.round().await;

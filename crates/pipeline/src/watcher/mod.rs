@@ -14,16 +14,15 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use self::reorg::Standing;
-use crate::chain::{AT_ONCE, BlockEvents, BlockRef, Completeness, Event, EventAt};
+use crate::chain::{AT_ONCE, BlockEvents, BlockRef, ChainError, Completeness, Event, EventAt};
 use crate::crypto::fault;
 use crate::directory::{Told, kept};
 use crate::model::Hash;
 use crate::stages::Milestone;
-use crate::store::{Ledger, RootSighting, Sighting, StoreError};
+use crate::store::notes::{DoubtedBlock, MissedFrom};
+use crate::store::{Ledger, Notes, RootSighting, Sighting, StoreError};
 use crate::{Directory, Network, PipelineError, Plant};
 
-/// Name of the scan position in the ledger.
-pub const CURSOR: &str = "watcher";
 /// Blocks scanned at a time.
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
@@ -47,24 +46,27 @@ enum Reached {
 /// # Errors
 /// Errors of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
-    plant.ledger.bind_contract(network.domain)?;
+    let pin = network.chain.pin().ok_or(ChainError::NoContract)?;
+    plant.ledger.rights.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
     read_back(plant, network, &network.directory)
 }
 
 /// Fills an empty directory with what was stored up to the cursor. If nothing was, or it cannot be read, the scan begins
 /// anew.
 fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<(), PipelineError> {
-    if let Some((number, _)) = plant.ledger.cursor(CURSOR)? {
+    if let Some((number, _)) = plant.ledger.trail.cursor()? {
         // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
-        plant.ledger.take_back_rights(number + 1)?;
-        if kept::read_back(&plant.ledger, directory)? {
-            return Ok(());
+        plant.ledger.rights.take_back_rights(number + 1)?;
+        match kept::read_back(&plant.ledger.rights, directory) {
+            Ok(true) => return Ok(()),
+            Ok(false) | Err(StoreError::Corrupt { .. }) => {}
+            Err(error) => return Err(error.into()),
         }
     }
-    plant.ledger.forget_rights()?;
+    plant.ledger.rights.forget_rights()?;
     // The trail stays: it shows whether blocks were replaced meanwhile.
     let (number, hash) = beginning(network);
-    plant.ledger.set_cursor(CURSOR, number, hash)?;
+    plant.ledger.trail.set_cursor(number, hash)?;
     Ok(())
 }
 
@@ -139,13 +141,13 @@ async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Rea
 }
 
 fn cursor_number(plant: &Plant) -> Result<u64, PipelineError> {
-    Ok(plant.ledger.cursor(CURSOR)?.map_or(0, |(number, _)| number))
+    Ok(plant.ledger.trail.cursor()?.map_or(0, |(number, _)| number))
 }
 
 /// The directory without what was read after the cursor; `None` if the one in use is that. If it cannot be read back, all
 /// of it is scanned again.
 fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>, PipelineError> {
-    let Some((number, _)) = plant.ledger.cursor(CURSOR)? else { return Ok(None) };
+    let Some((number, _)) = plant.ledger.trail.cursor()? else { return Ok(None) };
     if network.directory.newest() <= number {
         return Ok(None);
     }
@@ -163,7 +165,7 @@ async fn scan(
     shown: Option<&Directory>,
 ) -> Result<Reached, PipelineError> {
     let first = first_block(network);
-    let cursor = block_in_place(|| plant.ledger.cursor(CURSOR))?;
+    let cursor = block_in_place(|| plant.ledger.trail.cursor())?;
     let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
     let mut below = cursor.filter(|(number, _)| *number >= first);
     let near = network.chain.first_near(head.number);
@@ -218,7 +220,7 @@ fn write(
     let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
     if !told.is_empty() {
         // Envelopes are stored before anyone looks for them.
-        let kept = kept::keep(&plant.ledger, &told);
+        let kept = kept::keep(&plant.ledger.rights, &told);
         // A right that ended has ended, even if the disk is full; what could not be stored is read again.
         if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
             plant.observer.directory_changed();
@@ -229,7 +231,7 @@ fn write(
     if let Some(shown) = shown {
         shown.become_like(&network.directory);
     }
-    plant.ledger.walk_to(CURSOR, to, met)?;
+    plant.ledger.trail.walk_to(to, met)?;
     if changed {
         fault::point("walked");
         plant.observer.records_changed();
@@ -263,9 +265,6 @@ fn root_sighting(at: &EventAt) -> Option<RootSighting> {
 /// How long to wait for a next block before checking again.
 pub const PATIENCE: Duration = Duration::from_secs(2);
 
-/// The setting with the first block of which something was missed.
-const MISSED: &str = "watcher:missed";
-
 /// Those of these events that the ledger has not taken in, although it knows what they are about.
 pub(crate) fn of<'a>(ledger: &Ledger, events: &'a [EventAt]) -> Result<Vec<&'a EventAt>, StoreError> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
@@ -275,7 +274,7 @@ pub(crate) fn of<'a>(ledger: &Ledger, events: &'a [EventAt]) -> Result<Vec<&'a E
         events.iter().filter(|event| !is_anchor(event)).map(|event| (event.block, event.log_index)).collect();
     let digests: HashSet<_> = ledger.waiting_digests(&sightings)?.into_iter().collect();
     let waiting: HashSet<_> = ledger.waiting_roots(&roots)?.into_iter().collect();
-    let unknown: HashSet<_> = ledger.unknown_rights(&rights)?.into_iter().collect();
+    let unknown: HashSet<_> = ledger.rights.unknown_rights(&rights)?.into_iter().collect();
     let is_unread = |event: &&EventAt| match (sighting(event), root_sighting(event)) {
         (Some(sighting), _) => digests.contains(&sighting.digest),
         (None, Some(sighting)) => waiting.contains(&sighting.root),
@@ -285,26 +284,13 @@ pub(crate) fn of<'a>(ledger: &Ledger, events: &'a [EventAt]) -> Result<Vec<&'a E
 }
 
 /// Asks the watcher to read the chain again from this block on.
-pub(crate) fn note(ledger: &Ledger, block: u64) -> Result<(), StoreError> {
-    if noted(ledger)?.is_some_and(|(known, _)| known <= block) {
+pub(crate) fn note(notes: &Notes, block: u64) -> Result<(), StoreError> {
+    if notes.read(&MissedFrom {})?.is_some_and(|known| known <= block) {
         return Ok(());
     }
-    ledger.put_setting(MISSED, &block.to_string())
+    notes.write(&MissedFrom {}, &block)
 }
 
-/// The block noted, and the note as it stands.
-fn noted(ledger: &Ledger) -> Result<Option<(u64, String)>, StoreError> {
-    let text = ledger.setting(MISSED)?;
-    Ok(text.and_then(|text| Some((text.parse().ok()?, text))))
-}
-
-/// The watcher went back; what was noted meanwhile stays.
-fn settled(ledger: &Ledger, note: &str) -> Result<(), StoreError> {
-    ledger.drop_setting(MISSED, note)
-}
-
-/// The setting that says since when which block is doubted.
-const DOUBTED: &str = "watcher:doubted";
 /// How long a block is waited for whose header names events that nobody gives.
 const NEAR_PATIENCE: Duration = Duration::from_secs(5);
 
@@ -350,7 +336,7 @@ fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool, PipelineEr
         return Ok(true);
     }
     let BlockRef { number, hash, .. } = found.block;
-    if reorg::waited(plant, DOUBTED, (number, hash))? < NEAR_PATIENCE {
+    if reorg::waited(&plant.ledger.notes, &DoubtedBlock {}, (number, hash))? < NEAR_PATIENCE {
         return Ok(false);
     }
     plant.observer.alert(

@@ -3,20 +3,17 @@
 
 use std::time::Duration;
 
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
-use super::{CURSOR, beginning, first_block, stands};
+use super::{beginning, first_block, stands};
 use crate::chain::{BlockEvents, BlockRef, ChainError, Completeness, NEAR};
 use crate::model::{Hash, Timestamp};
-use crate::store::Ledger;
-use crate::{Network, PipelineError, Plant, watcher};
+use crate::store::notes::{AwaitedBlock, MissedFrom, NodeBehind, UnsureBlock, UnsureBlocks};
+use crate::store::{Note, Notes};
+use crate::{Network, PipelineError, Plant};
 
 /// If a reorg leaves nothing of this many blocks, it is not a reorg.
 const DEEPEST: u64 = 1024;
-/// The setting that says since when the node names which older head.
-const BEHIND: &str = "watcher:behind";
 /// After naming the same older head for so long, that is the chain: somebody took it back.
 const TAKEN_BACK: Duration = Duration::from_secs(300);
 
@@ -35,16 +32,16 @@ pub(super) enum Standing {
 /// both chains have. A chain without that history is another one.
 pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing, PipelineError> {
     let newest =
-        block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail_end()?.max(plant.ledger.cursor(CURSOR)?)))?;
+        block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail.end()?.max(plant.ledger.trail.cursor()?)))?;
     let Some((number, _)) = newest.filter(|(number, _)| *number >= first_block(network)) else {
         return Ok(Standing::Holds);
     };
     if number <= head.number && stands(network, newest).await? {
-        block_in_place(|| no_longer(plant, BEHIND))?;
+        block_in_place(|| no_longer_behind(&plant.ledger.notes))?;
         return Ok(Standing::Holds);
     }
     let identified = network.chain.identify().await;
-    let trail = block_in_place(|| plant.ledger.trail())?;
+    let trail = block_in_place(|| plant.ledger.trail.blocks())?;
     let is_replaced = is_replaced(plant, network, head, &trail).await?;
     // A node that is behind may not have the contract yet.
     let may_lack_it = head.number < first_block(network) + NEAR;
@@ -80,7 +77,7 @@ async fn is_replaced(
     {
         return Ok(true);
     }
-    let waited = block_in_place(|| waited(plant, BEHIND, (head.number, head.hash)))?;
+    let waited = block_in_place(|| waited(&plant.ledger.notes, &NodeBehind {}, (head.number, head.hash)))?;
     Ok(waited >= TAKEN_BACK)
 }
 
@@ -121,7 +118,7 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     let deep = block_in_place(|| plant.ledger.verified_from(from))?;
     // Confirmed ones first: those the verifier advances meanwhile are then among the verified ones.
     let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;
-    block_in_place(|| plant.ledger.walk_back(CURSOR, common))?;
+    block_in_place(|| plant.ledger.trail.walk_back(common))?;
     let depth = was_at.saturating_sub(common.0);
     let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");
     if deep > 0 {
@@ -137,89 +134,66 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     Ok(())
 }
 
-/// The setting with the blocks that are read again.
-const UNSURE: &str = "watcher:unsure";
 /// How far below the head such a block is read again, each time. A node that is further behind is not just a little late.
 const DEPTHS: [u64; 4] = [2, 6, 16, NEAR];
 /// The most such blocks; beyond, the oldest are given up.
 const MOST: usize = 256;
 
-/// A block that may have been read only in part.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Unsure {
-    block: u64,
-    hash: Hash,
-    /// How many events were read of it.
-    events: usize,
-    /// How often it was read again.
-    times: usize,
-}
-
-/// Something that is waited for.
-#[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct Waiting {
-    block: (u64, Hash),
-    since: Timestamp,
-}
-
-fn kept<T: DeserializeOwned>(ledger: &Ledger, key: &str) -> Result<Option<T>, PipelineError> {
-    Ok(ledger.setting(key)?.and_then(|text| serde_json::from_str(&text).ok()))
-}
-
-fn keep<T: Serialize>(ledger: &Ledger, key: &str, value: &T) -> Result<(), PipelineError> {
-    Ok(ledger.put_setting(key, &serde_json::to_string(value).unwrap_or_default())?)
-}
-
 /// For how long this very block has been waited for.
-pub(super) fn waited(plant: &Plant, key: &str, block: (u64, Hash)) -> Result<Duration, PipelineError> {
+pub(super) fn waited(
+    notes: &Notes,
+    note: &impl Note<Value = AwaitedBlock>,
+    block: (u64, Hash),
+) -> Result<Duration, PipelineError> {
     let now = Timestamp::now();
-    let known: Option<Waiting> = kept(&plant.ledger, key)?;
-    match known.filter(|known| known.block == block) {
+    match notes.read(note)?.filter(|known| known.block == block) {
         Some(known) => Ok(Duration::from_nanos(now.0.saturating_sub(known.since.0))),
-        None => keep(&plant.ledger, key, &Waiting { block, since: now }).map(|()| Duration::ZERO),
+        None => Ok(notes.write(note, &AwaitedBlock { block, since: now }).map(|()| Duration::ZERO)?),
     }
 }
 
-/// Nothing is waited for under this key any more.
-pub(super) fn no_longer(plant: &Plant, key: &str) -> Result<(), PipelineError> {
-    match plant.ledger.setting(key)? {
-        Some(known) => Ok(plant.ledger.drop_setting(key, &known)?),
+/// The node is not waited for any more.
+fn no_longer_behind(notes: &Notes) -> Result<(), PipelineError> {
+    match notes.read(&NodeBehind {})? {
+        Some(known) => Ok(notes.forget(&NodeBehind {}, &known)?),
         None => Ok(()),
     }
 }
 
 /// Notes those of these blocks that are to be read again.
 pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<(), PipelineError> {
-    let unsure = read.iter().filter(|read| read.completeness != Completeness::Whole).map(|read| Unsure {
+    let unsure = read.iter().filter(|read| read.completeness != Completeness::Whole).map(|read| UnsureBlock {
         block: read.block.number,
         hash: read.block.hash,
         events: read.events.len(),
         times: 0,
     });
-    let fresh: Vec<Unsure> = unsure.collect();
+    let fresh: Vec<UnsureBlock> = unsure.collect();
     if fresh.is_empty() {
         return Ok(());
     }
-    let mut all: Vec<Unsure> = kept(&plant.ledger, UNSURE)?.unwrap_or_default();
+    let mut all = plant.ledger.notes.read(&UnsureBlocks {})?.unwrap_or_default();
     all.retain(|known| fresh.iter().all(|one| one.block != known.block));
     all.extend(fresh);
     all.drain(..all.len().saturating_sub(MOST));
-    keep(&plant.ledger, UNSURE, &all)
+    Ok(plant.ledger.notes.write(&UnsureBlocks {}, &all)?)
 }
 
 /// Reads again what is due at this head, and goes back to the first block of which something was missed.
 pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
-    if let Some((block, note)) = block_in_place(|| watcher::noted(&plant.ledger))? {
+    let notes = &plant.ledger.notes;
+    if let Some(block) = block_in_place(|| notes.read(&MissedFrom {}))? {
         block_in_place(|| go_back_before(plant, network, block))?;
-        block_in_place(|| watcher::settled(&plant.ledger, &note))?;
+        // What was noted meanwhile stays.
+        block_in_place(|| notes.forget(&MissedFrom {}, &block))?;
     }
-    let known: Vec<Unsure> = block_in_place(|| kept(&plant.ledger, UNSURE))?.unwrap_or_default();
+    let known = block_in_place(|| notes.read(&UnsureBlocks {}))?.unwrap_or_default();
     let mut left = Vec::with_capacity(known.len());
     for unsure in &known {
         left.extend(look_at(plant, network, head, unsure.clone()).await?);
     }
     if left != known {
-        block_in_place(|| keep(&plant.ledger, UNSURE, &left))?;
+        block_in_place(|| notes.write(&UnsureBlocks {}, &left))?;
     }
     Ok(())
 }
@@ -229,8 +203,8 @@ async fn look_at(
     plant: &Plant,
     network: &Network,
     head: u64,
-    mut unsure: Unsure,
-) -> Result<Option<Unsure>, PipelineError> {
+    mut unsure: UnsureBlock,
+) -> Result<Option<UnsureBlock>, PipelineError> {
     let Some(depth) = DEPTHS.get(unsure.times) else { return Ok(None) };
     if head.saturating_sub(unsure.block) < *depth {
         return Ok(Some(unsure));
@@ -250,12 +224,12 @@ async fn look_at(
 
 /// An event of this block was missed, or is not on the chain. Their order counts, so all is read again from there.
 fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<(), PipelineError> {
-    let trail = plant.ledger.trail()?;
+    let trail = plant.ledger.trail.blocks()?;
     let before = trail.iter().rev().find(|(number, _)| *number < block).copied();
     let before = before.unwrap_or_else(|| beginning(network));
     // The cursor first: what is stored of blocks after it is taken back at any start.
-    plant.ledger.walk_back(CURSOR, before)?;
-    plant.ledger.take_back_rights(before.0 + 1)?;
+    plant.ledger.trail.walk_back(before)?;
+    plant.ledger.rights.take_back_rights(before.0 + 1)?;
     plant.observer.alert(
         false,
         format!(

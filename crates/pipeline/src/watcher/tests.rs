@@ -109,7 +109,7 @@ async fn a_reorg_while_the_directory_is_lost_is_noticed_all_the_same() {
     process.anchor(3).await;
     process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == 3).await;
     let chain = other_way(&process, home.path(), 6).await;
-    process.plant.ledger.forget_rights().expect("lost");
+    process.plant.ledger.rights.forget_rights().expect("lost");
     process.network = network(chain);
     restore(&process.plant, &process.network).expect("restores");
     watch_round(&process.plant, &process.network).await.expect("goes back");
@@ -126,7 +126,7 @@ async fn another_chain_stops_everything_and_changes_nothing() {
     process.store(0..2);
     process.anchor(2).await;
     process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == 2).await;
-    let cursor = process.plant.ledger.cursor(CURSOR);
+    let cursor = process.plant.ledger.trail.cursor();
     let own = process.network.chain.clone();
     let other = Process::on_embedded(&home.path().join("b")).await;
     // The connection is the same and knows its pin; behind it is another chain.
@@ -135,7 +135,7 @@ async fn another_chain_stops_everything_and_changes_nothing() {
     assert!(matches!(error, PipelineError::Chain(ChainError::Swapped { what: "chain id", .. })), "{error}");
     assert!(error.to_string().contains("authros --home NEW uploads import OLD"), "{error}");
     assert_eq!(process.count(RecordState::Confirmed), 2);
-    assert_eq!(process.plant.ledger.cursor(CURSOR), cursor);
+    assert_eq!(process.plant.ledger.trail.cursor(), cursor);
     process.network.chain = own;
     watch_round(&process.plant, &process.network).await.expect("the pinned chain is back");
 }

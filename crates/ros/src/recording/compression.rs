@@ -73,12 +73,20 @@ pub(crate) fn unpack(
     }
 }
 
+/// What a decoder's own words come to for whoever reads a notice.
+pub(crate) const SPOILT: &str = "its compressed data is damaged";
+
+/// Why a read failed: the disk's own words, but none of a decoder's.
+pub(crate) fn why(error: &std::io::Error) -> String {
+    if error.raw_os_error().is_some() { error.to_string() } else { SPOILT.to_owned() }
+}
+
 /// The frame's descriptor says which checksums it has; the decoder compares those.
 fn unpack_lz4(mut source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
     /// Magic number (4), then flags: bit 4 for checksums of blocks, bit 2 for one of the content.
     const CHECKSUMS: u8 = 0b0001_0100;
     let mut lead = Vec::with_capacity(5);
-    source.by_ref().take(5).read_to_end(&mut lead).map_err(|error| error.to_string())?;
+    source.by_ref().take(5).read_to_end(&mut lead).map_err(|error| why(&error))?;
     let covered = lead.get(4).is_some_and(|flags| flags & CHECKSUMS != 0);
     drain(lz4_flex::frame::FrameDecoder::new(lead.as_slice().chain(source)), limit, out).map(|()| covered)
 }
@@ -87,7 +95,7 @@ fn unpack_lz4(mut source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Resu
 fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
     let window = u64::try_from(super::LARGEST_CHUNK).unwrap_or(u64::MAX);
     let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(source, window);
-    let mut decoder = decoder.map_err(|error| error.to_string())?;
+    let mut decoder = decoder.map_err(|_| SPOILT)?;
     drain(&mut decoder, limit, out)?;
     let decoder = decoder.into_frame_decoder();
     match decoder.get_checksum_from_data() {
@@ -116,7 +124,7 @@ pub(crate) fn unpacked_body(encoding: Encoding, body: Vec<u8>) -> Result<Vec<u8>
 
 fn drain(source: impl Read, limit: usize, out: &mut Vec<u8>) -> Result<(), String> {
     let most = u64::try_from(limit).unwrap_or(u64::MAX).saturating_add(1);
-    source.take(most).read_to_end(out).map_err(|error| error.to_string())?;
+    source.take(most).read_to_end(out).map_err(|error| why(&error))?;
     if out.len() > limit {
         out.truncate(limit);
         return Err(format!("it holds more than the {limit} bytes it claims"));

@@ -36,7 +36,7 @@ pub struct Described {
 impl Described {
     /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`, or built in.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
-        let text = facts.text.filter(|text| says_something(text, facts));
+        let text = facts.text.filter(|text| !text.trim().is_empty()).or(has_no_fields(facts).then_some(""));
         let text = text.map(|text| plain_text(facts.name, text));
         let facts = TypeFacts { text: text.as_deref(), hash: facts.hash.filter(|hash| !hash.is_empty()), ..facts };
         match own(facts).or_else(|error| completed(facts, folders).ok_or(error)) {
@@ -60,9 +60,15 @@ impl Described {
 /// The md5sum of an empty definition.
 const NOTHING: &str = "d41d8cd98f00b204e9800998ecf8427e";
 
-/// Whether a text defines the type: an empty one does so only for a type without fields.
-fn says_something(text: &str, facts: TypeFacts<'_>) -> bool {
-    !text.trim().is_empty() || facts.encoding == Encoding::Ros1 && facts.md5sum == NOTHING
+/// Whether the type has no fields, so that an empty text is its whole definition: its md5sum or hash says so.
+fn has_no_fields(facts: TypeFacts<'_>) -> bool {
+    match facts.encoding {
+        Encoding::Ros1 => facts.md5sum == NOTHING,
+        Encoding::Cdr { .. } => {
+            facts.hash.is_some_and(|hash| type_hash(facts.name, "").is_ok_and(|empty| empty == hash))
+        }
+        Encoding::Beside(_) => false,
+    }
 }
 
 /// The definition that came with the message.
@@ -82,6 +88,7 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
             "the recording describes a service, not a message; events of services are kept as bytes, write it as .bin",
         ),
         (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
+        (Encoding::Cdr { idl: true }, Some("")) => Definition::parse_ros2(facts.name, ""),
         (Encoding::Beside(_), _) => no_fields("it is an attachment to a recording, not a message"),
         (Encoding::Cdr { idl: true }, Some(_)) => no_fields(
             "the recording describes its type in IDL, which is not supported; give the directory where its package is \
@@ -165,6 +172,7 @@ fn differs(facts: TypeFacts<'_>) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ros::message::{Limits, Value};
 
     const STRING: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
     const IDL: Encoding = Encoding::Cdr { idl: true };
@@ -174,6 +182,27 @@ mod tests {
         let described =
             Described::of(TypeFacts { name: "std_msgs/msg/String", encoding, text, hash, md5sum: "*" }, folders);
         (described.definition.is_some(), described.note.unwrap_or_default())
+    }
+
+    #[test]
+    fn a_type_without_fields_needs_no_text() {
+        const EMPTY: &str = "RIHS01_20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312";
+        let folders = Folders::default();
+        for (encoding, text) in
+            [(MSG, None), (MSG, Some("")), (MSG, Some("\n")), (MSG, Some("# nothing\n")), (IDL, None)]
+        {
+            let facts = TypeFacts { name: "std_msgs/msg/Empty", encoding, text, hash: Some(EMPTY), md5sum: "*" };
+            let described = Described::of(facts, &folders);
+            let definition = described.definition.unwrap_or_else(|| panic!("{text:?}: {:?}", described.note));
+            assert_eq!(described.note, None, "{text:?}");
+            for body in [&[0, 1, 0, 0, 0][..], &[0, 1, 0, 3, 0, 0, 0, 0]] {
+                let value = definition.decode(body, Limits::default()).expect("an empty message");
+                assert_eq!(value, Value::Message(Vec::new()));
+            }
+        }
+        let other =
+            TypeFacts { name: "rig_msgs/msg/Empty", encoding: MSG, text: Some(""), hash: Some(EMPTY), md5sum: "*" };
+        assert!(Described::of(other, &folders).definition.is_none(), "another type's hash");
     }
 
     /// A type that is not built in.

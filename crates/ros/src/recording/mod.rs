@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 pub use compression::ChunkCompression;
-pub(super) use compression::{ZSTD, pack, unpack, unpacked_body};
+pub(super) use compression::{SPOILT, ZSTD, pack, unpack, unpacked_body, why};
 pub use damage::{Damage, Findings, Unusable};
 pub use described::{Described, TYPE_HASH, TypeFacts};
 pub use open::{Recording, RecordingFormat, RecordingWriter, content_of};

@@ -297,3 +297,13 @@ proptest! {
         drop(read(format, &[magic, &noise].concat()));
     }
 }
+
+#[test]
+fn a_decoders_own_words_are_in_no_notice() {
+    for compression in [ChunkCompression::Bz2, ChunkCompression::Lz4, ChunkCompression::Zstd] {
+        let mut packed = pack(compression, &[7; 10_000]).expect("packed");
+        packed[0] ^= 0xff;
+        let told = unpack(compression, packed.as_slice(), 20_000, &mut Vec::new());
+        assert_eq!(told, Err(super::SPOILT.to_owned()), "{compression}");
+    }
+}

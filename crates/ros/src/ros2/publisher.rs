@@ -32,6 +32,8 @@ pub struct Publisher {
     pub connected: bool,
     /// The definition of its type, if one had to be asked for; else empty.
     pub definition: Arc<str>,
+    /// Whether messages of it went without a definition.
+    undefined: bool,
     /// When it was first reported.
     pub came: Instant,
     /// When it was heard.
@@ -91,6 +93,7 @@ impl Publisher {
             told_by: 0,
             connected: false,
             definition: "".into(),
+            undefined: false,
             came: now,
             pulse: Pulse::default(),
             elders: Vec::new(),
@@ -120,11 +123,23 @@ impl Publisher {
     }
 
     /// A message of it.
-    pub fn message(&self, (number, sent): (i64, Option<u64>), captured_at: Timestamp, body: Vec<u8>) -> Message {
+    pub fn message(&mut self, (number, sent): (i64, Option<u64>), captured_at: Timestamp, body: Vec<u8>) -> Message {
+        self.undefined |= self.definition.is_empty();
         let mut said = self.tags.clone();
         // MCAP has 32 bits for it.
         said.push((tags::SEQUENCE.to_owned(), low(number).to_string()));
         said.extend(sent.map(|sent| (tags::PUBLISHED.to_owned(), sent.to_string())));
+        self.carrying(said, captured_at, body)
+    }
+
+    /// The definition of its messages is known from now on; a message without a body that carries it, if some went without it.
+    pub fn define(&mut self, definition: Arc<str>) -> Option<Message> {
+        self.definition = definition;
+        let is_due = std::mem::take(&mut self.undefined);
+        is_due.then(|| self.carrying(self.tags.clone(), Timestamp::now(), Vec::new()))
+    }
+
+    fn carrying(&self, said: Vec<(String, String)>, captured_at: Timestamp, body: Vec<u8>) -> Message {
         Message {
             topic: Arc::clone(&self.topic),
             type_name: Arc::clone(&self.type_name),
@@ -252,7 +267,7 @@ mod tests {
 
     #[test]
     fn what_is_told_of_a_publisher_goes_beside_its_messages() {
-        let publisher = Publisher::new(writer(), 7, Instant::now());
+        let mut publisher = Publisher::new(writer(), 7, Instant::now());
         let message = publisher.message(((1 << 32) + 5, Some(9)), Timestamp(10), vec![0, 1, 0, 0]);
         let tag = |name: &str| message.tags.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str());
         assert_eq!(tag("encoding"), Some("cdr"));

@@ -40,6 +40,8 @@ pub struct Outcome {
     pub wishes: Vec<Wish>,
     /// Messages.
     pub messages: Vec<Message>,
+    /// Definitions that came after messages to which they belong.
+    pub definitions: Vec<Message>,
 }
 
 /// What is known.
@@ -167,7 +169,11 @@ impl State {
             known.announce(writer, self.domain);
         }
         (known.gone, known.told_by) = (None, self.started);
-        known.definition = self.descriptions.text_of(&known.writer);
+        let text = self.descriptions.text_of(&known.writer);
+        match text.is_empty() {
+            true => known.definition = text,
+            false => outcome.definitions.extend(known.define(text)),
+        }
         let topic = known.writer.topic.clone();
         self.publishers.insert(id.clone(), known);
         if watched {
@@ -233,9 +239,9 @@ impl State {
         match self.descriptions.take(node, kind.clone(), texts) {
             Ok(false) => {}
             Ok(true) => {
-                for publisher in self.publishers.values_mut().filter(|known| of_kind(&known.writer)) {
-                    publisher.definition = self.descriptions.text_of(&publisher.writer);
-                }
+                let publishers = self.publishers.values_mut().filter(|known| of_kind(&known.writer));
+                let text = |publisher: &Publisher| self.descriptions.text_of(&publisher.writer);
+                outcome.definitions.extend(publishers.filter_map(|publisher| publisher.define(text(publisher))));
             }
             Err(contradiction) => {
                 let by = self.publishers.values().find(|known| of_node(&known.writer));
@@ -461,8 +467,13 @@ mod tests {
         let described = Told::Described { node, type_name, type_hash: HASH.into(), structured: 0, reason: None };
         let lie = take(&mut state, described.clone(), b"float64 force\n");
         assert!(matches!(lie.notices[..], [CaptureNotice::Contradiction { .. }]), "{lie:?}");
-        assert!(take(&mut state, described, TEXT.as_bytes()).notices.is_empty());
+        assert!(lie.definitions.is_empty());
+        // A message went without it, and may have been the last.
+        let told = take(&mut state, described.clone(), TEXT.as_bytes());
+        let carried: Vec<_> = told.definitions.iter().map(|one| (&*one.definition, one.body.len())).collect();
+        assert_eq!((carried, told.notices.len()), (vec![(TEXT, 0)], 0));
         assert_eq!(&*take(&mut state, sample("aa", 2), &[1]).messages[0].definition, TEXT);
+        assert!(take(&mut state, described, TEXT.as_bytes()).definitions.is_empty(), "once");
     }
 
     #[test]

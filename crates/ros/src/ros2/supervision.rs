@@ -72,6 +72,7 @@ impl Shared {
         outcome.wishes.iter().for_each(|wish| self.wish(wish));
         outcome.notices.into_iter().for_each(|notice| self.sink.notice(notice));
         outcome.messages.into_iter().for_each(|message| self.sink.accept(message));
+        outcome.definitions.into_iter().for_each(|message| self.sink.define(message));
     }
 
     /// Captures the messages that still wait for the identity of their publisher, of a topic or of all.

@@ -12,7 +12,7 @@ use std::time::SystemTime;
 
 use rusqlite::config::DbConfig;
 use rusqlite::types::ValueRef;
-use rusqlite::{Connection, OpenFlags, OptionalExtension as _, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension as _, params};
 
 use crate::model::{Timestamp, clean};
 use crate::ros::RosError;
@@ -172,11 +172,13 @@ impl Db3Reader {
                 }
             }
         }
-        let Some(first) = faults.first() else { return Ok(true) };
+        if faults.is_empty() {
+            return Ok(true);
+        }
         // A page that is in two places might be in any number of them: the trees have no end then.
         let endless = faults.len() >= MOST_FAULTS || faults.iter().any(|fault| fault.contains("2nd reference"));
         let rest = if endless { "nothing of it was read" } else { "what can be read of it was read" };
-        self.findings.note(0, &format!("the database is damaged ({}): {rest}", clean(first, 160)));
+        self.findings.note(0, &format!("the database is damaged: {rest}"));
         Ok(!endless)
     }
 
@@ -202,8 +204,7 @@ impl Db3Reader {
                 Ok(Some(row)) => row,
                 Ok(None) => break,
                 Err(error) => {
-                    let text =
-                        format!("the table of topics cannot be read to its end: {}", clean(&error.to_string(), 120));
+                    let text = format!("the table of topics cannot be read to its end: {}", told(&error));
                     self.findings.note(0, &text);
                     break;
                 }
@@ -249,10 +250,7 @@ impl Db3Reader {
                     Ok(Some(row)) => row,
                     Ok(None) => break,
                     Err(error) => {
-                        let text = format!(
-                            "the table of messages cannot be read to its end: {}",
-                            clean(&error.to_string(), 120)
-                        );
+                        let text = format!("the table of messages cannot be read to its end: {}", told(&error));
                         self.findings.note(0, &text);
                         break;
                     }
@@ -360,7 +358,7 @@ impl Db3Reader {
         let read = self.database.prepare_cached(query).and_then(|mut statement| {
             statement.query_row([row], |row| Ok(row.get_ref(0)?.as_blob().map(<[u8]>::to_vec).ok())).optional()
         });
-        read.map(Option::flatten).map_err(|error| format!("it cannot be read: {}", clean(&error.to_string(), 120)))
+        read.map(Option::flatten).map_err(|error| told(&error).to_owned())
     }
 }
 
@@ -445,7 +443,19 @@ fn channel(
 }
 
 fn unreadable(path: &Path, error: &rusqlite::Error) -> RosError {
-    RosError::recording(&format!("{} cannot be read as SQLite: {error}", path.display()))
+    RosError::recording(&format!("{} cannot be read as SQLite: {}", path.display(), told(error)))
+}
+
+/// What went wrong, without SQLite's own words.
+fn told(error: &rusqlite::Error) -> &'static str {
+    match error.sqlite_error_code() {
+        Some(ErrorCode::NotADatabase) => "it is no database, or its first page is damaged",
+        Some(ErrorCode::DatabaseCorrupt) => "it is damaged there",
+        Some(ErrorCode::CannotOpen | ErrorCode::PermissionDenied) => "it cannot be opened",
+        Some(ErrorCode::SystemIoFailure) => "the disk does not give its bytes",
+        Some(ErrorCode::DiskFull) => "there is no room for temporary files; name a larger folder in TMPDIR",
+        _ => "it is not as a recorder writes it",
+    }
 }
 
 fn stamp(path: &Path) -> Result<Stamp, RosError> {
@@ -454,21 +464,29 @@ fn stamp(path: &Path) -> Result<Stamp, RosError> {
     Ok((found.len(), found.modified().ok()))
 }
 
-/// A journal beside the file means that a recorder writes it, or was killed while it did.
-fn refuse_journals(path: &Path) -> Result<(), RosError> {
-    for end in ["-wal", "-journal"] {
+/// The journal beside a file that is not empty.
+fn journal(path: &Path) -> Option<PathBuf> {
+    ["-wal", "-journal"].into_iter().find_map(|end| {
         let mut beside = path.as_os_str().to_owned();
         beside.push(end);
-        if std::fs::symlink_metadata(&beside).is_ok_and(|found| found.len() > 0) {
-            return Err(RosError::recording(&format!(
-                "{} has a journal beside it ({}): a recorder still writes it, or was killed; wait for its end, or open a copy of \
-                 both with `sqlite3 COPY.db3 .schema`, which takes the journal in, and import the copy",
-                path.display(),
-                Path::new(&beside).display()
-            )));
-        }
-    }
-    Ok(())
+        let beside = PathBuf::from(beside);
+        std::fs::symlink_metadata(&beside).is_ok_and(|found| found.len() > 0).then_some(beside)
+    })
+}
+
+/// Whether a journal is beside a `.db3` file: a recorder writes it, or was killed while it did.
+pub fn has_journal(path: &Path) -> bool {
+    journal(path).is_some()
+}
+
+fn refuse_journals(path: &Path) -> Result<(), RosError> {
+    let Some(beside) = journal(path) else { return Ok(()) };
+    Err(RosError::recording(&format!(
+        "{} has a journal beside it ({}): a recorder still writes it, or was killed; wait for its end, or open a copy of both with \
+         `sqlite3 COPY.db3 .schema`, which takes the journal in, and import the copy",
+        path.display(),
+        beside.display()
+    )))
 }
 
 /// Opens it as a file that nobody writes; nothing in its schema is run.

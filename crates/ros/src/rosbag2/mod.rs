@@ -6,7 +6,7 @@ mod metadata;
 mod temporary;
 mod yaml;
 
-pub use db3::Db3Reader;
+pub use db3::{Db3Reader, has_journal};
 pub use folder::{ATTACHED, FolderReader, files_of};
 pub use metadata::{METADATA, Tally};
 pub(super) use temporary::unpacked;

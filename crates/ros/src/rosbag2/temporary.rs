@@ -8,7 +8,7 @@ use std::path::Path;
 use tempfile::NamedTempFile;
 
 use crate::ros::RosError;
-use crate::ros::recording::LARGEST_CHUNK;
+use crate::ros::recording::{LARGEST_CHUNK, SPOILT, why};
 
 /// Bytes written before the room left is looked at again.
 const STEP: usize = 16 << 20;
@@ -19,7 +19,7 @@ const RESERVE: u64 = 512 << 20;
 /// What comes out of a compressed file.
 pub(crate) fn unpacked(path: &Path) -> Result<NamedTempFile, RosError> {
     let failed = |why: &str| RosError::recording(&format!("{} cannot be unpacked with zstd: {why}", path.display()));
-    let told = |error: std::io::Error| failed(&error.to_string());
+    let told = |error: std::io::Error| failed(&why(&error));
     let made = NamedTempFile::new().map_err(told)?;
     let mut source = BufReader::with_capacity(1 << 18, File::open(path).map_err(told)?);
     let mut out = BufWriter::new(made.as_file());
@@ -28,7 +28,7 @@ pub(crate) fn unpacked(path: &Path) -> Result<NamedTempFile, RosError> {
     let mut written = 0;
     while !source.fill_buf().map_err(told)?.is_empty() {
         let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(&mut source, window);
-        let mut decoder = decoder.map_err(|error| failed(&error.to_string()))?;
+        let mut decoder = decoder.map_err(|_| failed(SPOILT))?;
         loop {
             let read = decoder.read(&mut buffer).map_err(told)?;
             let bytes = buffer.get(..read).unwrap_or_default();

@@ -1,6 +1,6 @@
 //! Who is in the domain: subscribers that have found our topics, and others who publish them.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
@@ -18,7 +18,8 @@ const MOST: usize = 20_000;
 /// Who is there.
 pub struct Audience {
     own: [u8; 12],
-    participants: HashSet<[u8; 12]>,
+    /// The others, and whether each has told anything that it reads or writes: a node of ROS 2 has something from its start.
+    participants: HashMap<[u8; 12], bool>,
     /// By our writer: the subscribers that it has met, and whether it serves them.
     met: HashMap<GUID, HashMap<GUID, bool>>,
     /// When somebody was found last.
@@ -34,30 +35,33 @@ fn prefix(id: GUID) -> [u8; 12] {
 impl Audience {
     /// Nobody is known yet.
     pub fn new(own: GUID) -> Self {
-        Self { own: prefix(own), participants: HashSet::new(), met: HashMap::new(), found: Instant::now() }
+        Self { own: prefix(own), participants: HashMap::new(), met: HashMap::new(), found: Instant::now() }
     }
 
     /// Takes news of the domain.
     pub fn hear(&mut self, news: DomainParticipantStatusEvent) {
         use DomainParticipantStatusEvent as News;
         match news {
-            News::ParticipantDiscovered { dpd } => {
-                self.found = Instant::now();
-                let found = prefix(dpd.guid);
-                if found.get(..PROGRAM) != self.own.get(..PROGRAM) && self.participants.len() < MOST {
-                    self.participants.insert(found);
-                }
+            News::ParticipantDiscovered { dpd } => self.came(prefix(dpd.guid), false),
+            News::ReaderDetected { reader: endpoint } | News::WriterDetected { writer: endpoint } => {
+                self.came(prefix(endpoint.guid), true);
             }
-            News::ReaderDetected { .. } | News::WriterDetected { .. } => self.found = Instant::now(),
             News::ParticipantLost { id, .. } => {
                 let gone: &[u8] = id.as_ref();
-                self.participants.retain(|known| known[..] != *gone);
+                self.participants.retain(|known, _| known[..] != *gone);
             }
             News::RemoteReaderMatched { local_writer, remote_reader } => self.meet((local_writer, remote_reader), true),
             News::RemoteReaderQosIncompatible { local_writer, remote_reader, .. } => {
                 self.meet((local_writer, remote_reader), false);
             }
             _ => {}
+        }
+    }
+
+    fn came(&mut self, participant: Prefix, has_told: bool) {
+        self.found = Instant::now();
+        if participant.get(..PROGRAM) != self.own.get(..PROGRAM) && self.participants.len() < MOST {
+            *self.participants.entry(participant).or_default() |= has_told;
         }
     }
 
@@ -72,7 +76,7 @@ impl Audience {
 
     /// The other participants.
     pub fn present(&self) -> impl Iterator<Item = Prefix> {
-        self.participants.iter().copied()
+        self.participants.keys().copied()
     }
 
     /// The number of other participants.
@@ -80,9 +84,9 @@ impl Audience {
         u32::try_from(self.participants.len()).unwrap_or(u32::MAX)
     }
 
-    /// Whether nobody was found for a while.
+    /// Whether everybody who is there has told something, and nobody was found for a while.
     pub fn is_settled(&self, after: Duration) -> bool {
-        self.found.elapsed() >= after
+        self.participants.values().all(|has_told| *has_told) && self.found.elapsed() >= after
     }
 
     fn of<'a>(
@@ -133,5 +137,24 @@ impl Audience {
             (data.topic_name == dds_topic && prefix(data.key) != self.own).then(|| data.key.to_bytes())
         })?;
         Some(format!("a {} publisher", names::vendor(id)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_participant_that_has_told_nothing_yet_is_waited_for() {
+        let mut audience = Audience::new(GUID::from_bytes([1; 16]));
+        assert!(audience.is_settled(Duration::ZERO), "nobody is there");
+        audience.came([7; 12], false);
+        assert!(!audience.is_settled(Duration::ZERO));
+        audience.came([7; 12], true);
+        assert!(audience.is_settled(Duration::ZERO) && !audience.is_settled(Duration::from_secs(60)));
+        audience.came([7; 12], false);
+        assert!(audience.is_settled(Duration::ZERO), "it is announced again and again");
+        audience.came([1; 12], false);
+        assert_eq!((audience.is_settled(Duration::ZERO), audience.participants()), (true, 1), "our own");
     }
 }

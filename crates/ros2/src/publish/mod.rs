@@ -38,13 +38,14 @@ const SHORT_BEAT: Duration = Duration::from_millis(1);
 const ALIVE: Duration = Duration::from_millis(500);
 /// How long is looked around before anything is announced: Fast DDS is found after up to 1.3 s.
 const LOOK_AROUND: Duration = Duration::from_millis(1500);
-/// It goes on while somebody was found so lately, for this long at most: on a busy machine, what a participant has comes late.
+/// It goes on while somebody was found so lately or has told nothing of what it reads, for this long at most: on a busy machine
+/// that comes late, and a reader that is found after the first message does not get it.
 const STILL_FINDING: Duration = Duration::from_millis(500);
 const LONGEST_LOOK: Duration = Duration::from_secs(4);
 /// How often each writer is shown its subscribers.
 const SHOWING: Duration = Duration::from_millis(100);
 /// The longest that a topic waits for its subscribers.
-const PATIENCE: Duration = Duration::from_secs(2);
+const PATIENCE: Duration = Duration::from_secs(5);
 /// How long what was written last is given to leave this machine.
 const SENDING: Duration = Duration::from_millis(200);
 /// How long a subscriber that acknowledges nothing is given to find a writer that has found it.

@@ -317,14 +317,14 @@ mod tests {
             known.push(queue.kept.clone());
         };
         step(&|queue| queue.add(Change::Begun(alert("disk"))));
-        step(&|queue| queue.add(Change::Begun(alert("vault"))));
+        step(&|queue| queue.add(Change::Begun(alert("store"))));
         step(&|queue| queue.done(1, 0));
         step(&|queue| queue.add(Change::Resolved(alert("disk"), at(9))));
         step(&|queue| queue.note(Line::GivenUp(2)));
         step(&|queue| queue.done(3, 1));
         let bytes = std::fs::read(&path).expect("the file");
         assert_eq!(std::fs::metadata(&path).expect("it").permissions().mode() & 0o777, 0o600);
-        assert_eq!(known.last().expect("some").standing.keys().collect::<Vec<_>>(), ["vault"]);
+        assert_eq!(known.last().expect("some").standing.keys().collect::<Vec<_>>(), ["store"]);
         for cut in 0..=bytes.len() {
             std::fs::write(&path, &bytes[..cut]).expect("cut");
             let whole = bytes[..cut].split(|byte| *byte == b'\n').count() - 1;

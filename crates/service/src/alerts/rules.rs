@@ -29,9 +29,9 @@ pub const RULES: [&str; 12] = [
     "quarantine",
     "robot_silent",
     "stages",
+    "store",
     "tampered",
     "unanchored",
-    "vault",
 ];
 
 /// The rule that an alert's key belongs to.
@@ -105,9 +105,8 @@ impl Judge {
         let text = "The chain is unreachable or a transaction lane is stuck: nothing is being anchored, nothing is \
                     lost. See `authros status`.";
         judged.extend(part(figures, "chain", text));
-        let text = "The vault is not accepting records, or some are missing from it; captured records wait on disk. \
-                    See `authros status` and `authros audit`.";
-        judged.extend(part(figures, "vault", text));
+        let text = "The store does not accept records; captured messages wait in memory. See `authros status`.";
+        judged.extend(part(figures, "store", text));
         judged.push(stages(figures));
         judged
     }
@@ -267,7 +266,7 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
     let held = Judged { key: format!("quarantine/{}", owner.owner), severity, level, text };
     let (severity, level) = (Severity::Critical, any(tampered));
     let text = format!(
-        "{tampered} records of account {} do not match the chain. Run `authros audit`, and restore the vault from a \
+        "{tampered} records of account {} do not match the chain. Run `authros audit`, and restore the home from a \
          backup.",
         owner.owner
     );

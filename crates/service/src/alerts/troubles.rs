@@ -40,7 +40,7 @@ pub fn well(second: u64) -> Figures {
         now,
         owners: vec![owner],
         robots: vec![RobotFigures { robot: "12345678".to_owned(), last_seen: now }],
-        parts: vec![part_of("chain"), part_of("vault")],
+        parts: vec![part_of("chain"), part_of("store")],
         disk: Some((2000 << 20, 64 << 20)),
         grants: Some(vec![grant(2 * 86_400)]),
         ..Figures::default()
@@ -78,7 +78,7 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
         ("tampered/0a0b0c0d", Box::new(life(|life| life.tampered = 1))),
         ("clock", Box::new(|it| it.clock_ahead = -6)),
         ("grant_ends/0a0b0c0d-0e0f0a0b", Box::new(|it| it.grants = Some(vec![grant(3600)]))),
-        ("vault", Box::new(failed("vault"))),
+        ("store", Box::new(failed("store"))),
         ("chain", Box::new(failed("chain"))),
         (
             "stages",

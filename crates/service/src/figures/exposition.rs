@@ -155,7 +155,7 @@ fn ages(text: &mut Text, figures: &Figures) {
 }
 
 fn line(text: &mut Text, figures: &Figures) {
-    let (queue, (records, bytes)) = (&figures.queue, figures.backlog);
+    let queue = &figures.queue;
     text.single("authros_queue_messages", "gauge", "Messages in memory waiting to be sealed.", queue.messages);
     text.single("authros_queue_bytes", "gauge", "Bytes of messages waiting to be sealed.", queue.bytes);
     text.single(
@@ -164,8 +164,7 @@ fn line(text: &mut Text, figures: &Figures) {
         "Limit for bytes of messages waiting to be sealed.",
         queue.capacity,
     );
-    text.single("authros_vault_backlog_records", "gauge", "Sealed records waiting for the vault.", records);
-    text.single("authros_vault_backlog_bytes", "gauge", "Bytes of sealed records waiting for the vault.", bytes);
+    cache(text, figures);
     text.single("authros_gaps_untold", "gauge", "Losses not yet reported in a gap record.", figures.untold_gaps);
     if let Some((free, reserve)) = figures.disk {
         text.single("authros_disk_free_bytes", "gauge", "Free space on the disk of the home.", free);
@@ -184,6 +183,21 @@ fn line(text: &mut Text, figures: &Figures) {
             text.value(name, &[("stage", stage)], seconds);
         },
     );
+}
+
+fn cache(text: &mut Text, figures: &Figures) {
+    let Some(cache) = &figures.cache else { return };
+    let away = cache.away.as_ref().map_or(0.0, |away| figures.age(away.since));
+    for (name, help, count) in [
+        ("authros_cache_hits_total", "Records that the cache had.", cache.hits),
+        ("authros_cache_misses_total", "Records that the cache did not have.", cache.misses),
+        ("authros_cache_wrong_total", "Answers of the cache that were not the record asked for.", cache.wrong),
+        ("authros_cache_skipped_total", "Records not written to the cache.", cache.skipped),
+    ] {
+        text.single(name, "counter", help, count);
+    }
+    let help = "Time since the cache, or a part of it, stopped answering; 0 if it answers.";
+    text.single("authros_cache_away_seconds", "gauge", help, away);
 }
 
 fn chain(text: &mut Text, figures: &Figures) {

@@ -10,6 +10,7 @@ use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 
 use crate::model::Timestamp;
 use crate::reply::{LifeLine, QueueView, TaskState, TaskView};
+use crate::store::CacheState;
 
 /// The figures of a site.
 #[derive(Debug, Clone, Default)]
@@ -35,8 +36,8 @@ pub struct Figures {
     pub grants: Option<Vec<GrantFigures>>,
     /// Free bytes on the home's disk, and how many of them records leave.
     pub disk: Option<(u64, u64)>,
-    /// Records waiting here for the vault, and their bytes.
-    pub backlog: (u64, u64),
+    /// The cache in front of the store, if there is one.
+    pub cache: Option<CacheState>,
     /// Losses not yet reported by a gap record.
     pub untold_gaps: u64,
     /// Lines of the audit log.
@@ -119,7 +120,7 @@ pub struct GatewayFigures {
 /// A part of the site.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PartFigures {
-    /// `ros`, `chain`, `vault`, `gateway`, `clock`, `account`.
+    /// `ros`, `chain`, `store`, `cache`, `gateway`, `clock`, `account`.
     pub part: String,
     /// Whether it works.
     pub well: bool,

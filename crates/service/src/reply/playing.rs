@@ -46,7 +46,7 @@ pub struct PlayedView {
     pub published: u64,
     /// Records refused by a check, or that the graph or domain cannot take; none of them was published.
     pub refused: u64,
-    /// Records whose bytes are missing in the vault.
+    /// Records whose bytes are missing in the store.
     pub missing: u64,
     /// Messages that a subscriber missed because it read too slowly; in ROS 2 also those that it never acknowledged.
     pub dropped: u64,

@@ -41,7 +41,7 @@ pub struct ImportView {
     pub found: u64,
     /// Messages sealed now.
     pub imported: u64,
-    /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
+    /// Of these, verified: re-read from the store, digest equal to the chain, signature valid.
     pub verified: u64,
     /// Messages that an earlier import of the same file or home sealed, or a follower; they are not sealed twice.
     pub already: u64,
@@ -138,7 +138,7 @@ pub struct ExportedTopic {
 pub struct Refused {
     /// They differ from what was anchored, or their signature is not valid.
     pub tampered: u64,
-    /// Their ciphertext is missing in the vault.
+    /// Their ciphertext is missing in the store.
     pub missing: u64,
     /// Not confirmed on the chain.
     pub unanchored: u64,

@@ -177,7 +177,7 @@ pub struct CheckView {
     /// Why the chain was not asked, if it was not.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
-    /// SM3 of the bytes in the vault.
+    /// SM3 of the stored bytes.
     pub digest: Digest,
     /// The anchoring transaction.
     pub transaction: Option<Hash>,

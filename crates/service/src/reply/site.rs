@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::model::{ProfileName, Timestamp};
+use crate::store::CacheState;
 
 /// The state of a part of the site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,7 +22,7 @@ pub enum HealthLevel {
 /// Health of one part.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PartHealth {
-    /// `ros`, `chain`, `vault` or `gateway`.
+    /// `ros`, `chain`, `store`, `cache` or `gateway`.
     pub part: String,
     /// Its state.
     pub level: HealthLevel,
@@ -41,9 +42,7 @@ pub struct PartHealth {
 pub struct LifeLine {
     /// Taken from the topic.
     pub captured: u64,
-    /// Sealed and fsynced.
-    pub sealed: u64,
-    /// In the vault.
+    /// Sealed and fsynced, row and ciphertext in one commit.
     pub stored: u64,
     /// In a block.
     pub anchored: u64,
@@ -90,6 +89,9 @@ pub struct SiteView {
     pub process: u32,
     /// Background tasks and their state.
     pub tasks: Vec<super::TaskView>,
+    /// The cache in front of the store, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<CacheState>,
     /// What waits to be sealed.
     pub queue: QueueView,
     /// How long records of this site took from capture to verified: upper bounds, microseconds, and the number of

@@ -172,7 +172,7 @@ pub struct TopicSummary {
 pub struct CaptureSummary {
     /// Messages captured.
     pub captured: u64,
-    /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
+    /// Of these, verified: re-read from the store, digest equal to the chain, signature valid.
     pub verified: u64,
     /// Of these, quarantined: their publisher is not a pinned one.
     pub quarantined: u64,

@@ -17,7 +17,7 @@ use super::capture::ros::RosState;
 use crate::config::RingSettings;
 use crate::crypto::{Enrolment, SealedEnrolment, random_bytes};
 use crate::event::NoticeLevel;
-use crate::failure::{input, internal, refused};
+use crate::failure::{internal, refused};
 use crate::gateway::Context;
 use crate::model::{
     Digest, ErrorKind, ProfileName, RecordState, RecorderPrefix, SignerId, TopicName, TopicPatterns, clean,
@@ -116,13 +116,10 @@ impl Agent {
     /// If a topic is not covered, or a file of the home cannot be used; a gateway or master that does not answer is
     /// waited for.
     pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
-        if !site.plant.vault.durable() {
-            return Err(input("an agent manages its own outbox; omit --vault and vault.url"));
-        }
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
-        let mut policy = block_in_place(|| AgentPolicy::open(&site.plant.ledger, enrolment))?;
+        let mut policy = block_in_place(|| AgentPolicy::open(&site.plant.ledger.notes, enrolment))?;
         policy.rule(site, &wishes);
         let ring = policy.ring(&site.parts.config);
         let topics = match policy.watched() {

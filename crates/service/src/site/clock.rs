@@ -110,9 +110,13 @@ impl Clock {
         self.hub.changed(Part::Grants);
     }
 
-    /// A machine without a battery wakes up in the past.
+    /// A machine without a battery wakes up in the past. Times of capture do not count: a recording has its own.
     async fn compare_with_records(self: &Arc<Self>) {
-        let Ok(Some(newest)) = blocking(self, |clock| Ok(clock.plant.ledger.newest_capture()?)).await else { return };
+        let Ok(Some(newest)) =
+            blocking(self, |clock| Ok(clock.plant.ledger.inspection.newest_acknowledgement()?)).await
+        else {
+            return;
+        };
         let behind = newest.seconds().saturating_sub(look().machine.seconds());
         if i64::try_from(behind).is_ok_and(|behind| behind >= SHORTEST) {
             let text = format!(

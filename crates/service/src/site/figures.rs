@@ -139,7 +139,7 @@ impl Site {
             block: self.block_figures(),
             grants: self.grant_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
-            backlog: (ledger.sealed()?, ledger.backlog()?),
+            cache: self.plant.ciphertext.cache(),
             untold_gaps: ledger.untold_gaps()?,
             audit_lines,
             audit_unanchored,
@@ -217,7 +217,7 @@ impl Site {
                 ending.extend(ends.map(|ends| (ends, grant.terms.owner, grant.terms.grantee)));
             }
         }
-        let contacts = self.contacts.names();
+        let contacts = self.contacts.names().ok()?;
         Some(told_of(ending, &own, |owner| contacts.contains_key(&owner)))
     }
 
@@ -231,7 +231,7 @@ impl Site {
         let (lines, _) = self.parts.log.lines().head()?;
         let mut oldest: Option<Timestamp> = None;
         for owner in self.parts.owners.all() {
-            let anchored = audit_head::noted(&self.plant.ledger, owner.address)?.map_or(0, |(line, _)| line);
+            let anchored = audit_head::noted(&self.plant.ledger.notes, owner.address)?.map_or(0, |(line, _)| line);
             oldest = oldest.into_iter().chain(self.parts.log.lines().written_after(anchored)?).min();
         }
         Ok((lines, oldest))

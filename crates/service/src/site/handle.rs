@@ -250,10 +250,7 @@ impl Site {
     async fn operate(self: &Arc<Self>, profile: &ProfileName, operation: Operation) -> Result<Reply, Failure> {
         match operation {
             Operation::Lock => self.profiles.lock(profile).await.map(ask::Lock::told),
-            Operation::HoldCapture { hold } => {
-                self.capture.hold(profile, hold);
-                Ok(ask::HoldCapture::told(()))
-            }
+            Operation::HoldCapture { hold } => self.capture.hold(profile, hold).map(ask::HoldCapture::told),
             Operation::BackUpKeys => self.profiles.back_up_keys(profile).await.map(ask::BackUpKeys::told),
             Operation::ListAlerts => self.alerts_view().await.map(ask::ListAlerts::told),
             Operation::TestAlert => self.test_alert().await.map(ask::TestAlert::told),

@@ -1,4 +1,4 @@
-//! The site: master, chain, vault and pipeline of one home, and the open profiles that use them.
+//! The site: master, chain, store and pipeline of one home, and the open profiles that use them.
 //!
 //! `start` brings the parts up in the background; requests wait for the parts they need. One process of a home is the
 //! site, further ones join it over the socket (`service::socket`).
@@ -50,9 +50,9 @@ use tokio::sync::{broadcast, mpsc};
 pub use self::devices::enrolled::EnrolWishes;
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
+pub use chain::connection::is_bound;
 pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
-pub(crate) use contacts::BOOK;
 pub use evidence::definition_of;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
@@ -120,7 +120,7 @@ pub struct Needs {
 
 /// A running site: its parts and its features.
 pub struct Site {
-    /// Ledger, vault and provider, shared by all its workers.
+    /// Store and provider, shared by all its workers.
     pub plant: Plant,
     parts: Parts,
     rings: Arc<Rings<CapturedMessage>>,
@@ -171,7 +171,7 @@ fn rings(config: &Config) -> Rings<CapturedMessage> {
 fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> (Arc<Recorder>, Arc<Pins>) {
     let Parts { config, plant, hub, .. } = parts;
     let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
-    let judges = Arc::new(Pins::new(plant.ledger.clone(), hub.clone(), rules));
+    let judges = Arc::new(Pins::new(&plant.ledger, hub.clone(), rules));
     let recorder = Recorder::new(Arc::clone(rings), Arc::clone(losses), hub.clone());
     (Arc::new(recorder.with_pins(Arc::clone(&judges)).with_rules(config.topic_rules.clone())), judges)
 }
@@ -196,10 +196,10 @@ fn sweep(home: &Home) {
 }
 
 impl Site {
-    /// Opens ledger and vault and starts the parts needed.
+    /// Opens the store and starts the parts needed.
     ///
     /// # Errors
-    /// If ledger or vault cannot be opened; chain and master come up (or fail) later.
+    /// If the store cannot be opened; chain and master come up (or fail) later.
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
@@ -207,7 +207,6 @@ impl Site {
         let (parts, opened, copied) = Parts::open(home, config, needs.chain)?;
         let (reserve, reserved) = Reserve::open(&parts.home.reserve(), RESERVE_BYTES);
         let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
-        site.warn_of_policy();
         if let Err(error) = reserved {
             let text = format!("no space could be reserved for a revoke on a full disk: {error}");
             site.parts.hub.notice(super::event::NoticeLevel::Warning, &text);
@@ -301,12 +300,6 @@ impl Site {
             ros_task: Mutex::default(),
             _lock: lock,
         })
-    }
-
-    fn warn_of_policy(&self) {
-        for warning in self.plant.vault.policy_warnings() {
-            self.parts.hub.notice(super::event::NoticeLevel::Warning, &warning);
-        }
     }
 
     /// A client of this site, in this process.
@@ -429,20 +422,20 @@ impl Site {
         if let Some(chain) = chain {
             drop(tokio::time::timeout(CLOSING, chain.end()).await);
         }
-        let Plant { ledger, vault, .. } = self.plant.clone();
+        let Plant { ledger, ciphertext, .. } = self.plant.clone();
         let close = move || {
-            vault.close();
+            ciphertext.close();
             ledger.close()
         };
         drop(tokio::task::spawn_blocking(close).await);
     }
 
-    /// Ledger or vault cannot be written, and the process must still end.
+    /// The store cannot be written, and the process must still end.
     fn tell_unstored(&self) {
         let (messages, _) = self.rings.depth();
         let text = format!(
             "{messages} or more captured messages could not be stored before shutdown; they were never acknowledged; \
-             check disk and vault before the next start"
+             check the disk before the next start"
         );
         self.parts.hub.notice(super::event::NoticeLevel::Error, &text);
     }

@@ -18,15 +18,14 @@ use crate::paths::Home;
 use crate::pipeline::{Owner, Plant, Sender};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
-use crate::store::vault::check_version as check_vault_version;
-use crate::store::{Ledger, open_vault};
+use crate::store::{CacheSettings, Ciphertext, Ledger};
 
 /// The shared parts of one site.
 #[derive(Clone)]
 pub(super) struct Parts {
     pub home: Home,
     pub config: Arc<Config>,
-    /// Ledger, vault and provider.
+    /// Store and provider.
     pub plant: Plant,
     pub hub: Arc<Hub>,
     pub log: Arc<Log>,
@@ -44,23 +43,29 @@ pub(super) struct Parts {
 pub(super) type Opened = mpsc::UnboundedReceiver<Arc<Owner>>;
 
 impl Parts {
-    /// Opens ledger and vault of a home; the last value says whether the home is a copy of another one.
+    /// Opens the store of a home; the last value says whether the home is a copy of another one.
     ///
     /// # Errors
-    /// If ledger or vault cannot be opened.
+    /// If the store cannot be opened, or the cache's URL cannot be used.
     pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
         check_versions(&home)?;
         let (ledger, copied) = open_ledger(&home)?;
-        let vault = open_vault(config.vault_url.as_deref(), &home.vault())?;
-        let (provider, backlog) = (provider(config.provider), config.vault_backlog);
-        let plant = Plant { ledger: ledger.clone(), vault, provider, observer: hub.clone(), backlog };
+        let ciphertext = match &config.cache_url {
+            Some(url) => {
+                let settings = CacheSettings { url: url.clone(), roots: config.cache_roots.clone() };
+                Ciphertext::cached(&ledger, &settings)?
+            }
+            None => Ciphertext::of(&ledger),
+        };
+        let provider = provider(config.provider);
+        let plant = Plant { ledger: ledger.clone(), ciphertext, provider, observer: hub.clone() };
         let life = Arc::new(Lifetime::new());
         let (open, opened) = mpsc::unbounded_channel();
         let parts = Self {
             supervisor: Arc::new(Supervisor::new(Arc::clone(&hub), Arc::clone(&life))),
-            log: Arc::new(Log::new(ledger.clone(), Arc::clone(&hub))),
+            log: Arc::new(Log::new(ledger.audit.clone(), Arc::clone(&hub))),
             owners: Arc::new(Owners::new(home.clone(), open)),
             link: Arc::new(Link::new(Arc::clone(&hub), needs_chain)),
             sender: Arc::new(Sender::new(ledger, hub.clone(), Policy { cap: config.max_fee, floor: config.min_price })),
@@ -78,6 +83,5 @@ impl Parts {
 /// An older program changes nothing in a newer home: all files are checked before the first is opened.
 fn check_versions(home: &Home) -> Result<(), Failure> {
     Ledger::check_version(&home.ledger())?;
-    check_vault_version(&home.vault())?;
     Ok(check_embedded_chain(&home.chain())?)
 }

@@ -118,15 +118,6 @@ pub(super) struct Running {
     pub run: Arc<Run>,
 }
 
-impl Running {
-    /// Whether no other work of the profile about the same was under way when this began.
-    pub fn is_first(&self) -> bool {
-        let runs = self.runs.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let same = |run: &&Arc<Run>| run.profile == self.run.profile && run.subject == self.run.subject;
-        runs.iter().find(same).is_some_and(|first| Arc::ptr_eq(first, &self.run))
-    }
-}
-
 impl Drop for Running {
     fn drop(&mut self) {
         let mut runs = self.runs.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -146,8 +137,6 @@ mod tests {
         let audit = runs.begin_counted(&alice, "this home", "auditing", "records");
         audit.run.expect(1_000);
         audit.run.counter().fetch_add(250, Ordering::Relaxed);
-        let begun_by = |profile| runs.begin(profile, "this home", "auditing", "records").is_first();
-        assert!(audit.is_first() && !begun_by(&alice) && begun_by(&bob));
         assert!(runs.of(&bob).is_empty());
         let told = runs.of(&alice);
         assert_eq!((told[0].done, told[0].of, told[0].messages, told[0].unit.as_str()), (250, 1_000, 250, "records"));

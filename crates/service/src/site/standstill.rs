@@ -1,5 +1,5 @@
 //! Stages of a record's path that have work and make no progress: reported in the site's health and as an alert, and
-//! their tasks are restarted. A stage that waits for chain, vault or a key is not judged: who it waits for is reported.
+//! their tasks are restarted. A stage that waits for the chain or a key is not judged: who it waits for is reported.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,7 +13,6 @@ use super::lifetime::Lifetime;
 use super::parts::Parts;
 use super::supervision::Supervisor;
 use crate::model::{RecordState, Timestamp};
-use crate::pipeline::storer::Condition;
 use crate::pipeline::{Network, Plant};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
@@ -27,8 +26,6 @@ pub(super) const PART: &str = "stages";
 /// A stage of a record's path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
-    /// Puts sealed records into the vault.
-    Storer,
     /// Closes batches and sends them.
     Anchorer,
     /// Reads new blocks.
@@ -38,12 +35,11 @@ enum Stage {
 }
 
 impl Stage {
-    const ALL: [Self; 4] = [Self::Storer, Self::Anchorer, Self::Watcher, Self::Verifier];
+    const ALL: [Self; 3] = [Self::Anchorer, Self::Watcher, Self::Verifier];
 
     /// The name of its tasks, or the beginning of it.
     fn task(self) -> &'static str {
         match self {
-            Self::Storer => "storer",
             Self::Anchorer => "anchorer",
             Self::Watcher => "watcher",
             Self::Verifier => "verifier",
@@ -53,7 +49,6 @@ impl Stage {
     /// What waits for it.
     fn work(self) -> &'static str {
         match self {
-            Self::Storer => "records wait for the vault",
             Self::Anchorer => "records wait to be anchored",
             Self::Watcher => "blocks wait to be read",
             Self::Verifier => "records wait to be verified",
@@ -63,7 +58,7 @@ impl Stage {
     /// How long it may have work without doing any: many times what it takes on a busy machine.
     fn patience(self) -> Duration {
         match self {
-            Self::Storer | Self::Watcher | Self::Verifier => Duration::from_secs(60),
+            Self::Watcher | Self::Verifier => Duration::from_secs(60),
             Self::Anchorer => Duration::from_secs(180),
         }
     }
@@ -186,11 +181,7 @@ impl Standstill {
         let beyond = |last: RecordState| -> u64 {
             states.iter().filter(|(state, _)| **state > last && **state <= RecordState::Verified).map(|(_, n)| n).sum()
         };
-        let vault_takes =
-            matches!(self.hub.vault_condition(), (Condition::Takes, _)) && self.plant.vault.ailing().is_none();
-        let stored = (vault_takes && !self.plant.vault.durable() && self.plant.takes_records().is_ok())
-            .then(|| Work { waiting: of(RecordState::Sealed), done: beyond(RecordState::Sealed) });
-        let checked = (vault_takes && network.is_some()).then(|| Work {
+        let checked = network.map(|_| Work {
             waiting: of(RecordState::Confirmed),
             done: of(RecordState::Verified) + of(RecordState::Tampered),
         });
@@ -201,7 +192,7 @@ impl Standstill {
             }
             _ => None,
         };
-        Ok([(Stage::Storer, stored), (Stage::Verifier, checked), (Stage::Anchorer, anchored)].into())
+        Ok([(Stage::Verifier, checked), (Stage::Anchorer, anchored)].into())
     }
 
     /// Records that an open owner anchors and that are in no batch.
@@ -275,7 +266,7 @@ mod tests {
         let (mut judge, begun) = (Judge::default(), Instant::now());
         let at = |seconds: u64| begun + Duration::from_secs(seconds);
         let mut look = |seconds: u64, work: Work| {
-            // Without a chain or a vault nothing is known of its work.
+            // Without a chain nothing is known of its work.
             let known = Some(work).filter(|_| seconds != 251);
             let found = judge.look(Stage::Verifier, known, at(seconds));
             (found, judge.standing().count())
@@ -287,7 +278,7 @@ mod tests {
         assert_eq!(look(120, work(4_300, 100)), (Found::Restart, 1), "and again");
         assert_eq!(look(121, work(4_300, 101)), (Found::Going, 0), "one is enough");
         assert_eq!(look(190, work(4_299, 101)), (Found::Going, 0), "or one less");
-        assert_eq!(look(251, work(4_299, 101)), (Found::Going, 0), "the vault is away, which is reported");
+        assert_eq!(look(251, work(4_299, 101)), (Found::Going, 0), "the chain is away, which is reported");
         assert_eq!(look(252, work(4_299, 101)), (Found::Going, 0), "the time begins anew");
         assert_eq!(look(311, work(0, 101)), (Found::Going, 0));
         assert_eq!(look(400, work(1, 101)), (Found::Going, 0), "without work nothing stands");

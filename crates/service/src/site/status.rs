@@ -11,12 +11,11 @@ use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, without_
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
-use crate::pipeline::storer::Condition;
 use crate::pipeline::watcher::foreign;
-use crate::service::hub::lacking;
 use crate::service::reply::{
     ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, SiteView, WaitingView,
 };
+use crate::site::chain::administration::Administering;
 use crate::store::StateCounts;
 
 /// The most transactions used for the gas per record.
@@ -37,17 +36,31 @@ impl Site {
         let (process, tasks) = (std::process::id(), self.parts.supervisor.views());
         let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
         let (alerts, alerts_over) = self.alerts.shown();
-        let queue = self.queue_view();
-        Ok(SiteView { health, life, robots, profiles, process, tasks, queue, verified_after, alerts, alerts_over })
+        let (queue, cache) = (self.queue_view(), self.plant.ciphertext.cache());
+        Ok(SiteView {
+            health,
+            life,
+            robots,
+            profiles,
+            process,
+            tasks,
+            cache,
+            queue,
+            verified_after,
+            alerts,
+            alerts_over,
+        })
     }
 
     /// What is not well now, and what is: the one place used by status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         if let Some(original) = self.home().original() {
             let text = format!("{} cannot be written: this is what is in it, and nothing goes on", original.display());
-            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.vault_health()]);
+            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.store_health()]);
         }
-        let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
+        let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()];
+        health.extend(self.cache_health());
+        health.push(self.gateway_health());
         health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
@@ -106,22 +119,21 @@ impl Site {
         part("chain", level, &text)
     }
 
-    fn vault_health(&self) -> PartHealth {
-        let name = self.parts.config.vault_url.as_deref().map_or_else(|| "embedded vault".to_owned(), without_secrets);
-        if let Some((level, text)) = self.storage.room_health() {
-            return part("vault", level, &text);
+    fn store_health(&self) -> PartHealth {
+        match self.storage.room_health() {
+            Some((level, text)) => part("store", level, &text),
+            None => part("store", HealthLevel::Ok, "rows and ciphertext in one file"),
         }
-        match self.parts.hub.vault_condition() {
-            (Condition::Takes, _) => part("vault", HealthLevel::Ok, &name),
-            (Condition::Lacks(count), since) => {
-                PartHealth { since, ..part("vault", HealthLevel::Failed, &lacking(count)) }
-            }
-            (Condition::Waits { why, records }, since) => {
-                let at = since.map_or_else(String::new, |at| format!(", since {} UTC", at.clock()));
-                let text = format!("retry in 1 s: {records} records wait on disk{at}: {why}");
-                PartHealth { since, retry: Some(1), ..part("vault", HealthLevel::Failed, &text) }
-            }
-        }
+    }
+
+    /// The cache, if there is one. One that is away costs time alone.
+    fn cache_health(&self) -> Option<PartHealth> {
+        let state = self.plant.ciphertext.cache()?;
+        let (level, since) = match &state.away {
+            Some(away) => (HealthLevel::Absent, Some(away.since)),
+            None => (HealthLevel::Ok, None),
+        };
+        Some(PartHealth { since, ..part("cache", level, &state.line()) })
     }
 
     /// The state of the home's accounts, if there is something to report.
@@ -129,7 +141,7 @@ impl Site {
         let found = foreign::recent(&self.plant)?;
         Ok(found.map(|found| PartHealth {
             since: Some(found.noted),
-            ..part("account", HealthLevel::Failed, &found.text())
+            ..part("account", HealthLevel::Failed, &foreign::text(&found))
         }))
     }
 
@@ -172,7 +184,6 @@ impl Site {
         let dropped = counts.data_in(RecordState::Dropped);
         Ok(LifeLine {
             captured: counts.captured(),
-            sealed: at_least(RecordState::Sealed) + tampered + right_ended,
             stored: at_least(RecordState::Stored) + tampered + right_ended,
             anchored: at_least(RecordState::Mined) + tampered,
             confirmed: at_least(RecordState::Confirmed) + tampered,
@@ -207,7 +218,8 @@ impl Site {
             (_, _, None) => Vec::new(),
         };
         // What is in a block already but not looked at yet does not wait any more.
-        let open = address.map(|address| block_in_place(|| self.plant.ledger.open_lane(address))).transpose()?;
+        let open = address.map(|address| block_in_place(|| self.plant.ledger.lanes.open_lane(address))).transpose()?;
+        let names = self.contacts.names()?;
         let next = status.nonce.unwrap_or(0);
         let pending = open.iter().flatten().filter(|row| row.nonce >= next).count() as u64;
         Ok(ChainView {
@@ -234,7 +246,7 @@ impl Site {
                 .parts
                 .link
                 .network_now()
-                .map(|network| self.administering.view(&network, address))
+                .map(|network| Administering::view(&network, address, &names))
                 .unwrap_or_default(),
             sealing: chain.sealing().await?,
         })
@@ -261,8 +273,8 @@ impl Site {
         let mut views = Vec::new();
         for lane in lanes {
             let left = WAITING_SHOWN.saturating_sub(views.len());
-            for row in self.plant.ledger.open_lane(lane.account)?.into_iter().take(left) {
-                let raw = self.plant.ledger.raw_transaction(row.hash)?.unwrap_or_default();
+            for row in self.plant.ledger.lanes.open_lane(lane.account)?.into_iter().take(left) {
+                let raw = self.plant.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
                 let price = Wei(offered(&raw).map_or(0, |offer| offer.price));
                 let (account, nonce, purpose) = (lane.account, row.nonce, row.purpose);
                 views.push(WaitingView { account, nonce, purpose, price });
@@ -276,7 +288,7 @@ impl Site {
         let mut view = GasView::default();
         for lane in lanes {
             let left = GAS_OVER.saturating_sub(view.transactions);
-            let (transactions, gas, records) = self.plant.ledger.anchoring_gas(lane.account, left)?;
+            let (transactions, gas, records) = self.plant.ledger.lanes.anchoring_gas(lane.account, left)?;
             view.transactions += transactions;
             view.gas += gas;
             view.records += records;

@@ -1,4 +1,4 @@
-//! Starts the background tasks of a site: sealer, storer, watcher, anchorers, verifier.
+//! Starts the background tasks of a site: sealer, watcher, anchorers, verifier.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,7 +22,7 @@ use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
 use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::stages::Stage;
-use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
@@ -62,9 +62,6 @@ pub(super) fn start(
         *site.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(task);
     }
     if needs.chain {
-        if !site.plant.vault.durable() {
-            start_storer(site)?;
-        }
         site.parts.supervisor.keep("chain", &site.connection, Connection::keep_connected);
         site.parts.supervisor.keep("owners", site, resume_owners);
         site.parts.supervisor.keep("watcher", site, watch);
@@ -95,17 +92,6 @@ fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<O
             }
         }
     });
-}
-
-fn start_storer(site: &Arc<Site>) -> Result<(), Failure> {
-    let (plant, hub, weak) = (site.plant.clone(), Arc::clone(&site.parts.hub), Arc::downgrade(&site.parts.life));
-    let stopped = move || weak.upgrade().is_none_or(|life| life.is_stopping());
-    site.parts.supervisor.keep_thread("storer", move || {
-        storer::run(&plant, &stopped, &|pause| std::thread::sleep(pause.min(Duration::from_secs(1))), &|| {
-            hub.stored.notify_waiters()
-        });
-    })?;
-    Ok(())
 }
 
 async fn watch(site: Arc<Site>) {
@@ -171,12 +157,8 @@ async fn verify(site: Arc<Site>) {
                 Ok(Ok(0)) => break,
                 Ok(Ok(_)) => {}
                 Ok(Err(error)) => {
-                    // If Redis fails now, its health shows it, and the one alert about it.
-                    let is_told = matches!(&error, PipelineError::Store(error) if error.is_of_redis());
-                    if !is_told {
-                        let text = format!("records cannot be verified at the moment and are waiting: {error}");
-                        site.parts.hub.notice(NoticeLevel::Error, &text);
-                    }
+                    let text = format!("records cannot be verified at the moment and are waiting: {error}");
+                    site.parts.hub.notice(NoticeLevel::Error, &text);
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }

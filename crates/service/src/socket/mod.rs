@@ -31,12 +31,11 @@ const LONGEST_LINE: usize = 512 * 1024 * 1024;
 const QUEUE: usize = 1024;
 
 /// Settings that must be the same for a joiner.
-pub const BINDING: [&str; 9] = [
+pub const BINDING: [&str; 8] = [
     "ros.master",
     "chain.url",
     "chain.contract",
     "chain.consensus",
-    "vault.url",
     "robots",
     "crypto.provider",
     "site.address",

@@ -266,6 +266,13 @@ fn what_comes_out_of_a_backup_ages_from_the_first_opening_on() {
     again.tend(Timestamp(opened + 161 * SECOND)).expect("tended");
     assert_eq!(again.figures().messages, 0);
 
+    // A note that cannot be read lets nothing fall out sooner.
+    add(&mut again, CAMERA, opened - 100 * SECOND, 100);
+    drop(again);
+    fs::write(folder.path().join(RESTORED), [0xff, b'x']).expect("damaged");
+    let again = ring(folder.path(), limits(60, 1 << 24));
+    assert_eq!((again.figures().messages, again.figures().fallen), (1, 22));
+
     let nothing = tempfile::tempdir().expect("a folder");
     assert!(!note_restored(nothing.path()).expect("empty") && !note_restored(&nothing.path().join("x")).expect("none"));
 }

@@ -1,4 +1,4 @@
-//! Acknowledging records, changing their state, and their local copies.
+//! Acknowledging records with their ciphertext, and changing their state.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -66,19 +66,6 @@ impl Ledger {
         })
     }
 
-    /// Whether [`Ledger::append`] would accept these records; checked before their bytes go into the vault. Only
-    /// records from elsewhere are looked up: none of them can have a number of this ledger's own recorders.
-    ///
-    /// # Errors
-    /// [`StoreError::Conflict`] if it would not, or an error from reading the ledger.
-    pub fn check_foreign(&self, records: &[NewRecord]) -> Result<(), StoreError> {
-        let mut foreign = records.iter().filter(|record| record.foreign.is_some()).peekable();
-        if foreign.peek().is_none() {
-            return Ok(());
-        }
-        self.read(|connection| foreign.try_for_each(|record| check_one(connection, record)))
-    }
-
     /// Moves those of the records that are in state `from` to state `to`; returns how many.
     ///
     /// # Errors
@@ -87,67 +74,13 @@ impl Ledger {
         if !may(By::Worker, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
-        let sql = move_sql(from, to);
         let digests = digests.to_vec();
         self.write_many(digests.len(), move |session| {
+            let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
             let mut statement = session.connection.prepare_cached(sql)?;
             digests.iter().try_fold(0, |moved, digest| {
                 Ok(moved + count(statement.execute(params![digest.0, from.code(), to.code()])?))
             })
-        })
-    }
-
-    /// Returns tampered records whose bytes are right again to their state: quarantined if still undecided, otherwise
-    /// mined, submitted, batched or stored, depending on what the chain has of them. Returns how many.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn heal(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        use RecordState::{Batched, Mined, Quarantined, Stored, Submitted};
-        [Quarantined, Mined, Submitted, Batched, Stored]
-            .into_iter()
-            .try_fold(0, |healed, to| Ok(healed + self.advance(digests, RecordState::Tampered, to)?))
-    }
-
-    /// Deletes the local copies of these records; returns how many there were.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn drop_local_copies(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
-            let mut statement = session
-                .connection
-                .prepare_cached("DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;
-            digests.iter().try_fold(0, |gone, digest| Ok(gone + count(statement.execute(params![digest.0])?)))
-        })
-    }
-
-    /// The local copy of a record's stored bytes, if one is kept.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn local_copy(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT blob FROM copies JOIN records ON n = record WHERE digest = ?1";
-            Ok(connection.find(sql, params![digest.0], |row| row.get(0))?)
-        })
-    }
-
-    /// Records with a local copy, in the order of acknowledgement, after `after`: used to refill a vault that came back
-    /// empty.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn held_copies(&self, after: Option<Digest>, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT digest FROM copies JOIN records ON n = record
-                 WHERE record > coalesce((SELECT n FROM records WHERE digest = ?1), 0) ORDER BY record LIMIT ?2",
-            )?;
-            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            let rows = statement.query_map(params![after.map(|digest| digest.0), limit], |row| row.get(0))?;
-            Ok(rows.map(|digest| digest.map(Digest)).collect::<Result<_, _>>()?)
         })
     }
 }
@@ -155,31 +88,6 @@ impl Ledger {
 /// A number of changed rows.
 pub(super) fn count(rows: usize) -> u64 {
     u64::try_from(rows).unwrap_or(u64::MAX)
-}
-
-/// From `tampered` the next state depends on how far the record had come.
-fn move_sql(from: RecordState, to: RecordState) -> &'static str {
-    match to {
-        RecordState::Quarantined if from == RecordState::Tampered => {
-            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2
-             AND EXISTS (SELECT 1 FROM held WHERE record = n AND decision IS NULL)"
-        }
-        RecordState::Mined | RecordState::Confirmed => {
-            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NOT NULL"
-        }
-        RecordState::Submitted => {
-            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NOT NULL"
-        }
-        RecordState::Stored => {
-            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NULL
-             AND NOT EXISTS (SELECT 1 FROM leaves WHERE record = n)"
-        }
-        RecordState::Batched => {
-            "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND block IS NULL AND tx IS NULL
-             AND EXISTS (SELECT 1 FROM leaves WHERE record = n)"
-        }
-        _ => "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2",
-    }
 }
 
 /// Whether a record may have its number: within bounds, and of this ledger's own recorders only if it was recorded here.
@@ -201,7 +109,7 @@ fn check_number(connection: &Connection, record: &NewRecord) -> Result<bool, Sto
 
 /// Adds a record, unless it is known.
 pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
-    if !matches!(record.state, RecordState::Sealed | RecordState::Stored | RecordState::Quarantined) {
+    if !matches!(record.state, RecordState::Stored | RecordState::Quarantined) {
         return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });
     }
     if !check_number(session.connection, record)? {
@@ -210,7 +118,7 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
     let topic = topic_key(session, record)?;
     let seq = whole("sequence number", record.seq)?;
     if is_known(session.connection, record, topic, seq)? {
-        return Ok(());
+        return store_again(session.connection, record);
     }
     let stream = stream_key(session, record, topic)?;
     session.connection.run(
@@ -235,7 +143,7 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
         super::feed::note(session.connection, row, topic)?;
     }
     keep_filters(session, record, row, stream)?;
-    keep_copy(session.connection, record, row)
+    store(session.connection, record, row)
 }
 
 fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream: i64) -> Result<(), StoreError> {
@@ -251,10 +159,21 @@ fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream:
     Ok(())
 }
 
-fn keep_copy(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
-    if let Some(copy) = &record.local_copy {
-        connection.run("INSERT INTO copies VALUES (?1, ?2)", params![row, copy.as_slice()])?;
+fn store(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {
+    if let Some(blob) = &record.blob {
+        connection.run("INSERT INTO ciphertext VALUES (?1, ?2)", params![row, blob.as_slice()])?;
     }
+    Ok(())
+}
+
+/// A known record came again: bytes that were altered or lost here meanwhile are right again. What was deleted here, or is
+/// named to be, does not come back.
+fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
+    let Some(blob) = &record.blob else { return Ok(()) };
+    let sql = "INSERT INTO ciphertext SELECT n, ?2 FROM records WHERE digest = ?1 AND deleted_at IS NULL
+             AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
+             ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
+    connection.run(sql, params![record.digest.0, blob.as_slice()])?;
     Ok(())
 }
 
@@ -296,25 +215,6 @@ fn check_name(record: &NewRecord, name: &str) -> Result<(), StoreError> {
     }
     let detail = format!("topic id {} is already used for another topic", record.topic_id);
     Err(StoreError::Conflict { digest: record.digest, detail })
-}
-
-fn check_one(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
-    if !check_number(connection, record)? {
-        return Ok(());
-    }
-    let recorder = record.foreign.map(|foreign| foreign.recorder.0);
-    let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2
-             AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4)";
-    let topic: Option<(i64, String)> =
-        connection.find(sql, params![record.owner.0, record.topic_id.0, recorder, record.signer.0], |row| {
-            Ok((row.get(0)?, row.get(1)?))
-        })?;
-    if let Some((_, name)) = topic.as_ref().filter(|(_, name)| !name.is_empty()) {
-        check_name(record, name)?;
-    }
-    // No topic has the key 0.
-    let key = topic.map_or(0, |(key, _)| key);
-    is_known(connection, record, key, whole("sequence number", record.seq)?).map(drop)
 }
 
 fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, String), StoreError> {

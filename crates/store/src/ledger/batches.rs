@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::append::count;
 use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, unsigned};
-use super::{Ledger, RecordRow, directory, sightings};
+use super::{Ledger, RecordRow, branches, directory, sightings};
 use crate::StoreError;
 use crate::chain::merkle::{Inclusion, Leaf};
 use crate::database::{Statements as _, whole};
@@ -231,10 +231,12 @@ impl Ledger {
 /// See [`Ledger::placed_all`].
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
-    let mut find = connection.prepare_cached(
-        "SELECT leaf, count, path, root, closed_at, account, batches.block, batches.block_hash, batches.tx
-         FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1",
-    )?;
+    let mut find = connection.prepare_cached(&format!(
+        "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
+         batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
+         WHERE digest = ?1",
+        branches::JOINED
+    ))?;
     let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
         let place = find.query_row([row.digest.0], place).optional()?;
         Ok(PlacedRecord { row, place })
@@ -243,14 +245,10 @@ pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<V
 }
 
 fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
-    let path: Vec<u8> = row.get(2)?;
+    let (index, count) = (unsigned(row, 0)?, unsigned(row, 1)?);
+    let path = branches::path_of(row, 2, (index, count))?;
     Ok(BatchPlace {
-        inclusion: Inclusion {
-            index: unsigned(row, 0)?,
-            count: unsigned(row, 1)?,
-            path: path.chunks_exact(Hash::LENGTH).filter_map(Hash::from_slice).collect(),
-            root: Hash(row.get(3)?),
-        },
+        inclusion: Inclusion { index, count, path, root: Hash(row.get(3)?) },
         closed_at: Timestamp(unsigned(row, 4)?),
         account: row.get::<_, Option<_>>(5)?.map(Address),
         block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
@@ -271,19 +269,19 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
         }
     };
     let mut find = connection.prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?;
-    let mut add = connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?;
+    let mut add = connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3)")?;
     let mut move_on = connection.prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?;
-    for (index, (digest, path)) in (0_i64..).zip(&batch.leaves) {
+    for (index, (digest, _)) in (0_i64..).zip(&batch.leaves) {
         let found = find.query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))).optional()?;
         let (record, state) = found.ok_or(StoreError::NotReady { digest: *digest, found: "unknown" })?;
         if !may(By::Batch, state, RecordState::Batched) {
             return Err(StoreError::NotReady { digest: *digest, found: state.word() });
         }
-        let path: Vec<u8> = path.iter().flat_map(|step| step.0).collect();
-        add.execute(params![record, key, index, path])?;
+        add.execute(params![record, key, index])?;
         move_on.execute(params![record, RecordState::Batched.code()])?;
     }
-    Ok(())
+    let paths = batch.leaves.iter().map(|(_, path)| path.as_slice());
+    branches::keep_all(connection, key, batch.leaves.len() as u64, paths)
 }
 
 fn key_of(connection: &Connection, root: Hash) -> Result<Option<i64>, StoreError> {
@@ -406,7 +404,9 @@ pub(super) fn take_in(
     }
     let batch = batch_of(connection, digest, inclusion, anchor)?;
     connection.run("DELETE FROM left_places WHERE batch = ?1 AND record = ?2", params![batch, record])?;
-    keep_leaf(connection, record, batch, inclusion)?;
+    let sql = "INSERT INTO leaves VALUES (?1, ?2, ?3)";
+    connection.run(sql, params![record, batch, whole("index", inclusion.index)?])?;
+    branches::keep_one(connection, batch, (inclusion.index, inclusion.count), &inclusion.path)?;
     connection.run("UPDATE records SET state = ?2 WHERE n = ?1", params![record, RecordState::Batched.code()])?;
     see_record(connection, record, batch, anchor)?;
     Ok(true)
@@ -434,13 +434,6 @@ fn batch_of(
         ],
     )?;
     Ok(connection.one("SELECT key FROM batches WHERE root = ?1", [inclusion.root.0], |row| row.get(0))?)
-}
-
-fn keep_leaf(connection: &Connection, record: i64, batch: i64, inclusion: &Inclusion) -> Result<(), StoreError> {
-    let path: Vec<u8> = inclusion.path.iter().flat_map(|step: &Hash| step.0).collect();
-    let sql = "INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)";
-    connection.run(sql, params![record, batch, whole("index", inclusion.index)?, path])?;
-    Ok(())
 }
 
 /// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.

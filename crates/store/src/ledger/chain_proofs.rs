@@ -1,8 +1,10 @@
 //! What the chain proves of anchored batches, kept beside them: which batches still lack it, and the nodes per block.
 
+use std::path::PathBuf;
+
 use rusqlite::{Connection, OptionalExtension as _, params};
 
-use super::Ledger;
+use super::Database;
 use super::database::whole;
 use super::rows::unsigned;
 use crate::StoreError;
@@ -51,14 +53,18 @@ pub struct ProofCounts {
     pub missed: u64,
 }
 
-impl Ledger {
+/// What the chain and time authorities prove of batches.
+#[derive(Debug, Clone)]
+pub struct Proofs(pub(super) Database);
+
+impl Proofs {
     /// Anchored batches in blocks up to this one that lack their proof, newest block first.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn unproven_batches(&self, up_to_block: u64, limit: usize) -> Result<Vec<UnprovenBatch>, StoreError> {
         let (up_to, limit) = (whole("block", up_to_block)?, i64::try_from(limit).unwrap_or(i64::MAX));
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut batches: Vec<UnprovenBatch> = connection.list(
                 "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
                  WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
@@ -90,7 +96,7 @@ impl Ledger {
         nodes: Vec<HashedNode>,
     ) -> Result<(), StoreError> {
         let block = whole("block", block)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let sql = "SELECT nodes FROM chain_proofs WHERE block = ?1 AND hash = ?2";
             let before: Option<Vec<u8>> = connection.find(sql, params![block, hash.0], |row| row.get(0))?;
@@ -119,7 +125,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like: then it is not stored.
     pub fn keep_chain_header(&self, block: u64, header: Vec<u8>) -> Result<(), StoreError> {
         let block = whole("block", block)?;
-        self.write(move |session| keep_header(session.connection, block, &header))
+        self.0.write(move |session| keep_header(session.connection, block, &header))
     }
 
     /// The header of a block, RLP, if it is kept.
@@ -128,7 +134,7 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn chain_header(&self, block: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let block = whole("block", block)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.find("SELECT header FROM chain_headers WHERE block = ?1", [block], |row| row.get(0))?)
         })
     }
@@ -138,7 +144,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then none is counted.
     pub fn miss_chain_proof(&self, batches: Vec<u64>) -> Result<(), StoreError> {
-        self.write(move |session| {
+        self.0.write(move |session| {
             let mut mark = session.connection.prepare_cached(
                 "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block IS NOT NULL AND proof IS NULL",
             )?;
@@ -155,14 +161,19 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn chain_proof(&self, block: u64) -> Result<Option<KeptProof>, StoreError> {
         let block = whole("block", block)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let found: Option<([u8; 32], Vec<u8>)> =
                 connection.find("SELECT hash, nodes FROM chain_proofs WHERE block = ?1", [block], |row| {
                     Ok((row.get(0)?, row.get(1)?))
                 })?;
             let Some((hash, keys)) = found else { return Ok(None) };
             let mut find = connection.prepare_cached("SELECT node FROM chain_nodes WHERE key = ?1")?;
-            let keys = keys.chunks_exact(8).filter_map(|key| key.try_into().ok().map(i64::from_be_bytes));
+            let (keys, rest) = keys.as_chunks::<8>();
+            if !rest.is_empty() {
+                let detail = format!("the proof kept for block {block} is cut short");
+                return Err(StoreError::Corrupt { file: PathBuf::new(), detail });
+            }
+            let keys = keys.iter().map(|key| i64::from_be_bytes(*key));
             let nodes = keys.map(|key| find.query_row([key], |row| row.get(0))).collect::<Result<_, _>>()?;
             Ok(Some(KeptProof { hash: Hash(hash), nodes }))
         })
@@ -173,7 +184,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.one(
                 "SELECT (SELECT max(block) FROM chain_proofs),
                  (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)",
@@ -238,7 +249,7 @@ pub struct StampCounts {
     pub before: Option<Timestamp>,
 }
 
-impl Ledger {
+impl Proofs {
     /// Puts the batches closed since the last time under a new stamp made `at`, the oldest `most` of them; returns how
     /// many.
     ///
@@ -246,7 +257,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like: then nothing is begun.
     pub fn begin_stamp(&self, most: usize, at: Timestamp) -> Result<u64, StoreError> {
         let (most, at) = (i64::try_from(most).unwrap_or(i64::MAX), whole("time", at.0)?);
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let sql = "SELECT key, root FROM batches WHERE key > coalesce((SELECT max(upto) FROM stamps), 0)
                        ORDER BY key LIMIT ?1";
@@ -274,7 +285,7 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn waiting_stamps(&self, authority: Hash, limit: usize) -> Result<Vec<KeptStamp>, StoreError> {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT key, roots FROM stamps
                        WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
                        AND (key > (SELECT max(key) FROM stamps) - ?2
@@ -292,7 +303,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like: then it is requested again.
     pub fn keep_token(&self, stamp: u64, authority: Hash, before: Timestamp, token: Vec<u8>) -> Result<(), StoreError> {
         let (stamp, before) = (whole("stamp", stamp)?, whole("time", before.0)?);
-        self.write(move |session| {
+        self.0.write(move |session| {
             let sql = "INSERT OR IGNORE INTO stamp_tokens VALUES (?1, ?2, ?3, ?4)";
             session.connection.run(sql, params![stamp, authority.0, before, token])?;
             Ok(())
@@ -304,7 +315,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn stamp_of(&self, root: Hash) -> Result<Option<u64>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.find("SELECT stamp FROM stamped_roots WHERE root = ?1", [root.0], |row| unsigned(row, 0))?)
         })
     }
@@ -315,7 +326,7 @@ impl Ledger {
     /// [`StoreError::Database`] and its kin.
     pub fn stamp(&self, key: u64) -> Result<Option<KeptStamp>, StoreError> {
         let number = whole("stamp", key)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut statement = connection.prepare_cached("SELECT roots FROM stamps WHERE key = ?1")?;
             let roots = statement.query_row([number], |row| row.get::<_, Vec<u8>>(0)).optional()?;
             let Some(roots) = roots else { return Ok(None) };
@@ -331,7 +342,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn stamp_counts(&self) -> Result<StampCounts, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
                        (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
             Ok(connection.one(sql, [], |row| {
@@ -353,6 +364,7 @@ fn hashes(bytes: &[u8]) -> Vec<Hash> {
 mod tests {
     use super::super::tests::numbered as record;
     use super::*;
+    use crate::Ledger;
     use crate::model::Digest;
     use crate::{NewBatch, RootSighting};
 
@@ -374,7 +386,7 @@ mod tests {
     }
 
     fn blocks(ledger: &Ledger, up_to: u64) -> Vec<u64> {
-        ledger.unproven_batches(up_to, 9).expect("read").iter().map(|batch| batch.block).collect()
+        ledger.proofs.unproven_batches(up_to, 9).expect("read").iter().map(|batch| batch.block).collect()
     }
 
     #[test]
@@ -382,33 +394,38 @@ mod tests {
         let home = tempfile::tempdir().expect("folder");
         let path = home.path().join("ledger.db");
         let ledger = Ledger::open(&path).expect("opens");
-        assert_eq!(ledger.chain_proof_counts(), Ok(ProofCounts::default()));
+        assert_eq!(ledger.proofs.chain_proof_counts(), Ok(ProofCounts::default()));
         [(1, 7), (2, 8), (3, 8), (4, 9)].into_iter().for_each(|(number, block)| anchored(&ledger, number, block));
         assert_eq!((blocks(&ledger, 8), blocks(&ledger, 6)), (vec![8, 8, 7], vec![]));
-        let waiting = ledger.unproven_batches(8, 9).expect("read");
+        let waiting = ledger.proofs.unproven_batches(8, 9).expect("read");
         assert!(waiting.iter().all(|batch| batch.account == ACCOUNT && batch.signers.len() == 1), "{waiting:?}");
         let keys = |block| -> Vec<u64> {
             waiting.iter().filter(|batch| batch.block == block).map(|batch| batch.key).collect()
         };
         let node = |number: u8| (Hash([number; 32]), vec![number; 3]);
         let keep = |block: u8, nodes| {
-            ledger.keep_chain_proof((u64::from(block), Hash([block; 32])), vec![block], keys(u64::from(block)), nodes)
+            ledger.proofs.keep_chain_proof(
+                (u64::from(block), Hash([block; 32])),
+                vec![block],
+                keys(u64::from(block)),
+                nodes,
+            )
         };
         assert_eq!(keep(8, vec![node(1), node(2)]), Ok(()));
         assert_eq!(keep(7, vec![node(2), node(3)]), Ok(()));
         assert_eq!(keep(8, vec![node(2), node(4)]), Ok(()), "what is kept of a block grows");
         assert_eq!(blocks(&ledger, 9), [9]);
-        let last = ledger.unproven_batches(9, 1).expect("read").remove(0).key;
-        assert_eq!(ledger.miss_chain_proof(vec![last]), Ok(()));
+        let last = ledger.proofs.unproven_batches(9, 1).expect("read").remove(0).key;
+        assert_eq!(ledger.proofs.miss_chain_proof(vec![last]), Ok(()));
         // Another process, later.
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
-        assert_eq!(ledger.chain_proof_counts(), Ok(ProofCounts { newest: Some(8), missed: 1 }));
-        let kept = ledger.chain_proof(8).expect("read").expect("kept");
+        assert_eq!(ledger.proofs.chain_proof_counts(), Ok(ProofCounts { newest: Some(8), missed: 1 }));
+        let kept = ledger.proofs.chain_proof(8).expect("read").expect("kept");
         assert_eq!((kept.hash, kept.nodes), (Hash([8; 32]), vec![vec![1; 3], vec![2; 3], vec![4; 3]]));
-        assert_eq!(ledger.chain_proof(9), Ok(None));
-        ledger.keep_chain_header(9, vec![9]).expect("kept");
-        let headers = [6, 7, 8, 9].map(|block| ledger.chain_header(block).expect("read"));
+        assert_eq!(ledger.proofs.chain_proof(9), Ok(None));
+        ledger.proofs.keep_chain_header(9, vec![9]).expect("kept");
+        let headers = [6, 7, 8, 9].map(|block| ledger.proofs.chain_header(block).expect("read"));
         assert_eq!(headers, [None, Some(vec![7]), Some(vec![8]), Some(vec![9])]);
         let nodes: i64 = ledger
             .read(|connection| Ok(connection.query_row("SELECT count(*) FROM chain_nodes", [], |row| row.get(0))?))
@@ -421,14 +438,20 @@ mod tests {
         let home = tempfile::tempdir().expect("folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
         anchored(&ledger, 1, 7);
-        let key = ledger.unproven_batches(7, 9).expect("read").remove(0).key;
-        ledger.keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
+        let key = ledger.proofs.unproven_batches(7, 9).expect("read").remove(0).key;
+        ledger
+            .proofs
+            .keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])])
+            .expect("kept");
         ledger.unmine(7).expect("unwound");
         assert_eq!(blocks(&ledger, 9), Vec::<u64>::new(), "it is in no block");
         see(&ledger, 1, 8);
         assert_eq!(blocks(&ledger, 9), [8]);
         // The proof of a block in which it is no longer changes nothing for it.
-        ledger.keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
+        ledger
+            .proofs
+            .keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])])
+            .expect("kept");
         assert_eq!(blocks(&ledger, 9), [8]);
     }
 }
@@ -436,6 +459,7 @@ mod tests {
 #[cfg(test)]
 mod stamps_tests {
     use super::*;
+    use crate::Ledger;
     use crate::NewBatch;
     use crate::ledger::tests::numbered as record;
     use crate::model::{Address, Digest};
@@ -451,30 +475,30 @@ mod stamps_tests {
         let home = tempfile::tempdir().expect("folder");
         let path = home.path().join("ledger.db");
         let ledger = Ledger::open(&path).expect("opens");
-        let begin = |most| ledger.begin_stamp(most, Timestamp(40));
-        assert_eq!((begin(9), ledger.stamp_counts()), (Ok(0), Ok(StampCounts::default())));
+        let begin = |most| ledger.proofs.begin_stamp(most, Timestamp(40));
+        assert_eq!((begin(9), ledger.proofs.stamp_counts()), (Ok(0), Ok(StampCounts::default())));
         (1..=3).for_each(|number| close(&ledger, number));
         assert_eq!([begin(2), begin(2), begin(2)], [Ok(2), Ok(1), Ok(0)]);
         let (one, other) = (Hash([0xa; 32]), Hash([0xb; 32]));
         let waiting = |authority| -> Vec<Vec<u8>> {
-            let stamps = ledger.waiting_stamps(authority, 9).expect("read");
+            let stamps = ledger.proofs.waiting_stamps(authority, 9).expect("read");
             stamps.iter().map(|stamp| stamp.roots.iter().map(|root| root.0[0]).collect()).collect()
         };
         assert_eq!(waiting(one), [vec![1, 2], vec![3]]);
-        let key = ledger.stamp_of(Hash([2; 32])).expect("read").expect("stamped");
-        ledger.keep_token(key, one, Timestamp(50), vec![7]).expect("kept");
-        ledger.keep_token(key, one, Timestamp(60), vec![8]).expect("the first stays");
+        let key = ledger.proofs.stamp_of(Hash([2; 32])).expect("read").expect("stamped");
+        ledger.proofs.keep_token(key, one, Timestamp(50), vec![7]).expect("kept");
+        ledger.proofs.keep_token(key, one, Timestamp(60), vec![8]).expect("the first stays");
         assert_eq!((waiting(one), waiting(other)), (vec![vec![3]], vec![vec![1, 2], vec![3]]));
-        let counts = ledger.stamp_counts().expect("read");
+        let counts = ledger.proofs.stamp_counts().expect("read");
         assert_eq!((counts.stamped, counts.waiting, counts.before), (1, 1, Some(Timestamp(50))));
         // Another process, later.
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
-        let stamp = ledger.stamp(key).expect("read").expect("kept");
+        let stamp = ledger.proofs.stamp(key).expect("read").expect("kept");
         assert_eq!((stamp.roots, stamp.tokens), (vec![Hash([1; 32]), Hash([2; 32])], vec![vec![7]]));
-        assert_eq!((ledger.stamp_of(Hash([9; 32])), ledger.stamp(99)), (Ok(None), Ok(None)));
+        assert_eq!((ledger.proofs.stamp_of(Hash([9; 32])), ledger.proofs.stamp(99)), (Ok(None), Ok(None)));
         close(&ledger, 4);
-        assert_eq!(ledger.begin_stamp(9, Timestamp(70)), Ok(1));
-        assert_eq!(ledger.stamp_counts().expect("read").newest, Some(Timestamp(70)));
+        assert_eq!(ledger.proofs.begin_stamp(9, Timestamp(70)), Ok(1));
+        assert_eq!(ledger.proofs.stamp_counts().expect("read").newest, Some(Timestamp(70)));
     }
 }

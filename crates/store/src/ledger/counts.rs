@@ -11,9 +11,6 @@ use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
-/// Bytes that header, head and tags add to a message.
-const AROUND: i64 = 600;
-
 /// The counts of one topic's records by state. `captured = verified + pending + right_ended + quarantined + dropped +
 /// tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -163,30 +160,6 @@ impl Ledger {
         self.read(|connection| {
             let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
             Ok(connection.list(sql, [], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))?)
-        })
-    }
-
-    /// Sealed records waiting here for the vault.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn sealed(&self) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT coalesce(sum(records), 0) FROM counters WHERE state = ?1";
-            let state = [i64::from(RecordState::Sealed.code())];
-            Ok(connection.one(sql, state, |row| rows::unsigned(row, 0))?)
-        })
-    }
-
-    /// Bytes of sealed records waiting here for the vault, including each record's overhead over its message.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn backlog(&self) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT coalesce(sum(bytes + records * ?2), 0) FROM counters WHERE state = ?1";
-            let values = [i64::from(RecordState::Sealed.code()), AROUND];
-            Ok(connection.one(sql, values, |row| rows::unsigned(row, 0))?)
         })
     }
 }
@@ -469,7 +442,6 @@ impl Lane {
             RecordState::Quarantined | RecordState::Dropped => part.quarantined = true,
             RecordState::Tampered => part.tampered = true,
             RecordState::Captured
-            | RecordState::Sealed
             | RecordState::Stored
             | RecordState::Batched
             | RecordState::Submitted

@@ -2,15 +2,17 @@
 //! count are marked: the current ones are found without the others, the others are history, and a replaced block can be
 //! undone.
 
+use std::path::Path;
+
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
-use super::Ledger;
 use super::append::count;
 use super::rows::{self, By, may, unsigned};
 use super::writer::Session;
+use super::{Database, Ledger};
 use crate::StoreError;
 use crate::chain::merkle::Leaf;
-use crate::database::{Statements as _, whole};
+use crate::database::{Statements as _, open_reader, whole};
 use crate::model::{Address, Digest, Domain, RecordState, RecorderId, SignerId, Token, TopicId};
 
 /// The subject of an event, as far as it matters here.
@@ -100,20 +102,53 @@ pub(super) const ENDING: [&str; 3] = [
 /// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
 /// Notes the last event.
+const PIN: &str = "SELECT pin FROM contract";
 const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
 
-impl Ledger {
-    /// Binds the ledger to one contract for good.
+/// Who may do what: events of the contract, and envelopes.
+#[derive(Debug, Clone)]
+pub struct Rights(pub(super) Database);
+
+impl Rights {
+    /// The file in which they are.
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    /// Binds the ledger to one contract for good; `pin` says how it is found again.
     ///
     /// # Errors
     /// [`StoreError::Bound`] if it belongs to another one.
-    pub fn bind_contract(&self, domain: Domain) -> Result<(), StoreError> {
-        self.write(move |session| {
+    pub fn bind_contract(&self, domain: Domain, pin: &str) -> Result<(), StoreError> {
+        let pin = pin.to_owned();
+        self.0.write(move |session| {
             let connection = session.connection;
-            connection.run("INSERT INTO contract VALUES (1, ?1, 0, -1) ON CONFLICT DO NOTHING", [domain.0])?;
+            let sql = "INSERT INTO contract VALUES (1, ?1, ?2, 0, -1) ON CONFLICT DO UPDATE SET pin = excluded.pin \
+                       WHERE domain = excluded.domain AND pin <> excluded.pin";
+            connection.run(sql, params![domain.0, pin])?;
             let bound = connection.query_row("SELECT domain FROM contract", [], |row| row.get(0).map(Domain))?;
             if bound == domain { Ok(()) } else { Err(StoreError::Bound { bound, domain }) }
         })
+    }
+
+    /// The pin of the contract that the ledger is bound to; `None` if it is bound to none yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
+        self.0.read(|connection| Ok(connection.find(PIN, [], |row| row.get(0))?))
+    }
+
+    /// The same of a ledger that is not opened, because it may be in use or damaged; nothing is written.
+    ///
+    /// # Errors
+    /// [`StoreError::Corrupt`] and the like.
+    pub fn contract_pin_in(path: &Path) -> Result<Option<String>, StoreError> {
+        if !path.exists() {
+            return Ok(None);
+        }
+        let connection = open_reader(path)?;
+        connection.find(PIN, [], |row| row.get(0)).map_err(|error| StoreError::from(error).in_file(path))
     }
 
     /// Stores events in the chain's order, all in one commit; those already there are skipped.
@@ -121,7 +156,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing is stored.
     pub fn keep_rights(&self, events: Vec<RightEvent>) -> Result<(), StoreError> {
-        self.write_many(events.len(), move |session| keep_all(session, &events))
+        self.0.write_many(events.len(), move |session| keep_all(session, &events))
     }
 
     /// The current events.
@@ -129,7 +164,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn standing_rights(&self) -> Result<StandingRights, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let (block, place) = last_event(connection)?;
             let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
                        WHERE replaced IS NULL AND revoked IS NULL ORDER BY block, place";
@@ -145,7 +180,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
                        WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
             let mut statement = connection.prepare_cached(sql)?;
@@ -159,7 +194,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then nothing is undone.
     pub fn take_back_rights(&self, from: u64) -> Result<(), StoreError> {
         let from = whole("block", from)?;
-        self.write_many(super::writer::MANY + 1, move |session| {
+        self.0.write_many(super::writer::MANY + 1, move |session| {
             let connection = session.connection;
             if last_event(connection)?.0 < from {
                 return Ok(());
@@ -183,7 +218,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn rights_in(&self, from: u64, to: u64) -> Result<Vec<KeptRight>, StoreError> {
         let (from, to) = (whole("block", from)?, whole("block", to)?);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2
                        ORDER BY block, place";
             let mut statement = connection.prepare_cached(sql)?;
@@ -196,7 +231,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn unknown_rights(&self, places: &[(u64, u64)]) -> Result<Vec<(u64, u64)>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut find = connection.prepare_cached("SELECT 1 FROM rights WHERE block = ?1 AND place = ?2")?;
             let mut unknown = Vec::new();
             for (block, place) in places {
@@ -213,7 +248,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing is deleted.
     pub fn forget_rights(&self) -> Result<(), StoreError> {
-        self.write_many(super::writer::MANY + 1, move |session| {
+        self.0.write_many(super::writer::MANY + 1, move |session| {
             session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
             session.connection.run(UP_TO, [0, -1])?;
             Ok(())
@@ -225,7 +260,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn revoked_grants(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut found: Vec<KeptRight> = Vec::new();
             for (side, index) in [("owner", "rights_given"), ("grantee", "rights_received")] {
                 let sql = format!(
@@ -255,7 +290,7 @@ impl Ledger {
         revoked: Option<u64>,
     ) -> Result<Vec<KeptEnvelope>, StoreError> {
         let asked = whole("epoch", revoked.unwrap_or(0))?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let (index, which) = match revoked {
                 None => ("rights_standing", "replaced IS NULL AND revoked IS NULL AND ?3 = 0"),
                 Some(_) => ("rights_given", "revoked IS NOT NULL AND revoked = ?3"),
@@ -278,7 +313,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn own_envelopes(&self, owner: Address, from: u64, to: u64) -> Result<Vec<KeptEnvelope>, StoreError> {
         let (from, to) = (whole("epoch", from)?, whole("epoch", to)?);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
                        JOIN envelopes e ON e.block = r.block AND e.place = r.place
                        WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
@@ -294,7 +329,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn envelope_at(&self, block: u64, place: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let at = (whole("block", block)?, whole("place", place)?);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
             Ok(connection.find(sql, [at.0, at.1], |row| row.get(0))?)
         })
@@ -306,7 +341,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT token FROM rights INDEXED BY rights_tokens
                        WHERE owner = ?1 AND epoch = ?2 AND token IS NOT NULL
                        ORDER BY block, place LIMIT 1";
@@ -319,7 +354,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn ever_had_token(&self, owner: Address, token: Token) -> Result<bool, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens
                        WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
             Ok(connection.has(sql, params![owner.0, token.0])?)
@@ -481,18 +516,6 @@ impl Ledger {
         let digests = digests.to_vec();
         self.write_many(digests.len(), move |session| {
             digests.iter().try_fold(0, |moved, digest| Ok(moved + pass_over_one(session.connection, *digest)?))
-        })
-    }
-
-    /// Whether the chain has this record in a block that does not count; it is not uploaded individually again, because
-    /// the contract accepts that only once.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn was_passed_over(&self, digest: Digest) -> Result<bool, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT 1 FROM passed_over JOIN records ON n = record WHERE digest = ?1";
-            Ok(connection.has(sql, [digest.0])?)
         })
     }
 

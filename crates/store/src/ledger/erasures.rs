@@ -5,10 +5,11 @@ use std::fmt;
 use std::sync::atomic::Ordering;
 
 use rusqlite::{Connection, params};
+use serde::{Deserialize, Serialize};
 
 use super::append::add;
 use super::batches::take_in;
-use super::database::{self, whole};
+use super::database::whole;
 use super::retention::{is_held, name};
 use super::rows::{LEARNED_NAME, state, unsigned};
 use super::{Ledger, NewRecord, RootSighting};
@@ -17,6 +18,7 @@ use crate::chain::merkle::Inclusion;
 use crate::crypto::ErasedStatement;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, PublicKey, RecordState, Timestamp, clean};
+use crate::notes::{self, Erased};
 
 /// What an owner of this home states of an erased record.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -132,21 +134,21 @@ impl Ledger {
         self.read(|connection| {
             // P_C is behind the retention record (32) and the time (8) of a statement.
             let mut statement = connection.prepare_cached(
-                "SELECT one.digest, report, header, value FROM retained JOIN records one ON one.n = retained.record
+                "SELECT one.digest, report, header FROM retained JOIN records one ON one.n = retained.record
                  JOIN topics t ON t.key = one.topic
-                 JOIN settings ON settings.key = 'erased:' || lower(hex(report))
+                 JOIN notes ON notes.kind = 'erased' AND about = lower(hex(report))
                  LEFT JOIN erasures ON erasures.record = retained.record
                  WHERE t.owner = ?1 AND retained.deleted_at IS NOT NULL
                  AND (account IS NULL OR substr(statement, 41, 64) <> ?2) LIMIT ?3",
             )?;
             let most = i64::try_from(limit).unwrap_or(i64::MAX);
             let rows = statement.query_map(params![owner.0, key.0, most], |row| {
-                let erasure = row.get::<_, String>(3).map(|text| Erasure::read(&text))?;
-                Ok((Digest(row.get(0)?), Digest(row.get(1)?), row.get(2)?, erasure))
+                Ok((Digest(row.get(0)?), Digest(row.get(1)?), row.get(2)?))
             })?;
             let mut found = Vec::new();
             for row in rows {
-                let (digest, report, header, erasure) = row?;
+                let (digest, report, header) = row?;
+                let erasure = notes::read_in(connection, &Erased { report })?;
                 found.extend(erasure.map(|erasure| Unstated { digest, report, header, erasure }));
             }
             Ok(found)
@@ -185,14 +187,14 @@ impl Ledger {
             take_in(connection, digest, &inclusion, &anchor)?;
             Ok(told)
         })?;
-        self.shared.told.fetch_add(u64::from(told == ToldErased::Named), Ordering::AcqRel);
+        self.database.shared.told.fetch_add(u64::from(told == ToldErased::Named), Ordering::AcqRel);
         Ok(told)
     }
 
     /// How often a record was named at the word of an owner elsewhere since this file was opened: what overwrites such records
     /// sees that there is something to do.
     pub fn named_elsewhere(&self) -> u64 {
-        self.shared.told.load(Ordering::Acquire)
+        self.database.shared.told.load(Ordering::Acquire)
     }
 
     /// Records whose owners told that they were erased, whose bytes are still here, and that no incident holds. What is not
@@ -250,7 +252,7 @@ fn found(connection: &Connection, digest: Digest) -> Result<Option<(RecordState,
     })?)
 }
 
-/// Whether bytes of a record in this state may be given up: not while they wait for the vault, or an operator decides.
+/// Whether bytes of a record in this state may be given up: not while an operator decides.
 fn may_go(state: RecordState) -> bool {
     use RecordState::{Batched, Confirmed, Mined, Stored, Submitted, Tampered, Verified};
     matches!(state, Stored | Batched | Submitted | Mined | Confirmed | Verified | Tampered)
@@ -284,7 +286,7 @@ fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Resu
     let is_named = connection.has(is_named, [digest.0])?;
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records WHERE digest = ?1
              ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
-             WHERE NOT EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(retained.report)))";
+             WHERE NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(retained.report)))";
     let named = connection.run(sql, params![digest.0, taken.report.0, taken.header])?;
     if named == 0 {
         return Ok(ToldErased::Unchanged);
@@ -298,7 +300,8 @@ fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Resu
 // Records that somebody had erased: named like those of retention, with who and why, and overwritten, not only freed.
 
 /// Who had records erased, when and why.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Erasure {
     /// When.
     pub at: Timestamp,
@@ -328,35 +331,18 @@ impl fmt::Display for Erasure {
 }
 
 impl Erasure {
-    /// As the ledger notes it: nanoseconds, profile and reason, a line each.
-    fn noted(&self) -> String {
-        format!("{}\n{}\n{}", self.at.0, self.by, self.reason)
-    }
-
     /// As a reader is told: by whom and why is in the owner's retention record.
     pub(super) fn stated(statement: &[u8]) -> Option<Self> {
         let at = ErasedStatement::parse(statement).ok()?.at;
         Some(Self { at, by: "its owner".to_owned(), reason: "its proof remains".to_owned() })
     }
-
-    /// From a note.
-    pub(super) fn read(text: &str) -> Option<Self> {
-        let mut lines = text.splitn(3, '\n');
-        let at = Timestamp(lines.next()?.parse().ok()?);
-        Some(Self { at, by: lines.next()?.to_owned(), reason: lines.next()?.to_owned() })
-    }
-}
-
-/// The setting that says whose erasure a retention record is.
-pub(super) fn place(report: &Digest) -> String {
-    format!("erased:{report}")
 }
 
 /// Makes a record that a rule has named, and whose bytes are still here, this erasure's; `false` if it is not such a one.
 fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Result<bool, StoreError> {
     let sql = "UPDATE retained SET report = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)
              AND deleted_at IS NULL
-             AND NOT EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(report)))";
+             AND NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))";
     let taken = connection.run(sql, params![digest.0, report.0])?;
     Ok(taken > 0)
 }
@@ -382,11 +368,11 @@ impl Ledger {
         erasure: &Erasure,
         records: Vec<(Digest, Vec<u8>)>,
     ) -> Result<(), StoreError> {
-        let (place, text) = (place(&report.digest), erasure.noted());
+        let erasure = erasure.clone();
         self.write_many(records.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             add(session, &report, now)?;
-            connection.run("REPLACE INTO settings VALUES (?1, ?2)", [&place, &text])?;
+            notes::write_in(connection, &Erased { report: report.digest }, &erasure)?;
             for (digest, header) in &records {
                 if take_from_rule(connection, *digest, report.digest)? {
                     continue;
@@ -396,14 +382,6 @@ impl Ledger {
             }
             Ok(())
         })
-    }
-
-    /// Whose erasure a retention record is; `None` for one of a rule.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn erasure(&self, report: Digest) -> Result<Option<Erasure>, StoreError> {
-        Ok(self.setting(&place(&report))?.and_then(|text| Erasure::read(&text)))
     }
 
     /// Notes a record that its owner had erased before it came here: its row, its public header, and the owner's
@@ -444,7 +422,7 @@ impl Ledger {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT 1 FROM retained JOIN records ON records.n = retained.record WHERE digest = ?1
-                 AND (EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(report)))
+                 AND (EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))
                      OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = records.n AND taken = 1))",
             )?;
             let mut erased = Vec::new();
@@ -466,25 +444,5 @@ impl Ledger {
             let sql = "SELECT record FROM retained WHERE deleted_at IS NULL LIMIT 1";
             Ok(connection.find(sql, [], |_| Ok(()))?.is_some())
         })
-    }
-
-    /// Overwrites the local copies of these records, in the file and in its log.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; [`StoreError::Database`] while somebody reads an earlier state.
-    pub fn scour_local_copies(&self, digests: &[Digest]) -> Result<(), StoreError> {
-        if digests.is_empty() {
-            return Ok(());
-        }
-        let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
-            database::overwriting(session.connection, |connection| {
-                let sql = "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-                let mut statement = connection.prepare_cached(sql)?;
-                digests.iter().try_for_each(|digest| Ok(statement.execute([digest.0]).map(drop)?))
-            })
-        })?;
-        // Also when nothing was left to delete: an earlier attempt may have failed at the log.
-        database::empty_log(self.path())
     }
 }

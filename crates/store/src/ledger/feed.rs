@@ -7,7 +7,7 @@ use rusqlite::{Connection, params};
 
 use super::batches::placed_in;
 use super::rows::{out_of_range, unsigned};
-use super::{Ledger, PlacedRecord};
+use super::{Database, PlacedRecord};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, Fact, RecordKind, RecorderId, TopicId};
@@ -61,18 +61,11 @@ pub struct FeedPage {
     pub rows: Vec<FeedRow>,
 }
 
-/// The feed of a ledger.
-#[derive(Debug)]
-pub struct Feed<'a>(&'a Ledger);
+/// What readers may be given, in the order in which it came to be so.
+#[derive(Debug, Clone)]
+pub struct Feed(pub(super) Database);
 
-impl Ledger {
-    /// Its feed.
-    pub fn feed(&self) -> Feed<'_> {
-        Feed(self)
-    }
-}
-
-impl Feed<'_> {
+impl Feed {
     /// The next rows, at most `limit`. Places of another feed than `id`, and those beyond the head, count as its beginning.
     ///
     /// # Errors

@@ -6,7 +6,7 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::append::count;
 use super::rows::{self, By, RecordRow, may};
-use super::{Ledger, Session};
+use super::{Database, Ledger, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::bytes::hex;
@@ -192,7 +192,11 @@ pub struct KeptBinding {
     pub device: Option<(SignerId, TopicId)>,
 }
 
-impl Ledger {
+/// Keys of signers, and names at this gateway.
+#[derive(Debug, Clone)]
+pub struct Bindings(pub(super) Database);
+
+impl Bindings {
     /// Stores a device's public key under its id.
     ///
     /// # Errors
@@ -202,7 +206,7 @@ impl Ledger {
         if self.signer(id)?.is_some() {
             return Ok(());
         }
-        self.write(move |session| add_signer(session.connection, id, key))
+        self.0.write(move |session| add_signer(session.connection, id, key))
     }
 
     /// The public key of a device, if it is known.
@@ -210,7 +214,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signer(&self, id: SignerId) -> Result<Option<PublicKey>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.find("SELECT key FROM signers WHERE id = ?1", [id.0], |row| row.get(0).map(PublicKey))?)
         })
     }
@@ -221,7 +225,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let name = name.to_string();
-        self.write(move |session| {
+        self.0.write(move |session| {
             session.connection.run(
                 "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
                 params![
@@ -244,7 +248,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn reseal_binding(&self, name: &str, before: Vec<u8>, after: Vec<u8>) -> Result<(), StoreError> {
         let name = name.to_owned();
-        self.write(move |session| {
+        self.0.write(move |session| {
             let sql = "UPDATE bindings SET sealed_key = ?3 WHERE name = ?1 AND sealed_key = ?2";
             session.connection.run(sql, params![name, before, after])?;
             Ok(())
@@ -264,7 +268,7 @@ impl Ledger {
         notices: TopicId,
     ) -> Result<bool, StoreError> {
         let name = name.to_owned();
-        self.write(move |session| {
+        self.0.write(move |session| {
             let sql = "UPDATE bindings SET device = ?3, notices = ?4 WHERE name = ?1 AND account = ?2";
             let changed = session.connection.run(sql, params![name, account.0, device.0, notices.0])?;
             Ok(changed > 0)
@@ -276,7 +280,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let binding = connection.find(
                 "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1",
                 [name.as_str()],
@@ -302,13 +306,15 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.list("SELECT name, account FROM bindings ORDER BY name", [], |row| {
                 Ok((row.get(0)?, Address(row.get(1)?)))
             })?)
         })
     }
+}
 
+impl Ledger {
     /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id); the caller must have
     /// derived one from the other.
     ///

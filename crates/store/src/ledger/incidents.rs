@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::append::count;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
-use super::{Ledger, database::whole};
+use super::{Database, database::whole};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
@@ -81,12 +81,16 @@ impl SpanCoverage {
     }
 }
 
-impl Ledger {
+/// Incidents, and what they hold.
+#[derive(Debug, Clone)]
+pub struct Incidents(pub(super) Database);
+
+impl Incidents {
     /// Stores a new incident; `false` if the owner has one of this name already.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it is not stored.
-    pub fn open_incident(
+    pub fn open(
         &self,
         owner: Address,
         name: &IncidentName,
@@ -94,7 +98,7 @@ impl Ledger {
         note: Option<&str>,
     ) -> Result<bool, StoreError> {
         let (name, span, note) = (name.clone(), span.clone(), note.map(str::to_owned));
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let now = whole("time", Timestamp::now().0)?;
             let until = span.until.map(|until| whole("time", until.0)).transpose()?;
@@ -120,8 +124,8 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
-    pub fn incidents(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
-        self.read(|connection| {
+    pub fn list(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
+        self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
                        ORDER BY since, key";
             let rows: Vec<(i64, IncidentRow)> =
@@ -134,8 +138,8 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
-    pub fn incident(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
-        self.read(|connection| {
+    pub fn find(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
+        self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
                        WHERE owner = ?1 AND name = ?2";
             let found =
@@ -148,9 +152,9 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it is not added.
-    pub fn note_incident(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
+    pub fn note(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
         let (name, text) = (name.clone(), text.to_owned());
-        self.write(move |session| {
+        self.0.write(move |session| {
             let now = whole("time", Timestamp::now().0)?;
             let added = session.connection.execute(
                 "INSERT INTO incident_notes SELECT key,
@@ -166,9 +170,9 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it stays open.
-    pub fn close_incident(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
+    pub fn close(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let name = name.clone();
-        self.write(move |session| {
+        self.0.write(move |session| {
             let now = whole("time", Timestamp::now().0)?;
             let closed = session.connection.execute(
                 "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
@@ -183,9 +187,9 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it stays.
-    pub fn remove_incident(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
+    pub fn remove(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let name = name.clone();
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let whose = params![owner.0, name.as_str()];
             for table in ["incident_topics", "incident_notes"] {
@@ -203,7 +207,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn span_coverage(&self, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut found: BTreeMap<String, SpanCoverage> =
                 span.topics.iter().map(|topic| (topic.clone(), SpanCoverage::default())).collect();
             let parts = counted(connection, owner, span)?.into_iter().chain(losses(connection, owner, span)?);
@@ -219,7 +223,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn bytes_between(&self, topic: i64, (since, until): (Timestamp, Timestamp)) -> Result<u64, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
                        JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
                        WHERE s.topic = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3

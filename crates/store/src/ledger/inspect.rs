@@ -5,16 +5,15 @@ use std::collections::HashMap;
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
-use super::Ledger;
+use super::branches;
 use super::database::whole;
 use super::rows::{self, RecordRow, Stream, unsigned};
+use super::{Database, Ledger};
 use crate::StoreError;
 use crate::chain::merkle::Inclusion;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
-/// The setting that records the state of a restored ledger's backup.
-pub(super) const COPIED_AT: &str = "copied-at";
 /// Columns of a record, in the order of [`rows::record`].
 const RECORD_COLUMNS: usize = 14;
 
@@ -41,8 +40,8 @@ pub struct AuditedRecord {
     pub row: RecordRow,
     /// Its place in a batch.
     pub place: Option<AuditedPlace>,
-    /// Whether the ledger holds its bytes until they are durable in the vault.
-    pub has_copy: bool,
+    /// Whether its bytes are there.
+    pub is_stored: bool,
     /// Whether its row and its stream name the same topic.
     pub in_its_topic: bool,
     /// Whether row and retention agree on when its ciphertext was deleted.
@@ -104,7 +103,11 @@ pub struct Sequence {
     pub last: u64,
 }
 
-impl Ledger {
+/// What an audit compares.
+#[derive(Debug, Clone)]
+pub struct Inspection(pub(super) Database);
+
+impl Inspection {
     /// The records after row `after`, captured at `since` or later, at most `limit`.
     ///
     /// # Errors
@@ -112,19 +115,21 @@ impl Ledger {
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
         let (after, since) = (whole("row", after)?, whole("time", since.0)?);
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let streams: HashMap<i64, Stream> =
                 rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
             let columns: Vec<String> =
                 rows::COLUMNS.split(',').map(|name| format!("records.{}", name.trim())).collect();
             let sql = format!(
-                "SELECT {}, n, leaves.batch, leaf, path, root, batches.count, batches.tx, batches.block,
-                 batches.block_hash, EXISTS (SELECT 1 FROM copies WHERE record = n),
+                "SELECT {}, n, leaves.batch, leaf, branches.path, root, batches.count, batches.tx, batches.block,
+                 batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
                  records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
                  records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
                  FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
+                 {}
                  WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
-                columns.join(", ")
+                columns.join(", "),
+                branches::JOINED
             );
             let mut statement = connection.prepare_cached(&sql)?;
             let mut found = statement.query(params![after, since, limit])?;
@@ -146,7 +151,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
         let number = whole("row", number)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT 1 FROM filters WHERE filter = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
                  WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))",
@@ -163,7 +168,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
         let last = whole("row", last)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT count(*) FROM filters WHERE record <= ?1";
             Ok(connection.query_row(sql, [last], |row| unsigned(row, 0))?)
         })
@@ -176,7 +181,7 @@ impl Ledger {
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql =
                 "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
                        + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
@@ -185,14 +190,14 @@ impl Ledger {
         })
     }
 
-    /// When the newest record was captured, by its recorder's clock.
+    /// When the newest record was acknowledged, by this machine's clock.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn newest_capture(&self) -> Result<Option<Timestamp>, StoreError> {
-        self.read(|connection| {
-            let newest: Option<i64> =
-                connection.query_row("SELECT max(captured_at) FROM records", [], |row| row.get(0))?;
+    pub fn newest_acknowledgement(&self) -> Result<Option<Timestamp>, StoreError> {
+        let sql = "SELECT acknowledged_at FROM records ORDER BY n DESC LIMIT 1";
+        self.0.read(|connection| {
+            let newest: Option<i64> = connection.find(sql, [], |row| row.get(0))?;
             Ok(newest.and_then(|newest| u64::try_from(newest).ok()).map(Timestamp))
         })
     }
@@ -203,7 +208,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
         let find = "SELECT 1 FROM batches WHERE root = ?1";
-        self.read(|connection| absent(connection, find, roots.iter().map(|root| root.0)).map(hashes))
+        self.0.read(|connection| absent(connection, find, roots.iter().map(|root| root.0)).map(hashes))
     }
 
     /// Which of these digests belong to no record of this ledger.
@@ -212,16 +217,8 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let find = "SELECT 1 FROM records WHERE digest = ?1";
-        let found = self.read(|connection| absent(connection, find, digests.iter().map(|digest| digest.0)))?;
+        let found = self.0.read(|connection| absent(connection, find, digests.iter().map(|digest| digest.0)))?;
         Ok(found.into_iter().map(Digest).collect())
-    }
-
-    /// The newest block known to the backup that this ledger was restored from; `None` if it never was.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn copied_at(&self) -> Result<Option<u64>, StoreError> {
-        Ok(self.setting(COPIED_AT)?.and_then(|text| text.parse().ok()))
     }
 
     /// All records, of any kind and state.
@@ -229,7 +226,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn size(&self) -> Result<u64, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT coalesce(sum(records), 0) FROM counters";
             Ok(connection.one(sql, [], |row| unsigned(row, 0))?)
         })
@@ -240,7 +237,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))?)
         })
     }
@@ -250,7 +247,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
             Ok(connection.one(sql, [account.0], |row| row.get(0))?)
         })
@@ -261,7 +258,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
                        (SELECT topic, count(*) AS held FROM
                         (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
@@ -283,7 +280,7 @@ impl Ledger {
         number: u64,
     ) -> Result<Option<Digest>, StoreError> {
         let number = whole("sequence number", number)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT digest FROM records JOIN topics ON topics.key = records.topic
                        JOIN recorders ON recorders.key = topics.recorder
                        WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
@@ -298,7 +295,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
                        FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
                        JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
@@ -325,7 +322,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut holes = Vec::new();
             if sequence.first > 1 {
                 holes.push((1, sequence.first - 1));
@@ -349,7 +346,7 @@ fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<Au
         number: unsigned(row, RECORD_COLUMNS)?,
         row: rows::record(row, streams)?,
         place: place(row)?,
-        has_copy: row.get(RECORD_COLUMNS + 9)?,
+        is_stored: row.get(RECORD_COLUMNS + 9)?,
         in_its_topic: row.get::<_, Option<bool>>(RECORD_COLUMNS + 10)?.unwrap_or(false),
         as_retained: row.get(RECORD_COLUMNS + 11)?,
     })
@@ -362,9 +359,9 @@ fn place(row: &Row<'_>) -> rusqlite::Result<Option<AuditedPlace>> {
     }
     let inclusion = match row.get::<_, Option<_>>(column(4))?.map(Hash) {
         Some(root) => {
-            let path: Vec<u8> = row.get(column(3))?;
-            let path = path.chunks(Hash::LENGTH).map(|step| Hash::from_slice(step).unwrap_or(Hash([0; 32]))).collect();
-            Some(Inclusion { index: unsigned(row, column(2))?, count: unsigned(row, column(5))?, path, root })
+            let (index, count) = (unsigned(row, column(2))?, unsigned(row, column(5))?);
+            let path = branches::path_of(row, column(3), (index, count))?;
+            Some(Inclusion { index, count, path, root })
         }
         None => None,
     };
@@ -412,7 +409,7 @@ fn hashes(found: Vec<[u8; 32]>) -> Vec<Hash> {
 // Whether the ledger's tables agree with each other: checked after an unclean shutdown, and when a home is examined.
 
 /// A query that must find nothing, and the meaning if it does.
-const RULES: [(&str, &str); 5] = [
+const RULES: [(&str, &str); 4] = [
     (
         "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
          LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
@@ -434,16 +431,12 @@ const RULES: [(&str, &str); 5] = [
          OR record NOT IN (SELECT n FROM records)",
         "batch positions without a batch or record",
     ),
-    (
-        "SELECT count(*) FROM records WHERE state = 1 AND n NOT IN (SELECT record FROM copies)",
-        "sealed records lack their local copies",
-    ),
 ];
 
 impl Ledger {
     /// Whether the previous process closed it. If not, the file's structure was checked on opening.
     pub fn ended_cleanly(&self) -> bool {
-        self.shared.clean
+        self.database.shared.clean
     }
 
     /// Contradictions in its tables, in words; takes about a second per million records.
@@ -484,6 +477,7 @@ fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreErr
 #[cfg(test)]
 mod integrity_tests {
     use super::*;
+    use crate::notes::CopiedAt;
 
     #[test]
     fn who_only_reads_writes_nothing() {
@@ -515,7 +509,7 @@ mod integrity_tests {
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
         assert!(ledger.ended_cleanly());
-        ledger.put_setting("a", "b").expect("written");
+        ledger.notes.write(&CopiedAt {}, &7).expect("written");
         drop(ledger);
         let ledger = Ledger::open(&path).expect("opens");
         assert!(!ledger.ended_cleanly(), "the first change marked it as open");
@@ -523,7 +517,7 @@ mod integrity_tests {
         let ledger = Ledger::open(&path).expect("opens");
         assert!(ledger.ended_cleanly());
         let lost = "INSERT INTO intake VALUES (7, 3); INSERT INTO counters VALUES (7, 2, 2, 9);
-                    INSERT INTO leaves VALUES (1, 1, 0, x'')";
+                    INSERT INTO leaves VALUES (1, 1, 0)";
         ledger.write(|session| Ok(session.connection.execute_batch(lost)?)).expect("written");
         let found = ledger.contradictions().expect("read");
         assert_eq!(found.len(), 2, "{found:?}");

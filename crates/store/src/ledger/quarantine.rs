@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::append::{add, count};
 use super::database::whole;
 use super::rows::{self, By, RecordRow, may, unsigned};
-use super::{Ledger, NewRecord};
+use super::{Database, NewRecord};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
+use crate::notes::{self, LossesCounted};
 
 /// Nanoseconds in a minute.
 const MINUTE: i64 = 60_000_000_000;
@@ -66,14 +67,18 @@ pub struct HeldQuery {
     pub limit: usize,
 }
 
-impl Ledger {
-    /// Like [`Ledger::append`], with the reasons why some of the records are quarantined; all of it is durable when
+/// Records that wait for an operator.
+#[derive(Debug, Clone)]
+pub struct Quarantine(pub(super) Database);
+
+impl Quarantine {
+    /// Like [`crate::Ledger::append`], with the reasons why some of the records are quarantined; all of it is durable when
     /// this returns, or nothing is.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; [`StoreError::NotReady`] if a record given a reason is not in state quarantined.
+    /// See [`crate::Ledger::append`]; [`StoreError::NotReady`] if a record given a reason is not in state quarantined.
     pub fn append_held(&self, records: Vec<NewRecord>, holds: Vec<Hold>) -> Result<(), StoreError> {
-        self.write_many(records.len(), move |session| {
+        self.0.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             records.iter().try_for_each(|record| add(session, record, now))?;
             holds.iter().try_for_each(|one| hold(session.connection, one))
@@ -85,7 +90,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let streams =
                 rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
             let sql = format!(
@@ -119,7 +124,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
         let before = i64::try_from(before).unwrap_or(i64::MAX);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
                      CROSS JOIN records ON n = record JOIN topics ON key = topic
                      WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1";
@@ -140,9 +145,9 @@ impl Ledger {
     /// Acknowledges a quarantine record and notes the records it counts, in one commit.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of the records is already counted.
+    /// See [`crate::Ledger::append`]; [`StoreError::NotReady`] if one of the records is already counted.
     pub fn report(&self, report: NewRecord, counted: Vec<Digest>) -> Result<(), StoreError> {
-        self.write_many(counted.len(), move |session| {
+        self.0.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             add(session, &report, now)?;
             let mut statement = session.connection.prepare_cached(
@@ -156,45 +161,35 @@ impl Ledger {
         })
     }
 
-    /// Releases quarantined records: to stored, or to sealed if their bytes are not in the vault yet. Returns how many.
+    /// Releases quarantined records to stored; returns how many.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none is released.
     pub fn release(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        const COPY: &str = "EXISTS (SELECT 1 FROM copies WHERE record = n)";
-        let (copied, stored) = (COPY.to_owned(), format!("NOT {COPY}"));
-        self.decide(digests, "released", vec![(RecordState::Sealed, copied), (RecordState::Stored, stored)])
+        self.decide(digests, "released", RecordState::Stored)
     }
 
-    /// Discards quarantined records: they are dropped and their local copies deleted; digests, signatures and reasons
-    /// stay. The caller must delete the vault's bytes. Returns how many were discarded.
+    /// Drops quarantined records; digests, signatures and reasons stay. The caller discards their ciphertext first.
+    /// Returns how many were dropped.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is discarded.
+    /// [`StoreError::DiskFull`] and the like; then none is dropped.
     pub fn discard(&self, digests: &[Digest]) -> Result<u64, StoreError> {
-        self.decide(digests, "discarded", vec![(RecordState::Dropped, "1".to_owned())])
+        self.decide(digests, "discarded", RecordState::Dropped)
     }
 
-    fn decide(
-        &self,
-        digests: &[Digest],
-        decision: &'static str,
-        ways: Vec<(RecordState, String)>,
-    ) -> Result<u64, StoreError> {
+    fn decide(&self, digests: &[Digest], decision: &'static str, to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Quarantined;
-        if let Some((to, _)) = ways.iter().find(|(to, _)| !may(By::Operator, from, *to)) {
-            return Err(StoreError::IllegalEdge { from, to: *to });
+        if !may(By::Operator, from, to) {
+            return Err(StoreError::IllegalEdge { from, to });
         }
         let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
+        self.0.write_many(digests.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             let mut decided = 0;
             for digest in &digests {
-                let mut moved = 0;
-                for (to, condition) in &ways {
-                    let sql = format!("UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND {condition}");
-                    moved += count(connection.run(&sql, params![digest.0, from.code(), to.code()])?);
-                }
+                let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
+                let moved = count(connection.run(sql, params![digest.0, from.code(), to.code()])?);
                 if moved > 0 {
                     note(connection, *digest, decision, now)?;
                 }
@@ -223,10 +218,6 @@ fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
 fn note(connection: &Connection, digest: Digest, decision: &str, now: i64) -> Result<(), StoreError> {
     let sql = "UPDATE held SET decision = ?2, decided_at = ?3 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     connection.run(sql, params![digest.0, decision, now])?;
-    if decision == "discarded" {
-        let sql = "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-        connection.run(sql, [digest.0])?;
-    }
     Ok(())
 }
 
@@ -267,7 +258,11 @@ pub struct AlarmRow {
     pub open: bool,
 }
 
-impl Ledger {
+/// Pinned publishers, and alarms about others.
+#[derive(Debug, Clone)]
+pub struct Pins(pub(super) Database);
+
+impl Pins {
     /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
     ///
     /// # Errors
@@ -280,7 +275,7 @@ impl Ledger {
         source: &'static str,
     ) -> Result<(), StoreError> {
         let (topic, publishers) = (topic.to_owned(), publishers.to_vec());
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             connection.execute("INSERT OR IGNORE INTO pinned_topics VALUES (?1, ?2)", params![owner.0, topic])?;
             let now = whole("time", Timestamp::now().0)?;
@@ -294,7 +289,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then none is removed.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let (topic, caller_id) = (topic.to_owned(), caller_id.to_owned());
-        self.write(move |session| {
+        self.0.write(move |session| {
             let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3";
             Ok(count(session.connection.execute(sql, params![owner.0, topic, caller_id])?))
         })
@@ -304,8 +299,8 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn pins(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
-        self.read(|connection| {
+    pub fn list(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
+        self.0.read(|connection| {
             let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
                  WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
             Ok(connection.list(sql, params![owner.0, topic], pin_row)?)
@@ -317,7 +312,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn was_pinned(&self, owner: Address, topic: &str) -> Result<bool, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection
                 .has("SELECT 1 FROM pinned_topics WHERE owner = ?1 AND topic = ?2", params![owner.0, topic])?)
         })
@@ -335,7 +330,7 @@ impl Ledger {
         reason: &'static str,
     ) -> Result<bool, StoreError> {
         let (topic, publisher) = (topic.to_owned(), publisher.to_owned());
-        self.write(move |session| {
+        self.0.write(move |session| {
             let now = whole("time", Timestamp::now().0)?;
             let raised = session.connection.execute(
                 "INSERT INTO alarms VALUES (?1, ?2, ?3, ?4, ?5, 1) ON CONFLICT DO UPDATE SET open = 1, at = excluded.at
@@ -352,7 +347,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like.
     pub fn close_alarms(&self, owner: Address, topic: &str) -> Result<u64, StoreError> {
         let topic = topic.to_owned();
-        self.write(move |session| {
+        self.0.write(move |session| {
             let sql = "UPDATE alarms SET open = 0 WHERE owner = ?1 AND topic = ?2 AND open = 1";
             Ok(count(session.connection.execute(sql, params![owner.0, topic])?))
         })
@@ -363,7 +358,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.list(
                 "SELECT topic, publisher, reason, at, open FROM alarms
                  WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at",
@@ -456,40 +451,31 @@ pub struct GapRow {
     pub report: Option<Digest>,
 }
 
-/// The setting with the number of a text of losses.
-const COUNTED: &str = "waiting:counted";
-
 const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
 
-impl Ledger {
+/// Messages that were lost.
+#[derive(Debug, Clone)]
+pub struct Losses(pub(super) Database);
+
+impl Losses {
     /// Counts losses durably, all or none; they stay open until a gap record reports them.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none is counted yet.
-    pub fn count_losses(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
-        self.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
+    pub fn count(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
+        self.0.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
     }
 
     /// The same, and notes in the same commit up to which text of [`crate::WaitingFile`] its losses are counted.
     ///
     /// # Errors
     /// See [`Self::count_losses`].
-    pub fn count_losses_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
-        self.write(move |session| {
+    pub fn count_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
+        self.0.write(move |session| {
             losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
-            let values = [COUNTED.to_owned(), number.to_string()];
-            session.connection.run("REPLACE INTO settings VALUES (?1, ?2)", values)?;
-            Ok(())
+            notes::write_in(session.connection, &LossesCounted {}, &number)
         })
-    }
-
-    /// Up to which text its losses are counted; 0 = none.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn losses_counted(&self) -> Result<u64, StoreError> {
-        Ok(self.setting(COUNTED)?.and_then(|text| text.parse().ok()).unwrap_or(0))
     }
 
     /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.
@@ -497,7 +483,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = format!(
                 "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
                  ORDER BY key LIMIT ?3"
@@ -511,10 +497,10 @@ impl Ledger {
     /// open.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; [`StoreError::NotReady`] if the row is already reported.
+    /// See [`crate::Ledger::append`]; [`StoreError::NotReady`] if the row is already reported.
     pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
         let gap = gap.clone();
-        self.write(move |session| {
+        self.0.write(move |session| {
             let now = whole("time", Timestamp::now().0)?;
             add(session, &report, now)?;
             settle(session.connection, &gap, report.digest)
@@ -526,7 +512,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn gaps(&self, owner: Address, limit: usize) -> Result<Vec<GapRow>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");
             Ok(connection.list(&sql, params![owner.0, i64::try_from(limit).unwrap_or(i64::MAX)], gap_row)?)
         })
@@ -597,6 +583,7 @@ fn gap_row(row: &Row<'_>) -> rusqlite::Result<GapRow> {
 #[cfg(test)]
 mod pins_tests {
     use super::*;
+    use crate::Ledger;
 
     const OWNER: Address = Address([1; 20]);
 
@@ -609,18 +596,18 @@ mod pins_tests {
         let home = tempfile::tempdir().expect("folder");
         let path = home.path().join("ledger.db");
         let ledger = Ledger::open(&path).expect("opens");
-        assert_eq!((ledger.was_pinned(OWNER, "/t"), ledger.pins(OWNER, None)), (Ok(false), Ok(Vec::new())));
-        ledger.pin(OWNER, "/t", &[publisher("a")], "first").expect("pinned");
-        ledger.pin(OWNER, "/t", &[publisher("a"), publisher("b")], "operator").expect("pinned");
+        assert_eq!((ledger.pins.was_pinned(OWNER, "/t"), ledger.pins.list(OWNER, None)), (Ok(false), Ok(Vec::new())));
+        ledger.pins.pin(OWNER, "/t", &[publisher("a")], "first").expect("pinned");
+        ledger.pins.pin(OWNER, "/t", &[publisher("a"), publisher("b")], "operator").expect("pinned");
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
-        let pins = ledger.pins(OWNER, Some("/t")).expect("read");
+        let pins = ledger.pins.list(OWNER, Some("/t")).expect("read");
         let told: Vec<_> = pins.iter().map(|pin| (pin.publisher.caller_id.as_str(), pin.source.as_str())).collect();
         assert_eq!(told, [("/a", "first"), ("/b", "operator")]);
-        assert_eq!((ledger.unpin(OWNER, "/t", "/a"), ledger.unpin(OWNER, "/t", "/a")), (Ok(1), Ok(0)));
-        assert_eq!(ledger.unpin(OWNER, "/t", "/b"), Ok(1));
-        assert_eq!((ledger.was_pinned(OWNER, "/t"), ledger.was_pinned(OWNER, "/u")), (Ok(true), Ok(false)));
-        assert_eq!(ledger.pins(Address([2; 20]), None), Ok(Vec::new()));
+        assert_eq!((ledger.pins.unpin(OWNER, "/t", "/a"), ledger.pins.unpin(OWNER, "/t", "/a")), (Ok(1), Ok(0)));
+        assert_eq!(ledger.pins.unpin(OWNER, "/t", "/b"), Ok(1));
+        assert_eq!((ledger.pins.was_pinned(OWNER, "/t"), ledger.pins.was_pinned(OWNER, "/u")), (Ok(true), Ok(false)));
+        assert_eq!(ledger.pins.list(Address([2; 20]), None), Ok(Vec::new()));
     }
 
     #[test]
@@ -628,14 +615,15 @@ mod pins_tests {
         let home = tempfile::tempdir().expect("folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
         let name = publisher("evil").to_string();
-        let raise = || ledger.raise_alarm(OWNER, "/t", &name, "new").expect("written");
+        let raise = || ledger.pins.raise_alarm(OWNER, "/t", &name, "new").expect("written");
         assert!(raise() && !raise());
-        assert!(ledger.raise_alarm(OWNER, "/u", &name, "new").expect("written"));
-        assert_eq!((ledger.close_alarms(OWNER, "/t"), ledger.close_alarms(OWNER, "/t")), (Ok(1), Ok(0)));
-        let open = |topic| ledger.alarms(OWNER, Some(topic)).expect("read").iter().filter(|alarm| alarm.open).count();
-        assert_eq!((open("/t"), open("/u"), ledger.alarms(OWNER, None).expect("read").len()), (0, 1, 2));
+        assert!(ledger.pins.raise_alarm(OWNER, "/u", &name, "new").expect("written"));
+        assert_eq!((ledger.pins.close_alarms(OWNER, "/t"), ledger.pins.close_alarms(OWNER, "/t")), (Ok(1), Ok(0)));
+        let open =
+            |topic| ledger.pins.alarms(OWNER, Some(topic)).expect("read").iter().filter(|alarm| alarm.open).count();
+        assert_eq!((open("/t"), open("/u"), ledger.pins.alarms(OWNER, None).expect("read").len()), (0, 1, 2));
         assert!(raise());
-        ledger.pin(OWNER, "/t", &[publisher("evil")], "operator").expect("pinned");
-        assert_eq!(ledger.alarms(OWNER, Some("/t")), Ok(Vec::new()));
+        ledger.pins.pin(OWNER, "/t", &[publisher("evil")], "operator").expect("pinned");
+        assert_eq!(ledger.pins.alarms(OWNER, Some("/t")), Ok(Vec::new()));
     }
 }

@@ -14,11 +14,12 @@ use serde::{Deserialize, Serialize};
 
 use super::Ledger;
 use super::database::whole;
+use super::filters::FilterChoice;
 use super::rows::{self, RecordRow, Stream, Which};
-use super::settings::FilterChoice;
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
+use crate::notes::{self, Note};
 
 const LARGEST_PAGE: usize = 10_000;
 
@@ -427,8 +428,7 @@ pub struct LastSeen {
 }
 
 /// The states of a record that is here but in no block.
-const UNANCHORED: [RecordState; 4] =
-    [RecordState::Sealed, RecordState::Stored, RecordState::Batched, RecordState::Submitted];
+const UNANCHORED: [RecordState; 3] = [RecordState::Stored, RecordState::Batched, RecordState::Submitted];
 
 /// The newest record of a signer, as far as it is here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -604,13 +604,24 @@ impl Glance {
         Ok(ids?.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
     }
 
-    /// The value under a key of the settings.
+    /// Reads every note of the home, and says how many there are.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
-    pub fn setting(&self, key: &str) -> Result<Option<String>, StoreError> {
-        let sql = "SELECT value FROM settings WHERE key = ?1";
-        Ok(self.0.query_row(sql, [key], |row| row.get(0)).optional()?)
+    /// [`StoreError::Note`] for one that is damaged, [`StoreError::Database`] and its kin.
+    pub fn check_notes(&self) -> Result<u64, StoreError> {
+        notes::check(&self.0).map_err(|error| self.named(error))
+    }
+
+    /// What is noted.
+    ///
+    /// # Errors
+    /// [`StoreError::Note`] if it cannot be read, [`StoreError::Database`] and its kin.
+    pub fn note<N: Note>(&self, note: &N) -> Result<Option<N::Value>, StoreError> {
+        notes::read_in(&self.0, note).map_err(|error| self.named(error))
+    }
+
+    fn named(&self, error: StoreError) -> StoreError {
+        error.in_file(Path::new(self.0.path().unwrap_or_default()))
     }
 }
 

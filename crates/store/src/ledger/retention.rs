@@ -1,16 +1,17 @@
 //! Records whose ciphertext is deleted: named in a retention record first, deleted once that is anchored. Digest,
 //! signature, place in the batch and public header stay.
 
-use std::collections::HashSet;
+use std::path::PathBuf;
 
 use rusqlite::{Connection, params};
 
-use super::append::{add, count};
+use super::append::add;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use super::{Erasure, Ledger, NewRecord, database::whole};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
+use crate::notes::{self, Erased};
 
 /// A topic considered for retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -176,7 +177,7 @@ impl Ledger {
         })
     }
 
-    /// Notes that the ciphertext of these is deleted, and deletes their local copies.
+    /// Notes that the ciphertext of these is deleted.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -189,7 +190,6 @@ impl Ledger {
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
                      WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
-                    "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                     // Listed from now on: a reader that is past the earlier number reads it again.
                     "REPLACE INTO erasures (record, statement, account, taken)
                      SELECT record, statement, account, taken FROM erasures
@@ -209,60 +209,30 @@ impl Ledger {
     pub fn retained(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.read(|connection| {
             let found = connection.find("SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
-                     (SELECT value FROM settings WHERE key = 'erased:' || lower(hex(report))), told.n IS NOT NULL,
+                     told.n IS NOT NULL,
                      (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
                      JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1", params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
-                    let erased = row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text));
-                    let (told, stated): (bool, Option<Vec<u8>>) = (row.get(5)?, row.get(6)?);
-                    // Its own erasures a ledger knows without a statement.
-                    let stated = stated.filter(|_| erased.is_none());
-                    if !told && stated.is_none() {
-                        return Ok(None);
-                    }
-                    Ok(Some(Retained {
+                    let retained = Retained {
                         report: Digest(row.get(0)?),
-                        anchored: row.get::<_, bool>(1)? && stated.is_none(),
+                        anchored: row.get(1)?,
                         header: row.get(2)?,
                         deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
-                        erased: erased.or_else(|| stated.as_deref().and_then(Erasure::stated)),
-                        stated,
-                    }))
+                        erased: None,
+                        stated: row.get(5)?,
+                    };
+                    Ok((retained, row.get::<_, bool>(4)?))
                 })?;
-            Ok(found.flatten())
-        })
-    }
-
-    /// Those of these records whose ciphertext is deleted or named to be: it is not to be stored again. Only records from
-    /// elsewhere are looked up: this ledger's own are sealed once.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn retained_among(&self, records: &[NewRecord]) -> Result<HashSet<Digest>, StoreError> {
-        let foreign: Vec<Digest> =
-            records.iter().filter(|record| record.foreign.is_some()).map(|record| record.digest).collect();
-        Ok(self.retained_of(&foreign)?.into_iter().collect())
-    }
-
-    /// Those of these digests whose ciphertext is deleted or named to be.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn retained_of(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
-        if digests.is_empty() {
-            return Ok(Vec::new());
-        }
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT 1 FROM records WHERE digest = ?1
-                 AND (deleted_at IS NOT NULL OR EXISTS (SELECT 1 FROM retained WHERE record = n))",
-            )?;
-            let mut retained = Vec::new();
-            for digest in digests {
-                if statement.exists(params![digest.0])? {
-                    retained.push(*digest);
-                }
-            }
-            Ok(retained)
+            let Some((mut retained, told)) = found else { return Ok(None) };
+            retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;
+            // Its own erasures a ledger knows without a statement.
+            retained.stated = retained.stated.filter(|_| retained.erased.is_none());
+            let Some(stated) = &retained.stated else { return Ok(told.then_some(retained)) };
+            let erased = Erasure::stated(stated).ok_or_else(|| {
+                let detail = format!("what its owner states of the erased record {digest} cannot be read");
+                StoreError::Corrupt { file: PathBuf::new(), detail }
+            })?;
+            (retained.anchored, retained.erased) = (false, Some(erased));
+            Ok(Some(retained))
         })
     }
 
@@ -275,20 +245,6 @@ impl Ledger {
             let sql =
                 "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
             Ok(connection.one(sql, [owner.0], |row| unsigned(row, 0))?)
-        })
-    }
-
-    /// Deletes local copies of records that were verified and captured before a given time; returns how many.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
-    pub fn drop_old_copies(&self, before: Timestamp, limit: usize) -> Result<u64, StoreError> {
-        let (before, limit) = (whole("time", before.0)?, i64::try_from(limit).unwrap_or(i64::MAX));
-        self.write(move |session| {
-            let sql = "DELETE FROM copies WHERE record IN (SELECT record FROM copies JOIN records ON n = record
-                       WHERE state = ?1 AND captured_at < ?2 ORDER BY record LIMIT ?3)";
-            let values = params![RecordState::Verified.code(), before, limit];
-            Ok(count(session.connection.run(sql, values)?))
         })
     }
 }

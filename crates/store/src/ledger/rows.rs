@@ -13,13 +13,14 @@ use crate::chain::merkle::Leaf;
 use crate::crypto::SealedRecord;
 use crate::database::Statements as _;
 use crate::model::RecordState::{
-    self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Sealed, Stored, Submitted, Tampered, Verified,
+    self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Stored, Submitted, Tampered, Verified,
 };
 use crate::model::bytes::hex;
 use crate::model::header::TAG_LENGTH;
 use crate::model::{
     Address, Digest, FilterId, Hash, Head, RecordKind, RecorderId, Signature, SignerId, Timestamp, TopicId, clean,
 };
+use crate::notes::LastPlace;
 use crate::{StoreError, snapshot};
 
 /// Characters of a record id: the first 16 hex characters of its digest.
@@ -67,10 +68,10 @@ pub struct NewRecord {
     pub captured_at: Timestamp,
     /// Whether a simulated robot sent it, as far as known here.
     pub simulated: bool,
-    /// [`RecordState::Sealed`], [`RecordState::Stored`] or [`RecordState::Quarantined`].
+    /// [`RecordState::Stored`] or [`RecordState::Quarantined`].
     pub state: RecordState,
-    /// The stored bytes, if they are not durable in the vault yet.
-    pub local_copy: Option<Vec<u8>>,
+    /// The stored bytes, written in the commit of the row; `None` if they were erased before the record came here.
+    pub blob: Option<Vec<u8>>,
 }
 
 impl NewRecord {
@@ -94,8 +95,8 @@ impl NewRecord {
             bytes: header.body_length.saturating_sub(TAG_LENGTH as u64),
             captured_at: header.captured_at,
             simulated: false,
-            state: RecordState::Sealed,
-            local_copy: Some(blob),
+            state: RecordState::Stored,
+            blob: Some(blob),
         }
     }
 
@@ -338,13 +339,10 @@ pub(super) enum By {
     Right,
 }
 
-const EDGES: [(RecordState, RecordState, By); 52] = [
-    (Sealed, Stored, By::Worker),
-    (Sealed, Quarantined, By::Worker),
+const EDGES: [(RecordState, RecordState, By); 41] = [
     (Stored, Quarantined, By::Worker),
     (Stored, Batched, By::Batch),
     (Confirmed, Verified, By::Worker),
-    (Sealed, Tampered, By::Worker),
     (Stored, Tampered, By::Worker),
     (Batched, Tampered, By::Worker),
     (Submitted, Tampered, By::Worker),
@@ -352,20 +350,12 @@ const EDGES: [(RecordState, RecordState, By); 52] = [
     (Confirmed, Tampered, By::Worker),
     (Verified, Tampered, By::Worker),
     (Quarantined, Tampered, By::Worker),
-    (Tampered, Quarantined, By::Worker),
     (Quarantined, Stored, By::Operator),
-    (Quarantined, Sealed, By::Operator),
     (Quarantined, Dropped, By::Operator),
-    (Tampered, Stored, By::Worker),
-    (Tampered, Batched, By::Worker),
-    (Tampered, Submitted, By::Worker),
-    (Tampered, Mined, By::Worker),
-    (Tampered, Confirmed, By::Worker),
     (Stored, Submitted, By::Submit),
     (Batched, Submitted, By::Submit),
     (Submitted, Stored, By::Close),
     (Submitted, Batched, By::Close),
-    (Sealed, Mined, By::Sight),
     (Stored, Mined, By::Sight),
     (Batched, Mined, By::Sight),
     (Submitted, Mined, By::Sight),
@@ -471,8 +461,6 @@ fn bounds(id: &str) -> Option<(Digest, Digest)> {
 // Where a ledger is stored: a copy opened elsewhere becomes a ledger of its own, like a restored one, so that no
 // number is ever used twice.
 
-/// The setting that records where the ledger was last opened.
-pub(super) const PLACE: &str = "home:place";
 /// Identifies the machine (machine-id(5)).
 const MACHINE: &str = "/etc/machine-id";
 
@@ -485,18 +473,18 @@ impl Ledger {
     pub fn open_in_place(path: &Path) -> Result<(Self, bool), StoreError> {
         let ledger = Self::open(path)?;
         let here = place(path)?;
-        let copied = match ledger.setting(PLACE)? {
+        let copied = match ledger.notes.read(&LastPlace {})? {
             Some(there) if there == here => return Ok((ledger, false)),
             there => there.is_some(),
         };
         if !copied {
-            ledger.put_setting(PLACE, &here)?;
+            ledger.notes.write(&LastPlace {}, &here)?;
             return Ok((ledger, false));
         }
         ledger.close()?;
         snapshot::renew_ledger(path)?;
         let ledger = Self::open(path)?;
-        ledger.put_setting(PLACE, &here)?;
+        ledger.notes.write(&LastPlace {}, &here)?;
         Ok((ledger, true))
     }
 }
@@ -518,7 +506,7 @@ mod edges_tests {
             assert!(!EDGES[..index].contains(edge), "{edge:?}");
             assert_ne!(edge.0, edge.1);
         }
-        for state in [Sealed, Stored, Batched, Submitted, Mined, Confirmed] {
+        for state in [Stored, Batched, Submitted, Mined, Confirmed] {
             assert!(EDGES.iter().any(|edge| edge.0 == state && edge.1 > state && edge.1 <= Verified), "{state:?}");
         }
     }

@@ -1,4 +1,4 @@
--- The ledger: one row per record, and what moves it along its path.
+-- The store: a row and the ciphertext of each record, and what moves it along its path.
 
 -- The one row about this file. `clean` is 0 while a process has it open.
 -- `recorder` is the prefix of the ids of its own recorders.
@@ -40,22 +40,22 @@ CREATE INDEX records_by_time ON records (captured_at);
 CREATE TABLE feed (
     number INTEGER PRIMARY KEY, record INTEGER NOT NULL UNIQUE, topic INTEGER NOT NULL, fact INTEGER NOT NULL
 );
-CREATE TRIGGER record_verified AFTER UPDATE OF state ON records WHEN NEW.state = 7 AND OLD.state <> 7 BEGIN
+CREATE TRIGGER record_verified AFTER UPDATE OF state ON records WHEN NEW.state = 6 AND OLD.state <> 6 BEGIN
     UPDATE about SET head = head + 1;
     INSERT OR REPLACE INTO feed
         SELECT head, NEW.n, NEW.topic, CASE WHEN NEW.deleted_at IS NULL THEN 2 ELSE 3 END FROM about;
 END;
-CREATE TRIGGER record_taken_back AFTER UPDATE OF state ON records WHEN NEW.state <> 7 AND OLD.state = 7 BEGIN
+CREATE TRIGGER record_taken_back AFTER UPDATE OF state ON records WHEN NEW.state <> 6 AND OLD.state = 6 BEGIN
     DELETE FROM feed WHERE record = NEW.n;
 END;
 CREATE TRIGGER record_erased AFTER UPDATE OF deleted_at ON records
-WHEN NEW.state = 7 AND NEW.deleted_at IS NOT NULL AND OLD.deleted_at IS NULL BEGIN
+WHEN NEW.state = 6 AND NEW.deleted_at IS NOT NULL AND OLD.deleted_at IS NULL BEGIN
     UPDATE about SET head = head + 1;
     INSERT OR REPLACE INTO feed SELECT head, NEW.n, NEW.topic, 3 FROM about;
 END;
 
--- Sealed bytes that are not in a durable vault yet.
-CREATE TABLE copies (record INTEGER PRIMARY KEY, blob BLOB NOT NULL);
+-- Stored bytes of records, written in the commit of their rows. Beside the rows, not in them: lists read rows alone.
+CREATE TABLE ciphertext (record INTEGER PRIMARY KEY, bytes BLOB NOT NULL);
 
 -- Filter ids of records, as their headers have them, and the streams that ever had records with one: a search skips
 -- all others.
@@ -125,11 +125,14 @@ CREATE INDEX batches_anchored ON batches (block) WHERE block IS NOT NULL;
 CREATE INDEX batches_unproven ON batches (block) WHERE block IS NOT NULL AND proof IS NULL;
 CREATE INDEX batches_without_proof ON batches (block) WHERE proof = 2;
 
--- A record's place in its batch and its path to the root, 32 bytes a step.
+-- A record's place in its batch, and what leads from there to the root: eight leaves beside each other are a branch, whose
+-- `path` has the nodes of its lowest three levels and the steps above them, 32 bytes each.
 CREATE TABLE leaves (
-    record INTEGER PRIMARY KEY, batch INTEGER NOT NULL, leaf INTEGER NOT NULL, path BLOB NOT NULL,
-    UNIQUE (batch, leaf)
+    record INTEGER PRIMARY KEY, batch INTEGER NOT NULL, leaf INTEGER NOT NULL, UNIQUE (batch, leaf)
 );
+CREATE TABLE branches (
+    batch INTEGER NOT NULL, branch INTEGER NOT NULL, path BLOB NOT NULL, PRIMARY KEY (batch, branch)
+) WITHOUT ROWID;
 
 -- Records that left the batch they were placed in, each with its place there: nobody sent the batch, or the block that
 -- has its root does not count for them.
@@ -149,12 +152,14 @@ CREATE TABLE chain_proofs (block INTEGER PRIMARY KEY, hash BLOB NOT NULL, nodes 
 CREATE TABLE chain_headers (block INTEGER PRIMARY KEY, header BLOB NOT NULL);
 
 -- How far the watcher has read, and the blocks that it has seen.
-CREATE TABLE cursors (name TEXT PRIMARY KEY, block INTEGER NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE cursor (one INTEGER PRIMARY KEY CHECK (one = 1), block INTEGER NOT NULL, hash BLOB NOT NULL);
 CREATE TABLE trail (block INTEGER PRIMARY KEY, hash BLOB NOT NULL);
 
--- The contract that this ledger is bound to, with the block and the place in it of the last event read.
+-- The chain and contract that this home is bound to (`pin`: JSON), with the block and the place in it of the last event
+-- read.
 CREATE TABLE contract (
-    one INTEGER PRIMARY KEY CHECK (one = 1), domain BLOB NOT NULL, block INTEGER NOT NULL, place INTEGER NOT NULL
+    one INTEGER PRIMARY KEY CHECK (one = 1), domain BLOB NOT NULL, pin TEXT NOT NULL, block INTEGER NOT NULL,
+    place INTEGER NOT NULL
 );
 
 -- Its events. `kind`: 1 a grant, 2 an envelope of a further epoch, 3 an extension, 4 the beginning of an epoch, with
@@ -175,7 +180,8 @@ CREATE TABLE envelopes (
     block INTEGER NOT NULL, place INTEGER NOT NULL, envelope BLOB NOT NULL, PRIMARY KEY (block, place)
 ) WITHOUT ROWID;
 
-CREATE TABLE settings (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+-- Small values, each of one type: the list of kinds is in notes.rs. `value` is JSON, a list of one.
+CREATE TABLE notes (kind TEXT, about TEXT, value TEXT NOT NULL, PRIMARY KEY (kind, about)) WITHOUT ROWID;
 
 -- The audit log: `hash` covers the line and the hash of the line before.
 CREATE TABLE audit (

@@ -4,7 +4,7 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::append::count;
 use super::rows::{self, By, may, unsigned};
-use super::{Ledger, batches};
+use super::{Database, Ledger, batches};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
@@ -202,21 +202,51 @@ pub(super) const DENSE: u64 = 1024;
 /// Below those, one entry is kept for this many blocks.
 const SPARSE: u64 = 256;
 
-impl Ledger {
-    /// Moves the walker `name` to a block, and stores this and other blocks met on the way, in one commit.
+const SET_CURSOR: &str = "REPLACE INTO cursor VALUES (1, ?1, ?2)";
+
+/// The last block (number and hash) that the watcher has finished.
+pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, StoreError> {
+    Ok(connection.find("SELECT block, hash FROM cursor", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
+}
+
+/// The blocks that the watcher has read.
+#[derive(Debug, Clone)]
+pub struct Trail(pub(super) Database);
+
+impl Trail {
+    /// The last block (number and hash) that the watcher has finished.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn cursor(&self) -> Result<Option<(u64, Hash)>, StoreError> {
+        self.0.read(cursor_in)
+    }
+
+    /// Stores the last block that the watcher has finished.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; the previous position is then unchanged.
+    pub fn set_cursor(&self, block: u64, hash: Hash) -> Result<(), StoreError> {
+        let block = whole("block", block)?;
+        self.0.write(move |session| {
+            session.connection.run(SET_CURSOR, params![block, hash.0])?;
+            Ok(())
+        })
+    }
+
+    /// Moves the cursor to a block, and stores this and other blocks met on the way, in one commit.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing moves.
-    pub fn walk_to(&self, name: &str, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
-        let name = name.to_owned();
+    pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let mut keep = connection.prepare_cached("REPLACE INTO trail VALUES (?1, ?2)")?;
             for (number, hash) in met.iter().chain([&to]) {
                 keep.execute(params![whole("block", *number)?, hash.0])?;
             }
-            connection.run("REPLACE INTO cursors VALUES (?1, ?2, ?3)", params![name, block, to.1.0])?;
+            connection.run(SET_CURSOR, params![block, to.1.0])?;
             let old = block.saturating_sub(whole("block", DENSE)?);
             if to.0.is_multiple_of(SPARSE) {
                 let sql = "DELETE FROM trail WHERE block < ?1 AND block NOT IN
@@ -231,8 +261,8 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn trail(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
-        self.read(|connection| {
+    pub fn blocks(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
+        self.0.read(|connection| {
             Ok(connection.list("SELECT block, hash FROM trail ORDER BY block", [], |row| {
                 Ok((unsigned(row, 0)?, Hash(row.get(1)?)))
             })?)
@@ -243,25 +273,23 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn trail_end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
-        self.read(|connection| {
+    pub fn end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
+        self.0.read(|connection| {
             let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
             Ok(connection.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
         })
     }
 
-    /// Moves the walker `name` back to `to` if it is further, and deletes the blocks after `to`, in one commit.
+    /// Moves the cursor back to `to` if it is further, and deletes the blocks after `to`, in one commit.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing moves.
-    pub fn walk_back(&self, name: &str, to: (u64, Hash)) -> Result<(), StoreError> {
-        let name = name.to_owned();
+    pub fn walk_back(&self, to: (u64, Hash)) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             connection.run("DELETE FROM trail WHERE block > ?1", [block])?;
-            let sql = "UPDATE cursors SET block = ?2, hash = ?3 WHERE name = ?1 AND block > ?2";
-            connection.run(sql, params![name, block, to.1.0])?;
+            connection.run("UPDATE cursor SET block = ?1, hash = ?2 WHERE block > ?1", params![block, to.1.0])?;
             Ok(())
         })
     }
@@ -420,22 +448,22 @@ mod trail_tests {
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
         for number in 1..=4096 {
             let met = if number % 3 == 0 { vec![(number - 1, hash(number - 1))] } else { Vec::new() };
-            ledger.walk_to("w", (number, hash(number)), met).expect("walks");
+            ledger.trail.walk_to((number, hash(number)), met).expect("walks");
         }
-        let trail = ledger.trail().expect("read");
+        let trail = ledger.trail.blocks().expect("read");
         assert!(trail.len() < 1300 && trail.is_sorted(), "{}", trail.len());
         assert!((3072..=4096).all(|number| trail.contains(&(number, hash(number)))), "the newest are all there");
         for bucket in 0..12 {
             assert!(trail.iter().any(|(number, _)| number / SPARSE == bucket), "{bucket}");
         }
-        assert_eq!(ledger.trail_end(), Ok(Some((4096, hash(4096)))));
-        ledger.walk_back("w", (4000, hash(4000))).expect("walks back");
+        assert_eq!(ledger.trail.end(), Ok(Some((4096, hash(4096)))));
+        ledger.trail.walk_back((4000, hash(4000))).expect("walks back");
         assert_eq!(
-            (ledger.cursor("w"), ledger.trail_end()),
+            (ledger.trail.cursor(), ledger.trail.end()),
             (Ok(Some((4000, hash(4000)))), Ok(Some((4000, hash(4000)))))
         );
-        ledger.set_cursor("w", 7, hash(7)).expect("set");
-        ledger.walk_back("w", (3999, hash(3999))).expect("walks back");
-        assert_eq!(ledger.cursor("w"), Ok(Some((7, hash(7)))), "a walker that is behind stays there");
+        ledger.trail.set_cursor(7, hash(7)).expect("set");
+        ledger.trail.walk_back((3999, hash(3999))).expect("walks back");
+        assert_eq!(ledger.trail.cursor(), Ok(Some((7, hash(7)))), "a cursor that is behind stays there");
     }
 }

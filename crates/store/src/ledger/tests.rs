@@ -27,11 +27,14 @@ use sm3::{Digest as _, Sm3};
 
 pub(super) use self::numbered::numbered;
 use super::*;
+use crate::chain::merkle::{Leaf, Tree};
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
     Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
     SignerId, Timestamp, TopicId,
 };
+use crate::notes::Revoking;
+use crate::{Ciphertext, Usage};
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
 pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
@@ -53,7 +56,7 @@ pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
         captured_at: Timestamp(1_000 + seq),
         simulated: topic.is_multiple_of(2),
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     }
 }
 
@@ -146,11 +149,11 @@ fn a_damaged_file_is_refused_after_an_unclean_end() {
 #[test]
 fn appending_twice_changes_nothing_and_contradictions_are_refused() {
     let (_home, ledger) = open();
-    let first = NewRecord { local_copy: Some(vec![1, 2, 3]), state: RecordState::Sealed, ..record(1, 1, 1) };
+    let first = NewRecord { blob: Some(vec![1, 2, 3]), ..record(1, 1, 1) };
     ledger.append(vec![first.clone(), first.clone()]).expect("acknowledged");
     ledger.append(vec![first.clone()]).expect("idempotent");
     assert_eq!(ledger.counts(None).expect("counts").captured(), 1);
-    assert_eq!(ledger.local_copy(first.digest), Ok(Some(vec![1, 2, 3])));
+    assert_eq!(Ciphertext::of(&ledger).get(first.digest), Ok(Some(vec![1, 2, 3])));
 
     let twin = NewRecord { digest: Digest([5; 32]), ..record(1, 1, 1) };
     let renamed = NewRecord { topic: "/other".to_owned(), ..record(1, 1, 2) };
@@ -196,7 +199,7 @@ fn records_are_held_back_while_the_space_is_for_something_else() {
     let (one, other) = (ledger.hold_records(), ledger.hold_records());
     drop(one);
     assert!(matches!(ledger.append(vec![record(1, 1, 1)]), Err(StoreError::DiskFull { .. })));
-    ledger.put_setting("revoking", "x").expect("everything else is written");
+    ledger.notes.write(&CopiedAt {}, &1).expect("everything else is written");
     drop(other);
     ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
 }
@@ -212,7 +215,7 @@ fn a_full_disk_acknowledges_nothing_and_takes_all_later() {
     };
     limit(1).expect("no page more than there are");
     let large: Vec<NewRecord> =
-        (2..=9).map(|seq| NewRecord { local_copy: Some(vec![1; 50_000]), ..record(1, 1, seq) }).collect();
+        (2..=9).map(|seq| NewRecord { blob: Some(vec![1; 50_000]), ..record(1, 1, seq) }).collect();
     let error = ledger.append(large.clone()).expect_err("full");
     assert!(matches!(error, StoreError::DiskFull { .. }) && error.to_string().contains("ledger.db"), "{error}");
     assert_eq!(ledger.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])), Ok(2));
@@ -247,22 +250,21 @@ fn confirmed(ledger: &Ledger, block: u64) -> usize {
 #[test]
 fn a_record_walks_its_life_line() {
     let (_home, ledger) = open();
-    let one = NewRecord { state: RecordState::Sealed, ..record(1, 1, 1) };
+    let one = record(1, 1, 1);
     ledger.append(vec![one.clone()]).expect("acknowledged");
     let digests = [one.digest];
-    assert_eq!(ledger.advance(&digests, RecordState::Sealed, RecordState::Stored), Ok(1));
-    assert_eq!(ledger.advance(&digests, RecordState::Sealed, RecordState::Stored), Ok(0), "compare and set");
     let leap = ledger.advance(&digests, RecordState::Stored, RecordState::Verified);
     assert!(matches!(leap, Err(StoreError::IllegalEdge { .. })));
-    ledger.submit(transaction(3, &digests)).expect("kept");
-    ledger.submit(transaction(3, &digests)).expect("idempotent");
+    ledger.lanes.submit(transaction(3, &digests)).expect("kept");
+    ledger.lanes.submit(transaction(3, &digests)).expect("idempotent");
     let row = ledger.record(one.digest).expect("read").expect("there");
     assert_eq!((row.state, row.transaction), (RecordState::Submitted, Some(Hash([3; 32]))));
-    assert_eq!(ledger.open_transactions(Address([1; 20])).expect("open").len(), 1);
+    assert_eq!(ledger.lanes.open_transactions(Address([1; 20])).expect("open").len(), 1);
     assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(1));
     assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(0));
     assert_eq!((confirmed(&ledger, 9), confirmed(&ledger, 10)), (0, 1));
     assert_eq!(ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(1));
+    assert_eq!(ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(0), "compare and set");
     let row = ledger.record_by_id(&one.digest.to_hex()[..16]).expect("read").expect("there");
     assert_eq!((row.state, row.block, row.transaction), (RecordState::Verified, Some(10), Some(Hash([9; 32]))));
     assert_eq!(row.block_hash, Some(Hash([10; 32])));
@@ -274,13 +276,13 @@ fn submitting_refuses_what_is_not_ready_and_a_taken_nonce() {
     let (one, two) = (record(1, 1, 1), record(1, 1, 2));
     ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
     ledger.mined(&[sighting(&two, 4)]).expect("seen");
-    let refused = ledger.submit(transaction(3, &[one.digest, two.digest]));
+    let refused = ledger.lanes.submit(transaction(3, &[one.digest, two.digest]));
     assert_eq!(refused, Err(StoreError::NotReady { digest: two.digest, found: "mined" }));
     assert_eq!(state_of(&ledger, &one), RecordState::Stored, "all or none");
-    ledger.submit(transaction(3, &[one.digest])).expect("kept");
+    ledger.lanes.submit(transaction(3, &[one.digest])).expect("kept");
     let other = NewTransaction { hash: Hash([4; 32]), ..transaction(3, &[]) };
-    assert!(matches!(ledger.submit(other), Err(StoreError::Transaction { .. })));
-    let unknown = ledger.close_transaction(Hash([8; 32]), TransactionOutcome::Replaced);
+    assert!(matches!(ledger.lanes.submit(other), Err(StoreError::Transaction { .. })));
+    let unknown = ledger.lanes.close_transactions(vec![(Hash([8; 32]), TransactionOutcome::Replaced)]);
     assert!(matches!(unknown, Err(StoreError::Transaction { .. })));
 }
 
@@ -289,17 +291,17 @@ fn a_failed_transaction_gives_its_records_back() {
     let (_home, ledger) = open();
     let (one, two) = (record(1, 1, 1), record(1, 1, 2));
     ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
-    ledger.submit(transaction(3, &[one.digest, two.digest])).expect("kept");
+    ledger.lanes.submit(transaction(3, &[one.digest, two.digest])).expect("kept");
     let bumped = NewTransaction { nonce: 3, ..transaction(4, &[one.digest]) };
-    ledger.replace_transaction(Hash([3; 32]), bumped).expect("replaced");
+    ledger.lanes.replace_transaction(Hash([3; 32]), bumped).expect("replaced");
     assert_eq!((state_of(&ledger, &one), state_of(&ledger, &two)), (RecordState::Submitted, RecordState::Stored));
-    let old = ledger.transaction(Hash([3; 32])).expect("read").expect("there");
+    let old = ledger.lanes.transaction(Hash([3; 32])).expect("read").expect("there");
     assert_eq!((old.state, old.replaced_by), (TransactionState::Replaced, Some(Hash([4; 32]))));
     let reason = "paused\u{1b}[2J".to_owned();
-    ledger.close_transaction(Hash([4; 32]), TransactionOutcome::Reverted { reason }).expect("closed");
+    ledger.lanes.close_transactions(vec![(Hash([4; 32]), TransactionOutcome::Reverted { reason })]).expect("closed");
     let row = ledger.record(one.digest).expect("read").expect("there");
     assert_eq!((row.state, row.transaction), (RecordState::Stored, None));
-    let reason = ledger.transaction(Hash([4; 32])).expect("read").expect("there").reason;
+    let reason = ledger.lanes.transaction(Hash([4; 32])).expect("read").expect("there").reason;
     assert_eq!(reason.as_deref(), Some("paused\u{fffd}[2J"));
 }
 
@@ -308,10 +310,10 @@ fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
     let (_home, ledger) = open();
     let all: Vec<NewRecord> = (1..=4).map(|seq| record(1, 1, seq)).collect();
     ledger.append(all.clone()).expect("acknowledged");
-    ledger.submit(transaction(9, &[all[0].digest])).expect("kept");
+    ledger.lanes.submit(transaction(9, &[all[0].digest])).expect("kept");
     let block_hash = Hash([20; 32]);
     let mined = TransactionOutcome::Mined { block: 20, block_hash, gas_used: Some(52_000) };
-    ledger.close_transaction(Hash([9; 32]), mined).expect("closed");
+    ledger.lanes.close_transactions(vec![(Hash([9; 32]), mined)]).expect("closed");
     let foreign = Sighting { transaction: Hash([77; 32]), ..sighting(&all[1], 20) };
     ledger.mined(&[sighting(&all[0], 20), foreign, sighting(&all[2], 19), sighting(&all[3], 20)]).expect("seen");
     ledger.confirm(20).expect("confirmed");
@@ -319,26 +321,9 @@ fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
     assert_eq!((ledger.verified_from(20), ledger.unmine(20)), (Ok(1), Ok(2)));
     let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
     assert_eq!(states, [Submitted, Stored, Confirmed, Verified]);
-    assert_eq!(ledger.open_transactions(Address([1; 20])).expect("open").len(), 1);
+    assert_eq!(ledger.lanes.open_transactions(Address([1; 20])).expect("open").len(), 1);
     assert_eq!((ledger.unverify(20), state_of(&ledger, &all[3])), (Ok(1), Submitted));
     assert_eq!(ledger.mined(&[sighting(&all[0], 21)]), Ok(1), "and it is mined again");
-}
-
-#[test]
-fn tampered_records_go_back_to_where_they_belong() {
-    let (_home, ledger) = open();
-    let all: Vec<NewRecord> = (1..=3).map(|seq| record(1, 1, seq)).collect();
-    let digests: Vec<Digest> = all.iter().map(|record| record.digest).collect();
-    ledger.append(all.clone()).expect("acknowledged");
-    ledger.submit(transaction(3, &digests[1..2])).expect("kept");
-    ledger.mined(&[sighting(&all[2], 5)]).expect("seen");
-    for from in [RecordState::Stored, RecordState::Submitted, RecordState::Mined] {
-        assert_eq!(ledger.advance(&digests, from, RecordState::Tampered), Ok(1));
-    }
-    assert_eq!(ledger.mined(&[sighting(&all[1], 6)]), Ok(0), "an anchor cures nothing");
-    assert_eq!(ledger.heal(&digests), Ok(3));
-    let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
-    assert_eq!(states, [RecordState::Stored, RecordState::Mined, RecordState::Mined]);
 }
 
 #[test]
@@ -359,59 +344,76 @@ fn ids_are_prefixes_of_digests() {
 }
 
 #[test]
-fn of_changes_of_a_setting_at_once_none_is_lost() {
+fn of_changes_of_a_note_at_once_none_is_lost() {
     let (_home, ledger) = open();
+    let (note, notes) = (Revoking { owner: Address([1; 20]) }, &ledger.notes);
     let add = |name: u8| {
-        ledger.change_setting("list", |text| {
-            let text = format!("{}{}", text.unwrap_or_default(), char::from(name));
-            Ok::<_, StoreError>((text, ()))
+        notes.change(&note, |owed| {
+            owed.push(Address([name; 20]));
+            Ok::<_, StoreError>(())
         })
     };
     std::thread::scope(|scope| {
-        for name in b'a'..=b'h' {
+        for name in 1..=8 {
             scope.spawn(move || (0..5).for_each(|_| add(name).expect("changed")));
         }
     });
-    let text = ledger.setting("list").expect("read").expect("there");
-    for name in b'a'..=b'h' {
-        assert_eq!(text.bytes().filter(|other| *other == name).count(), 5, "{text}");
+    let owed = notes.read(&note).expect("read").expect("there");
+    for name in 1..=8 {
+        assert_eq!(owed.iter().filter(|other| **other == Address([name; 20])).count(), 5, "{owed:?}");
     }
-    let refused = ledger.change_setting("list", |_| Err::<(String, ()), _>(StoreError::Closed));
+    let refused = notes.change(&note, |owed| {
+        owed.clear();
+        Err::<(), _>(StoreError::Closed)
+    });
     assert_eq!(refused, Err(StoreError::Closed));
-    assert_eq!(ledger.setting("list"), Ok(Some(text)));
+    assert_eq!(notes.read(&note), Ok(Some(owed)));
 }
 
 #[test]
 fn small_state_is_kept() {
     let (home, ledger) = open();
-    ledger.put_setting("watched/a", "[1]").expect("kept");
-    ledger.put_setting("watched/a", "[2]").expect("kept");
-    ledger.set_cursor("watcher", 7, Hash([7; 32])).expect("kept");
-    ledger.count_losses(vec![loss(LossReason::Memory, 3), loss(LossReason::Transport, 2)]).expect("kept");
+    ledger.notes.write(&CopiedAt {}, &1).expect("kept");
+    ledger.notes.write(&CopiedAt {}, &2).expect("kept");
+    ledger.trail.set_cursor(7, Hash([7; 32])).expect("kept");
+    ledger.losses.count(vec![loss(LossReason::Memory, 3), loss(LossReason::Transport, 2)]).expect("kept");
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-    assert_eq!(ledger.setting("watched/a"), Ok(Some("[2]".to_owned())));
-    assert_eq!(ledger.setting("none"), Ok(None));
-    assert_eq!(ledger.cursor("watcher"), Ok(Some((7, Hash([7; 32])))));
-    assert_eq!(ledger.cursor("none"), Ok(None));
+    assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(Some(2)));
+    ledger.notes.forget(&CopiedAt {}, &1).expect("asked");
+    assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(Some(2)), "it says something else");
+    ledger.notes.forget(&CopiedAt {}, &2).expect("dropped");
+    assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(None));
+    assert_eq!(ledger.trail.cursor(), Ok(Some((7, Hash([7; 32])))));
     let counts = ledger.counts(None).expect("counts");
     assert_eq!((counts.captured(), counts.data_in(RecordState::Dropped), counts.pending()), (3, 3, 0));
     assert_eq!((counts.topics[0].dropped, counts.topics[0].missed, counts.topics[0].captured), (3, 2, 3));
-    assert_eq!(ledger.gaps(Address([1; 20]), 9).expect("gaps").len(), 2);
+    assert_eq!(ledger.losses.gaps(Address([1; 20]), 9).expect("gaps").len(), 2);
     assert_eq!(ledger.counts(Some(Address([2; 20]))), Ok(StateCounts::default()));
 }
 
 #[test]
-fn held_copies_are_paged_for_a_vault_that_came_back_empty() {
-    let (_home, ledger) = open();
-    let all: Vec<NewRecord> = (1..=5).map(|seq| NewRecord { local_copy: Some(vec![1]), ..record(1, 1, seq) }).collect();
-    ledger.append(all.clone()).expect("acknowledged");
-    let first = ledger.held_copies(None, 2).expect("page");
-    assert_eq!(first, [all[0].digest, all[1].digest]);
-    assert_eq!(ledger.drop_local_copies(&[all[2].digest]), Ok(1));
-    assert_eq!(ledger.drop_local_copies(&[all[2].digest]), Ok(0));
-    assert_eq!(ledger.held_copies(first.last().copied(), 9), Ok(vec![all[3].digest, all[4].digest]));
-    assert_eq!(ledger.local_copy(all[2].digest), Ok(None));
+fn a_path_is_read_as_it_was_kept_however_many_leaves_there_are() {
+    for count in (1..=40).chain([63, 64, 65, 100]) {
+        let (_home, ledger) = open();
+        let all: Vec<NewRecord> = (1..=count).map(|seq| record(1, 1, seq)).collect();
+        ledger.append(all.clone()).expect("acknowledged");
+        let leaves = ledger.stored_leaves(Address([1; 20]), 1_000).expect("leaves");
+        let tree = Tree::new(Leaf::hashes(&leaves)).expect("a tree");
+        let paths: Vec<_> = leaves.iter().enumerate().map(|(at, leaf)| (leaf.digest, tree.path(at))).collect();
+        let batch = NewBatch { owner: Address([1; 20]), root: tree.root(), leaves: paths.clone() };
+        ledger.close_batch(batch).expect("closed");
+        let digests: Vec<Digest> = paths.iter().map(|(digest, _)| *digest).collect();
+        let placed = ledger.placed_all(&digests).expect("placed");
+        let audited = ledger.inspection.audit_page(0, Timestamp(0), 1_000).expect("a page").records;
+        for (((leaf, (_, path)), placed), audited) in leaves.iter().zip(&paths).zip(placed).zip(audited) {
+            let place = placed.and_then(|placed| placed.place).expect("a place").inclusion;
+            assert_eq!(place.path, *path, "{count}");
+            assert!(place.proves(leaf), "{count}");
+            let audited = audited.expect("a row").place.and_then(|place| place.inclusion);
+            assert_eq!(audited, Some(place), "{count}");
+        }
+    }
 }
 
 /// The state after a crash: the files as they are while the writer is in the middle of a transaction.
@@ -434,8 +436,8 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
                 let mut seq = 0;
                 while !stop.load(Ordering::Relaxed) {
                     seq += 1;
-                    let copy = Some(vec![writer; 3_000]);
-                    ledger.append(vec![NewRecord { local_copy: copy, ..record(writer, 1, seq) }]).expect("append");
+                    let blob = Some(vec![writer; 3_000]);
+                    ledger.append(vec![NewRecord { blob, ..record(writer, 1, seq) }]).expect("append");
                 }
             }
         };
@@ -459,7 +461,7 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
                 assert!(found >= next, "writer {writer}: {found} after the crash, {next} before");
                 for seq in 1..next {
                     let row = after.record(record(writer, 1, seq).digest).expect("read").expect("acknowledged");
-                    assert_eq!(after.local_copy(row.digest).expect("read"), Some(vec![writer; 3_000]));
+                    assert_eq!(Ciphertext::of(&after).get(row.digest), Ok(Some(vec![writer; 3_000])));
                 }
             }
         }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::database::whole;
 use super::rows::{self, By, may, out_of_range, unsigned};
-use super::{Anchors, Ledger, batches};
+use super::{Anchors, Database, batches};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
@@ -93,7 +93,11 @@ pub struct TransactionRow {
 const COLUMNS: &str =
     "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by, batch";
 
-impl Ledger {
+/// Transactions, account by account.
+#[derive(Debug, Clone)]
+pub struct Lanes(pub(super) Database);
+
+impl Lanes {
     /// Stores a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
     /// commit. Storing the same open transaction again changes nothing.
     ///
@@ -104,12 +108,12 @@ impl Ledger {
         self.submit_many(vec![transaction])
     }
 
-    /// [`Ledger::submit`] for several, all or none.
+    /// [`Lanes::submit`] for several, all or none.
     ///
     /// # Errors
-    /// See [`Ledger::submit`].
+    /// See [`Lanes::submit`].
     pub fn submit_many(&self, transactions: Vec<NewTransaction>) -> Result<(), StoreError> {
-        self.write_many(transactions.len(), move |session| {
+        self.0.write_many(transactions.len(), move |session| {
             transactions.iter().try_for_each(|new| keep(session.connection, new))
         })
     }
@@ -119,7 +123,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
             Ok(connection.list(&sql, [account.0], transaction_row)?)
         })
@@ -130,19 +134,10 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
             Ok(connection.find(&sql, [hash.0], transaction_row)?)
         })
-    }
-
-    /// Records how a transaction ended. If it failed or was replaced, its submitted records are stored (or batched)
-    /// again; if it was mined they wait for the watcher ([`Ledger::mined`]).
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the ledger does not hold it.
-    pub fn close_transaction(&self, hash: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
-        self.write(move |session| close(session.connection, hash, outcome))
     }
 
     /// Replaces an open transaction with another of the same account and nonce, in one commit: records that the new one
@@ -150,9 +145,9 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Transaction`] if the old one is not open or the nonce differs, [`StoreError::NotReady`] as in
-    /// [`Ledger::submit`].
+    /// [`Lanes::submit`].
     pub fn replace_transaction(&self, old: Hash, new: NewTransaction) -> Result<(), StoreError> {
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let lane = lane(connection, old)?;
             if lane != Some((new.account, new.nonce)) {
@@ -332,13 +327,13 @@ pub struct Reissue {
     pub raw: Vec<u8>,
 }
 
-impl Ledger {
+impl Lanes {
     /// How many transactions of an account are open, read from an index.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn lane_count(&self, account: Address) -> Result<LaneCount, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT count(*), max(nonce), min(signed_at) FROM transactions WHERE state = 0 AND account = ?1";
             let count = connection.one(sql, [account.0], |row| {
                 let optional = |column| row.get::<_, Option<i64>>(column).map(|value| value.map(i64::cast_unsigned));
@@ -353,7 +348,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn highest_nonce(&self, account: Address) -> Result<Option<u64>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let highest: Option<i64> =
                 connection
                     .one("SELECT max(nonce) FROM transactions WHERE account = ?1", [account.0], |row| row.get(0))?;
@@ -368,7 +363,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn anchoring_gas(&self, account: Address, most: u64) -> Result<(u64, u64, u64), StoreError> {
         let most = whole("transactions", most)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT count(*), coalesce(sum(gas_used), 0), coalesce(sum(records), 0) FROM (
                 SELECT gas_used, CASE WHEN batch IS NULL THEN length(digests) / 32
                     ELSE (SELECT count FROM batches WHERE root = batch) END AS records
@@ -387,7 +382,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.list(
                 "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
                  WHERE state = 0 AND account = ?1 ORDER BY nonce",
@@ -409,7 +404,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             Ok(connection.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))?)
         })
     }
@@ -420,18 +415,19 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
         let nonce = whole("nonce", nonce)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
             Ok(connection.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))?)
         })
     }
 
-    /// [`Ledger::close_transaction`] for several, in one commit.
+    /// Records how transactions ended, in one commit. If one failed or was replaced, its submitted records are stored (or
+    /// batched) again; if it was mined they wait for the watcher ([`super::Ledger::mined`]).
     ///
     /// # Errors
-    /// See [`Ledger::close_transaction`]; then none is closed.
+    /// [`StoreError::Transaction`] if the ledger does not hold one of them; then none is closed.
     pub fn close_transactions(&self, closings: Vec<(Hash, TransactionOutcome)>) -> Result<(), StoreError> {
-        self.write_many(closings.len(), move |session| {
+        self.0.write_many(closings.len(), move |session| {
             closings.into_iter().try_for_each(|(hash, outcome)| close(session.connection, hash, outcome))
         })
     }
@@ -444,7 +440,7 @@ impl Ledger {
     /// chain.
     pub fn reissue(&self, old: Hash, new: Reissue) -> Result<(), StoreError> {
         let nonce = whole("nonce", new.nonce)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
                      SELECT ?2, account, ?3, ?4, purpose, digests, signed_at, 0, batch FROM transactions
@@ -466,7 +462,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Transaction`] if the ledger does not hold the winner.
     pub fn decide_nonce(&self, loser: Hash, winner: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             hand_over(connection, loser, winner)?;
             supersede(connection, loser, winner)?;

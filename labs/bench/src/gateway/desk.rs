@@ -1,9 +1,8 @@
-//! A gateway's desk that stores one sender's uploads, in a ledger and a vault like a site's, fsynced before the
+//! A gateway's desk that stores one sender's uploads, in a store like a site's, fsynced before the
 //! receipt; it does nothing else.
 
 use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::Arc;
 
 use async_trait::async_trait;
 use serde_json::Value;
@@ -21,36 +20,31 @@ use authros_model::header::TAG_LENGTH;
 use authros_model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
 use authros_service::Failure;
 use authros_service::failure::internal;
-use authros_store::{Foreign, Ledger, NewRecord, Vault, open_vault};
+use authros_store::{Ciphertext, Foreign, Ledger, NewRecord};
 
 /// The desk.
 pub(super) struct BenchDesk {
-    store: Arc<Store>,
+    store: Ledger,
     name: ProfileName,
     binding: Binding,
     token: Token,
 }
 
-struct Store {
-    ledger: Ledger,
-    vault: Arc<dyn Vault>,
-}
-
 impl BenchDesk {
-    /// With a new ledger and vault in `directory`, and the sender's credentials.
+    /// With a new store in `directory`, and the sender's credentials.
     pub fn open(sender: &Sender, directory: &Path) -> Result<(Self, Credentials), Failure> {
         let name: ProfileName = "bench".parse().map_err(|_| internal("no name"))?;
         let key = TransportKey::generate()?;
         let credentials = Credentials { name: name.clone(), key: key.clone(), token: sender.token };
-        let store = Store { ledger: Ledger::open(&directory.join("ledger.db"))?, vault: open_vault(None, directory)? };
+        let store = Ledger::open(&directory.join("ledger.db"))?;
         let (signing, envelope) = (sender.signing.public, sender.envelope.public);
         let binding = Binding { account: sender.address, key, signing, envelope, device: None };
-        Ok((Self { store: Arc::new(store), name, binding, token: sender.token }, credentials))
+        Ok((Self { store, name, binding, token: sender.token }, credentials))
     }
 
-    /// How many records the vault holds.
+    /// How many records the store holds.
     pub fn kept(&self) -> Result<u64, Failure> {
-        Ok(self.store.vault.usage()?.entries)
+        Ok(Ciphertext::of(&self.store).usage()?.entries)
     }
 }
 
@@ -73,14 +67,12 @@ fn row(record: &Received) -> NewRecord {
         captured_at: header.captured_at,
         simulated: true,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: Some(record.blob.clone()),
     }
 }
 
-fn keep(store: &Store, records: &[Received]) -> Result<Timestamp, Refusal> {
-    let entries: Vec<_> = records.iter().map(|record| (record.digest, record.blob.as_slice())).collect();
-    store.vault.put(&entries).map_err(Refusal::because(Code::Internal))?;
-    store.ledger.append(records.iter().map(row).collect()).map_err(Refusal::because(Code::Internal))?;
+fn keep(store: &Ledger, records: &[Received]) -> Result<Timestamp, Refusal> {
+    store.append(records.iter().map(row).collect()).map_err(Refusal::because(Code::Internal))?;
     Ok(Timestamp::now())
 }
 
@@ -124,7 +116,7 @@ impl Desk for BenchDesk {
     }
 
     async fn store(&self, _: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
-        let store = Arc::clone(&self.store);
+        let store = self.store.clone();
         let kept = tokio::task::spawn_blocking(move || keep(&store, &records)).await;
         kept.map_err(Refusal::because(Code::Internal))?
     }

@@ -1,4 +1,4 @@
-//! The state before a load: the speed of the disk, and another owner's records in ledger and vault, put there by the
+//! The state before a load: the speed of the disk, and another owner's records in the store, put there by the
 //! store itself and moved to verified as the pipeline does it, but with nothing sealed and no chain.
 
 use std::fs::File;
@@ -15,9 +15,7 @@ use authros_model::{
     Address, Digest, ErrorKind, FilterId, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId,
 };
 use authros_service::Failure;
-use authros_store::{
-    Anchors, Ledger, NewBatch, NewRecord, NewTransaction, RootSighting, TransactionOutcome, open_vault,
-};
+use authros_store::{Anchors, Ledger, NewBatch, NewRecord, NewTransaction, RootSighting, TransactionOutcome};
 
 /// Whose records they are; the account that anchors them, too.
 const OWNER: Address = Address([1; 20]);
@@ -34,28 +32,26 @@ const STORED: usize = 1_360;
 /// How often an fsync is timed.
 const TIMES: usize = 50;
 
-/// Fills ledger and vault of a home that no site has opened yet.
+/// Fills the store of a home that no site has opened yet.
 ///
 /// # Errors
 /// Errors of the store, such as a full disk.
 pub(super) fn fill(home: &Home, wanted: u64) -> Result<(), Failure> {
-    let (ledger, vault) = (Ledger::open(&home.ledger())?, open_vault(None, &home.vault())?);
+    let ledger = Ledger::open(&home.ledger())?;
     let mut progress = Progress::new("records there before");
     let (mut there, mut block) = (0, 0);
     while there < wanted {
         let end = wanted.min(there + BULK);
         let blobs: Vec<Vec<u8>> = (there..end).map(blob).collect();
         let digests = sm3_many(&blobs.iter().map(Vec::as_slice).collect::<Vec<_>>());
-        let entries = digests.iter().map(|digest| Digest(*digest)).zip(blobs.iter().map(Vec::as_slice));
-        vault.put(&entries.collect::<Vec<_>>())?;
-        let records = (there..end).zip(&digests).map(|(number, digest)| record(number, Digest(*digest)));
+        let records = (there..end).zip(digests).zip(blobs);
+        let records = records.map(|((number, digest), blob)| record(number, Digest(digest), blob));
         ledger.append(records.collect())?;
         block += 1;
         verify(&ledger, block)?;
         there = end;
         progress.at(usize::try_from(there).unwrap_or(usize::MAX), usize::try_from(wanted).unwrap_or(usize::MAX));
     }
-    vault.close();
     Ok(ledger.close()?)
 }
 
@@ -67,7 +63,7 @@ fn blob(number: u64) -> Vec<u8> {
 }
 
 /// The record of that number.
-fn record(number: u64, digest: Digest) -> NewRecord {
+fn record(number: u64, digest: Digest, blob: Vec<u8>) -> NewRecord {
     let topic = number % TOPICS;
     let mut topic_id = [0; 16];
     topic_id[..8].copy_from_slice(&topic.to_be_bytes());
@@ -88,7 +84,7 @@ fn record(number: u64, digest: Digest) -> NewRecord {
         captured_at: Timestamp(BEGIN + number * 1_000_000),
         simulated: true,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: Some(blob),
     }
 }
 
@@ -100,7 +96,7 @@ fn verify(ledger: &Ledger, block: u64) -> Result<(), Failure> {
     let digests: Vec<_> = leaves.iter().map(|leaf| leaf.digest).collect();
     let places = digests.iter().enumerate().map(|(index, digest)| (*digest, tree.path(index)));
     ledger.close_batch(NewBatch { owner: OWNER, root, leaves: places.collect() })?;
-    ledger.submit(NewTransaction {
+    ledger.lanes.submit(NewTransaction {
         hash,
         account: OWNER,
         nonce: block - 1,
@@ -110,7 +106,7 @@ fn verify(ledger: &Ledger, block: u64) -> Result<(), Failure> {
     })?;
     let count = leaves.len() as u64;
     ledger.anchored(&[RootSighting { account: OWNER, root, count, transaction: hash, block, block_hash }])?;
-    ledger.close_transaction(hash, TransactionOutcome::Mined { block, block_hash, gas_used: None })?;
+    ledger.lanes.close_transactions(vec![(hash, TransactionOutcome::Mined { block, block_hash, gas_used: None })])?;
     ledger.confirm(block)?;
     ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified)?;
     Ok(())
@@ -152,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_are_verified_in_the_ledger_and_whole_in_the_vault() {
+    fn records_are_verified_and_whole_in_the_store() {
         let directory = tempfile::tempdir().expect("a directory");
         let home = Home::new(directory.path().join("home"));
         authros_store::files::private_directory(home.root()).expect("made");
@@ -161,10 +157,10 @@ mod tests {
         let counts = ledger.counts(None).expect("counted");
         assert_eq!((counts.data_in(RecordState::Verified), counts.pending()), (5_003, 0));
         assert!(counts.is_conserved() && ledger.contradictions().expect("looked").is_empty());
-        let vault = open_vault(None, &home.vault()).expect("a vault");
-        assert_eq!(vault.usage().expect("counted").entries, 5_003);
+        let store = authros_store::Ciphertext::of(&ledger);
+        assert_eq!(store.usage().expect("counted").entries, 5_003);
         let row = ledger.in_state(None, RecordState::Verified, 1).expect("a row").remove(0);
-        let bytes = vault.get(row.digest).expect("read").expect("there");
+        let bytes = store.get(row.digest).expect("read").expect("there");
         assert_eq!(authros_crypto::sm3::sm3(&[&bytes]), row.digest.0);
         let spread = fsync_times(directory.path()).expect("timed");
         assert!(spread.min > 0.0 && std::fs::read_dir(directory.path()).expect("read").count() == 1);

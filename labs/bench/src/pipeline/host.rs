@@ -26,7 +26,7 @@ pub struct Host {
     pub client: Client,
     /// Duration of an fsync on its home's disk, milliseconds.
     pub fsync: Spread,
-    /// Another owner's records that were in ledger and vault before.
+    /// Another owner's records that were in the store before.
     pub before: u64,
     site: Arc<Site>,
     _directory: Directory,
@@ -34,7 +34,7 @@ pub struct Host {
 
 impl Host {
     /// Opens it with default settings, without robots, and registers its profile. If records are to be there before, they
-    /// are put into ledger and vault first, and no scrubber checks them.
+    /// are put into the store first, and no scrubber checks them.
     ///
     /// # Errors
     /// If nothing can be written.

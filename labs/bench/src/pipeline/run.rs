@@ -79,7 +79,7 @@ pub struct Summary {
     /// An fsync of 4 KiB before the load, milliseconds: median and 95th of a hundred.
     fsync_p50: f64,
     fsync_p95: f64,
-    /// Records that were in ledger and vault before.
+    /// Records that were in the store before.
     before: u64,
     law_asked: u64,
     law_broken: u64,

@@ -91,7 +91,7 @@ impl Watch {
             }
             if begun.elapsed() > REST {
                 let text =
-                    format!("{} messages are not verified 180 s after the load; check chain and vault", life.pending);
+                    format!("{} messages are not verified 180 s after the load; check chain and disk", life.pending);
                 return Err(internal(text));
             }
             tokio::time::sleep(TICK / 4).await;

@@ -274,7 +274,7 @@ fn a_signal_ends_a_bench_and_leaves_nothing() {
     let running = bench.spawn(&["consensus", "--uploaders", "5000"]);
     wait_until(60, "uploads have begun", || {
         let folders = std::fs::read_dir(bench.scratch()).into_iter().flatten().flatten();
-        let mut written = folders.map(|folder| folder.path().join("vault/vault.db-wal"));
+        let mut written = folders.map(|folder| folder.path().join("store/store.db-wal"));
         written.find(|file| file.metadata().is_ok_and(|about| about.len() > 100_000))
     });
     let outcome = running.stop("INT", 30).expect_code(8);

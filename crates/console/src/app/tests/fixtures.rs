@@ -99,12 +99,11 @@ pub fn site() -> SiteView {
         health: vec![
             part("ros", HealthLevel::Ok, "embedded master http://127.0.0.1:40117"),
             part("chain", HealthLevel::Ok, "embedded, chain id 774411223"),
-            part("vault", HealthLevel::Ok, "embedded (SQLite)"),
+            part("store", HealthLevel::Ok, "rows and ciphertext in one file"),
             part("gateway", HealthLevel::Absent, "not part of this site"),
         ],
         life: LifeLine {
             captured: 12_345,
-            sealed: 12_345,
             stored: 12_345,
             anchored: 12_345,
             confirmed: 12_345,
@@ -117,6 +116,7 @@ pub fn site() -> SiteView {
         process: 0,
         tasks: Vec::new(),
         queue: QueueView { messages: 3, bytes: 2_184, capacity: 201_326_592 },
+        cache: None,
         verified_after: Vec::new(),
         alerts: Vec::new(),
         alerts_over: Vec::new(),
@@ -399,13 +399,13 @@ pub fn provenance(number: u64) -> Provenance {
         step("record", "sealed under epoch 2, seq 1000, on disk 2023-11-14T22:13:21Z"),
         step("digest", &format!("SM3 {}", Digest([0xd1; 32]))),
         step("signature", &format!("SM2 by signer {}", SignerId([0x5e; 32]))),
-        step("vault", "stored in the embedded vault"),
+        step("store", "ciphertext stored with its row"),
         step("batch", &format!("root {}, closed 2023-11-14T22:13:22Z", Hash([7; 32]))),
         step("proof", "leaf 12 of 25, 5 hashes to the root"),
         step("transaction", &Hash([3; 32]).to_string()),
         step("block", &format!("118 {}", Hash([5; 32]))),
         step("confirmations", "12 of 3 wanted"),
-        step("verified", "read back from the vault: digest matches the chain, signature valid"),
+        step("verified", "read back from the store: digest matches the chain, signature valid"),
     ];
     Provenance { record: record(number, "verified"), steps }
 }

@@ -55,7 +55,7 @@ fn enter_shows_the_whole_line_and_o_goes_through_the_sources() {
     let mut robot = Robot::at_work(true);
     robot.types("9");
     robot.site_answers(true);
-    let long = format!("the vault says {}", "no and ".repeat(40));
+    let long = format!("the store says {}", "no and ".repeat(40));
     tells(&mut robot, &long);
     robot.presses(Key::Home);
     robot.presses(Key::Enter);

@@ -66,7 +66,6 @@ impl Robot {
             let verified = captured - late;
             let life = LifeLine {
                 captured,
-                sealed: captured,
                 stored: captured,
                 anchored: verified,
                 confirmed: verified,

@@ -174,7 +174,7 @@ fn what_cannot_be_set_is_said_in_the_form_and_what_is_refused_comes_back_as_it_w
     for (text, word) in [
         (Err("/p.toml cannot be read: no such file"), "no such file"),
         (Ok(" \n"), "leave the line empty"),
-        (Ok("vault.url = \"redis://x\"\n"), "vault.url"),
+        (Ok("cache.url = \"redis://x\"\n"), "cache.url"),
         (Ok("[[watch]]\ntopic = \"odom odom\"\n"), "line 1"),
     ] {
         let mut robot = at("scout");

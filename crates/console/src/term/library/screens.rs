@@ -298,14 +298,14 @@ fn troubled(mut robot: Robot) -> Robot {
     site.health[1].level = HealthLevel::Waiting;
     site.health[1].text = "retry in 4 s".to_owned();
     site.health[2].level = HealthLevel::Failed;
-    site.health[2].text = "redis://127.0.0.1:6379 does not answer".to_owned();
+    site.health[2].text = "the disk of /srv/authros is full".to_owned();
     robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
     robot
 }
 
 fn in_trouble(size: Size) -> Robot {
     let mut robot = troubled(sized(Robot::at_work(true), size));
-    let text = "Vault unreachable: 45 records wait on disk".to_owned();
+    let text = "Chain unreachable: 45 records wait on disk".to_owned();
     robot.act(Action::Told(Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text, about: None }));
     robot
 }

@@ -238,7 +238,7 @@ fn step_role(word: &str) -> Role {
         "record",
         "digest",
         "signature",
-        "vault",
+        "store",
         "batch",
         "proof",
         "anchored by",

@@ -204,7 +204,7 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
     let mut lines = vec![(
         format!(
             "{:<15} {} message{}, {} (buffer {full} % full)",
-            "to be sealed",
+            "to be stored",
             words::count(queue.messages),
             if queue.messages == 1 { "" } else { "s" },
             words::size(queue.bytes)
@@ -212,7 +212,6 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
         if full >= 80 { Role::Bad } else { Role::Body },
     )];
     let stations = [
-        ("to be stored", life.sealed.saturating_sub(life.stored)),
         ("to be anchored", life.stored.saturating_sub(life.anchored)),
         ("to be confirmed", life.anchored.saturating_sub(life.confirmed)),
         ("to be verified", life.confirmed.saturating_sub(life.verified + life.tampered)),

@@ -223,7 +223,7 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
     let asked = |seq: u64, signer: &SmKeyPair, device: SignerId| {
         record(&scene, signer, device, (seq, 1), &Notice::Pull(span(seq)))
     };
-    let waiting = |scene: &Scene| disk_ring::waiting(&scene.plant.ledger).expect("noted");
+    let waiting = |scene: &Scene| disk_ring::waiting(&scene.plant.ledger.notes).expect("noted");
     owner.upload(vec![asked(2, &scene.alice.signing, own)]).await.expect("receipt");
     let work = tokio::spawn(async move { forwarder.run(&stored).await });
     scene.until("asked", |scene| waiting(scene) == [span(2)]).await;
@@ -276,7 +276,7 @@ async fn after_a_restore_an_owner_is_obeyed_at_once_and_what_is_older_never() {
         let upload = numbered(&scene, signer, own, place, &Notice::Pull(span.clone()));
         let (entry, fetched) = given(&scene, upload, seq, 1);
         assert!(notices.hear(&entry, &fetched), "dealt with");
-        disk_ring::waiting(&scene.plant.ledger).expect("noted").len()
+        disk_ring::waiting(&scene.plant.ledger.notes).expect("noted").len()
     };
     assert_eq!(hear(before, 9, 900), 1);
     assert_eq!(hear(restored, 1, 800), 1, "older than what was taken");
@@ -300,7 +300,7 @@ async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
     let topics = "/camera/**".parse().expect("a pattern");
     let span = RingSpan { since: Timestamp(1), until: Timestamp(100), topics };
     let pull = || record(&scene, &scene.alice.signing, own, (4, 1), &Notice::Pull(span.clone()));
-    let waiting = || disk_ring::waiting(&scene.plant.ledger).expect("noted");
+    let waiting = || disk_ring::waiting(&scene.plant.ledger.notes).expect("noted");
     let mut hear = |upload: Upload, seq: u64, epoch: u64| {
         let (entry, fetched) = given(&scene, upload, seq, epoch);
         notices.hear(&entry, &fetched);

@@ -79,7 +79,7 @@ fn ages_of_a_site_that_was_just_started_are_not_judged_and_a_robot_that_is_away_
 fn rules_that_are_off_find_nothing() {
     let mut judge = Judge::new(AlertLimits::default());
     let keys: Vec<String> = judge.judge(&well(0)).into_iter().map(|judged| judged.key).collect();
-    assert_eq!(keys, ["quarantine/0a0b0c0d", "tampered/0a0b0c0d", "gap", "chain", "vault", "stages"]);
+    assert_eq!(keys, ["quarantine/0a0b0c0d", "tampered/0a0b0c0d", "gap", "chain", "store", "stages"]);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
@@ -20,7 +20,8 @@ use crate::pipeline::statement::{self, Statement};
 use crate::pipeline::{Author, CaptureSession, PipelineError, recorder_heads};
 use crate::reply::Failure;
 use crate::site::Site;
-use crate::store::Ledger;
+use crate::store::Notes;
+use crate::store::notes::{PolicyHere, PolicyKept, PolicyTold};
 
 /// How long until what could not be applied is tried again.
 const AGAIN: Duration = Duration::from_secs(10);
@@ -42,7 +43,7 @@ pub struct PolicyFigures {
 pub(super) struct AgentPolicy {
     pub keeper: Arc<PolicyKeeper>,
     changed: watch::Receiver<()>,
-    kept: Kept,
+    kept: PolicyKept,
     /// The version that was in force before the kept one.
     before: u64,
     /// Why the ring is not as the policy says, and when that is tried again.
@@ -60,17 +61,17 @@ impl AgentPolicy {
     ///
     /// # Errors
     /// Errors of the ledger.
-    pub fn open(ledger: &Ledger, enrolment: &Enrolment) -> Result<Self, Failure> {
-        Self::by(ledger, PolicyKeeper::open(ledger, enrolment)?)
+    pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
+        Self::by(notes, PolicyKeeper::open(notes, enrolment)?)
     }
 
-    fn by(ledger: &Ledger, keeper: PolicyKeeper) -> Result<Self, Failure> {
+    fn by(notes: &Notes, keeper: PolicyKeeper) -> Result<Self, Failure> {
         let keeper = Arc::new(keeper);
-        let (changed, told) = (keeper.changed.subscribe(), ledger.setting(&keeper.told_place())?);
+        let (changed, told) = (keeper.changed.subscribe(), notes.read(&keeper.told())?);
         let mut policy = Self {
             keeper,
             changed,
-            kept: Kept::default(),
+            kept: PolicyKept::default(),
             before: 0,
             unapplied: None,
             policy: RobotPolicy::default(),
@@ -143,7 +144,7 @@ impl AgentPolicy {
     }
 
     fn report(&self) -> PolicyReport {
-        let Kept { version, heard, refused, .. } = self.kept.clone();
+        let PolicyKept { version, heard, refused, .. } = self.kept.clone();
         let (running, refused) = match &self.unapplied {
             None => (version, refused),
             Some((why, _)) => (self.before, refused.or_else(|| Some(why.clone()))),
@@ -285,7 +286,7 @@ impl Agent {
         if block_in_place(|| statement::state_to_be_found(plant, self.author.address, &keys, statement))?.is_some() {
             self.site.parts.hub.stored.notify_waiters();
         }
-        block_in_place(|| plant.ledger.put_setting(&self.policy.keeper.told_place(), &told))?;
+        block_in_place(|| plant.ledger.notes.write(&self.policy.keeper.told(), &told))?;
         self.policy.told = Some(told);
         Ok(())
     }
@@ -305,26 +306,13 @@ pub(super) fn warn_of_key(site: &Site, author: &Author, name: &crate::model::Pro
 /// The widest text that reaches the owner, characters.
 pub(super) const WIDEST: usize = 255;
 
-/// What a robot keeps of its policy.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub(super) struct Kept {
-    /// The version taken up last; 0 = none yet.
-    pub version: u64,
-    /// Its text.
-    pub text: String,
-    /// The newest version heard of.
-    pub heard: u64,
-    /// Why the last one heard of was not taken up.
-    pub refused: Option<String>,
-}
-
 /// Checks and keeps what the owner sets.
 pub(super) struct PolicyKeeper {
-    ledger: Ledger,
+    notes: Notes,
     domain: Domain,
     owner: Address,
     device: SignerId,
-    kept: Mutex<Kept>,
+    kept: Mutex<PolicyKept>,
     /// Rings when something else is kept.
     pub changed: watch::Sender<()>,
 }
@@ -334,29 +322,28 @@ impl PolicyKeeper {
     ///
     /// # Errors
     /// Errors of the ledger.
-    pub fn open(ledger: &Ledger, enrolment: &Enrolment) -> Result<Self, Failure> {
-        Self::of(ledger, enrolment.domain, enrolment.owner, enrolment.device_id())
+    pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
+        Self::of(notes, enrolment.domain, enrolment.owner, enrolment.device_id())
     }
 
-    pub(super) fn of(ledger: &Ledger, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
-        let kept = ledger.setting(&place(&owner, &device))?;
-        let kept = kept.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
-        let (ledger, changed) = (ledger.clone(), watch::channel(()).0);
-        Ok(Self { ledger, domain, owner, device, kept: Mutex::new(kept), changed })
+    pub(super) fn of(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
+        let kept = notes.read(&PolicyHere { owner, device })?.unwrap_or_default();
+        let (notes, changed) = (notes.clone(), watch::channel(()).0);
+        Ok(Self { notes, domain, owner, device, kept: Mutex::new(kept), changed })
     }
 
     /// What is kept now.
-    pub fn kept(&self) -> Kept {
+    pub fn kept(&self) -> PolicyKept {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The setting that says what the owner was told last, hex.
-    pub fn told_place(&self) -> String {
-        format!("robot policy told:{}:{}", self.owner, self.device)
+    /// The note of what the owner was told last.
+    pub fn told(&self) -> PolicyTold {
+        PolicyTold { owner: self.owner, device: self.device }
     }
 
     /// The text of a policy that may be taken up after what is kept.
-    fn judged(&self, policy: &SignedPolicy, kept: &Kept) -> Result<String, String> {
+    fn judged(&self, policy: &SignedPolicy, kept: &PolicyKept) -> Result<String, String> {
         let unsigned = |_| "the owner's account did not sign it for this robot".to_owned();
         policy.check(&self.domain, &self.owner, &self.device).map_err(unsigned)?;
         let (version, runs) = (policy.version, kept.version);
@@ -381,24 +368,18 @@ impl PolicyTaker for PolicyKeeper {
             Ok(text) => {
                 let version = policy.version;
                 let told = format!("the owner's policy {version} is in force from now on");
-                (Kept { version, text, heard: version, refused: None }, told)
+                (PolicyKept { version, text, heard: version, refused: None }, told)
             }
             Err(why) => {
                 let told = format!("the owner's policy {} is not taken up: {why}", policy.version);
-                (Kept { heard: policy.version, refused: Some(why), ..kept.clone() }, told)
+                (PolicyKept { heard: policy.version, refused: Some(why), ..kept.clone() }, told)
             }
         };
-        let text = serde_json::to_string(&next).unwrap_or_default();
-        self.ledger.put_setting(&place(&self.owner, &self.device), &text)?;
+        self.notes.write(&PolicyHere { owner: self.owner, device: self.device }, &next)?;
         *kept = next;
         self.changed.send_replace(());
         Ok(told)
     }
-}
-
-/// The setting of the robot's ledger that keeps the policy of one enrolment: another one in the same home has its own.
-fn place(owner: &Address, device: &SignerId) -> String {
-    format!("robot policy:{owner}:{device}")
 }
 
 #[cfg(test)]
@@ -406,6 +387,7 @@ mod tests {
     use super::*;
     use crate::crypto::{EoaSecret, SignedPolicy};
     use crate::model::{Domain, SignerId};
+    use crate::store::Ledger;
 
     #[test]
     fn a_policy_whose_ring_could_not_be_made_is_not_told_as_in_force() {
@@ -413,8 +395,8 @@ mod tests {
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let (domain, device) = (Domain([1; 32]), SignerId([9; 32]));
         let account = EoaSecret::generate().expect("generates");
-        let keeper = PolicyKeeper::of(&ledger, domain, account.address(), device).expect("opens");
-        let mut policy = AgentPolicy::by(&ledger, keeper).expect("opens");
+        let keeper = PolicyKeeper::of(&ledger.notes, domain, account.address(), device).expect("opens");
+        let mut policy = AgentPolicy::by(&ledger.notes, keeper).expect("opens");
         let take = |policy: &mut AgentPolicy, version, text: &str| {
             let signed = SignedPolicy::sign(&domain, &account, device, version, text).expect("signs");
             policy.keeper.take(&signed).expect("kept");
@@ -456,6 +438,7 @@ mod tests {
 mod kept_policy_tests {
     use super::*;
     use crate::crypto::EoaSecret;
+    use crate::store::Ledger;
 
     const DOMAIN: Domain = Domain([1; 32]);
     const DEVICE: SignerId = SignerId([9; 32]);
@@ -466,13 +449,13 @@ mod kept_policy_tests {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
-        let open = || PolicyKeeper::of(&ledger, DOMAIN, account.address(), DEVICE).expect("opens");
+        let open = || PolicyKeeper::of(&ledger.notes, DOMAIN, account.address(), DEVICE).expect("opens");
         let keeper = open();
         let signed = |by: &EoaSecret, version, text: &str| {
             SignedPolicy::sign(&DOMAIN, by, DEVICE, version, text).expect("signs")
         };
         let state = |keeper: &PolicyKeeper| {
-            let Kept { version, text, heard, refused } = keeper.kept();
+            let PolicyKept { version, text, heard, refused } = keeper.kept();
             (version, text, heard, refused.unwrap_or_default())
         };
         keeper.take(&signed(&account, 2, WATCH)).expect("kept");
@@ -486,7 +469,7 @@ mod kept_policy_tests {
             (not_text, "did not sign"),
             (signed(&account, 1, WATCH), "lower than 2"),
             (signed(&account, 2, ""), "same version 2"),
-            (signed(&account, 3, "vault.url = \"redis://evil\"\n"), "no 'vault.url'"),
+            (signed(&account, 3, "cache.url = \"redis://evil\"\n"), "no 'cache.url'"),
             (signed(&account, 4, "ring.keep = \"much\"\nring.topics = [\"/a\"]\n"), "ring.keep"),
             (signed(&account, 5, "[["), "not valid TOML"),
         ] {
@@ -508,14 +491,14 @@ mod kept_policy_tests {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
         let account = EoaSecret::generate().expect("generates");
-        let open = |device| PolicyKeeper::of(&ledger, DOMAIN, account.address(), device).expect("opens");
+        let open = |device| PolicyKeeper::of(&ledger.notes, DOMAIN, account.address(), device).expect("opens");
         open(DEVICE).take(&SignedPolicy::sign(&DOMAIN, &account, DEVICE, 5, WATCH).expect("signs")).expect("kept");
-        let earlier = Kept { version: 5, text: WATCH.to_owned(), heard: 5, refused: None };
+        let earlier = PolicyKept { version: 5, text: WATCH.to_owned(), heard: 5, refused: None };
         assert_eq!(open(DEVICE).kept(), earlier);
         let other = SignerId([8; 32]);
         let keeper = open(other);
-        assert_eq!(keeper.kept(), Kept::default(), "the policy of the device before is not in force");
-        assert_ne!(keeper.told_place(), open(DEVICE).told_place());
+        assert_eq!(keeper.kept(), PolicyKept::default(), "the policy of the device before is not in force");
+        assert_ne!(keeper.told(), open(DEVICE).told());
         let first = SignedPolicy::sign(&DOMAIN, &account, other, 1, "").expect("signs");
         keeper.take(&first).expect("kept");
         assert_eq!((keeper.kept().version, keeper.kept().refused), (1, None), "the first one is taken up");

@@ -172,11 +172,11 @@ async fn a_delivery_that_is_refused_for_itself_is_dropped_and_counted_and_the_ne
         site: String::new(),
         begun: Timestamp::from_seconds(1_700_000_000),
     };
-    site.alerts.with(|known| ["disk", "vault"].iter().for_each(|key| known.queue.add(Change::Begun(alert(key)))));
+    site.alerts.with(|known| ["disk", "store"].iter().for_each(|key| known.queue.add(Change::Begun(alert(key)))));
     site.alerts.added.notify_one();
     until("the second one", || !taken.all().is_empty()).await;
     let body = &taken.all()[0];
-    assert_eq!((&body["alert"]["key"], &body["dropped"]), (&Value::from("vault"), &Value::from(1)));
+    assert_eq!((&body["alert"]["key"], &body["dropped"]), (&Value::from("store"), &Value::from(1)));
     assert_eq!(taken.asked.load(Ordering::Acquire), 5, "not given up at once");
     server.abort();
     site.stop().await;

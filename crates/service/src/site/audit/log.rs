@@ -11,7 +11,7 @@ use crate::service::failure::internal;
 use crate::service::hub::Hub;
 use crate::service::reply::{AuditView, ExportedFile, Failure};
 use crate::site::blocking;
-use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery, Ledger};
+use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery};
 
 /// Lines exported at a time.
 const PAGE: usize = 1000;
@@ -26,9 +26,9 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// The log of this ledger.
-    pub fn new(ledger: Ledger, hub: Arc<Hub>) -> Self {
-        Self { lines: AuditLog::new(ledger), counted: Refusals::default(), hub }
+    /// Writes to these lines.
+    pub fn new(lines: AuditLog, hub: Arc<Hub>) -> Self {
+        Self { lines, counted: Refusals::default(), hub }
     }
 
     /// The lines themselves, for checks of all of them.

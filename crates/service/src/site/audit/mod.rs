@@ -188,7 +188,7 @@ impl Audit {
         blocking(self, move |audit| {
             let keys = Arc::new(OwnKeys::of(&audit.owners));
             // How many are younger is known when they are read.
-            running.run.expect(if since.is_none() { audit.plant.ledger.size()? } else { 0 });
+            running.run.expect(if since.is_none() { audit.plant.ledger.inspection.size()? } else { 0 });
             let (since, looked_at) = (since.unwrap_or_default(), running.run.counter());
             let scope = Scope { deep, since, accounts: audit.owners.accounts(), keys, looked_at };
             let chain = network.as_ref().map(|network| network.as_ref().map_err(|failure| failure.message.clone()));
@@ -207,7 +207,9 @@ impl Audit {
                 () = self.life.stopped() => return,
             }
             let Some(network) = self.link.network_now() else { continue };
-            let Ok(records) = blocking(&self, |audit| Ok(audit.plant.ledger.size()?)).await else { continue };
+            let Ok(records) = blocking(&self, |audit| Ok(audit.plant.ledger.inspection.size()?)).await else {
+                continue;
+            };
             #[expect(clippy::cast_precision_loss, reason = "a share of them")]
             let (records, percent) = (records as f64, percent as f64);
             due = (due + records * percent / 100.0 * SHARE_EVERY.as_secs_f64() / 3600.0).min(records);

@@ -20,12 +20,12 @@ async fn a_deed_is_announced_and_its_end_is_told_also_where_it_failed() {
     let outcomes: Vec<_> = ground.audited("grant").into_iter().map(|(_, outcome)| outcome).collect();
     assert_eq!(outcomes, ["begun", "done", "failed: no"]);
     assert_eq!(log.lines().verify().expect("an unbroken log"), 3);
-    let deed = async { Err::<u8, _>(refused("the vault does not answer")) };
+    let deed = async { Err::<u8, _>(refused("the disk is full")) };
     log.deed(&owner.profile, "decrypt", "ab", deed).await.expect_err("the deed's own failure");
     let done: u8 = log.deed(&owner.profile, "decrypt", "cd", async { Ok(7) }).await.expect("done");
     assert_eq!((done, ground.audited("decrypt").len()), (7, 4));
     let outcome = |line: usize| ground.audited("decrypt").swap_remove(line);
-    assert_eq!(outcome(1), ("ab".to_owned(), "failed: the vault does not answer".to_owned()));
+    assert_eq!(outcome(1), ("ab".to_owned(), "failed: the disk is full".to_owned()));
     assert_eq!(outcome(3), ("cd".to_owned(), "done".to_owned()));
 }
 

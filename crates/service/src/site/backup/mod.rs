@@ -1,4 +1,4 @@
-//! Backup of a running home: ledger, vault and chain as of one moment, then the small files, sealed into one file.
+//! Backup of a running home: the store and the chain as of one moment, then the small files, sealed into one file.
 
 #[cfg(test)]
 mod tests;
@@ -33,7 +33,6 @@ use crate::store::{StoreError, archive};
 
 /// The names of copies in the backup, and their places in a home.
 pub const LEDGER: &str = "ledger.db";
-const VAULT: &str = "vault/vault.db";
 const CHAIN: &str = "chain/chain.db";
 /// The folder of a robot's ring, of which files fall out at any time.
 const RING: &str = "ring/";
@@ -86,7 +85,7 @@ impl Backup {
             if self.config.chain_url.is_none() {
                 drop(tokio::time::timeout(OPENING, self.link.settled()).await);
             }
-            // Work that deletes ciphertext before the ledger records it waits until the moment is taken.
+            // Work that deletes ciphertext in a commit before the one that notes it waits until the moment is taken.
             let quiet = self.quarantine.quiet().await;
             let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
             drop(quiet);
@@ -95,31 +94,25 @@ impl Backup {
         self.log.deed(profile, "back up", &shown, written).await
     }
 
-    /// The three databases as of one moment.
+    /// Both databases as of one moment.
     fn moment(&self, runtime: &Handle) -> Result<Moment, Failure> {
         let unwritten = |error| unwritten(self.home.root(), &error);
         // The copies of a backup that was killed, which no erasure reaches.
         unfinished::sweep(self.home.root()).map_err(unwritten)?;
         let folder = UnfinishedFolder::new(self.home.root()).map_err(unwritten)?;
-        let vault = self.home.vault().join("vault.db");
-        let vault = (self.config.vault_url.is_none() && vault.exists()).then_some(vault);
         let (chain, runtime, copy) = (self.link.connected(), runtime.clone(), folder.path().join("chain.db"));
         let closed = self.home.chain().join("chain.db");
-        let also = move || {
-            let vault = vault.map(|vault| Snapshot::begin(&vault)).transpose()?;
-            Ok((vault, copy_chain(chain, &runtime, &closed, copy)?))
-        };
-        let (ledger, (vault, chain)) = self.plant.ledger.snapshot_with(also)?;
+        let also = move || copy_chain(chain, &runtime, &closed, copy);
+        let (ledger, chain) = self.plant.ledger.snapshot_with(also)?;
         fault::point("backup-moment");
-        Ok(Moment { folder, ledger, vault, chain })
+        Ok(Moment { folder, ledger, chain })
     }
 
     /// Roughly how many bytes are to be written: the databases and a robot's ring are nearly all of a home.
     fn expected(&self, moment: &Moment) -> u64 {
-        let vault = moment.vault.as_ref().map(|_| self.home.vault().join("vault.db"));
         let chain = moment.chain.then(|| moment.folder.path().join("chain.db"));
         let ring = fs::read_dir(self.home.ring()).into_iter().flatten().flatten().map(|entry| entry.path());
-        let all = [Some(self.home.ledger()), vault, chain].into_iter().flatten().chain(ring);
+        let all = [Some(self.home.ledger()), chain].into_iter().flatten().chain(ring);
         all.filter_map(|path| fs::metadata(path).ok()).map(|about| about.len()).sum()
     }
 
@@ -138,15 +131,12 @@ impl Backup {
         let mut sealed = SealedWriter::new(io::BufWriter::new(target), passphrase).map_err(failed)?;
         let copy = moment.folder.path().join("copy.db");
         run.expect(self.expected(moment));
-        for (name, snapshot) in [(LEDGER, Some(&moment.ledger)), (VAULT, moment.vault.as_ref())] {
-            let Some(snapshot) = snapshot else { continue };
-            run.step("copying into");
-            snapshot.copy_to(&copy)?;
-            fault::point("backup-copied");
-            run.step("writing");
-            add(&mut sealed, name, &copy, &mut view, run).map_err(failed)?;
-            fs::remove_file(&copy).map_err(failed)?;
-        }
+        run.step("copying into");
+        moment.ledger.copy_to(&copy)?;
+        fault::point("backup-copied");
+        run.step("writing");
+        add(&mut sealed, LEDGER, &copy, &mut view, run).map_err(failed)?;
+        fs::remove_file(&copy).map_err(failed)?;
         if moment.chain {
             add(&mut sealed, CHAIN, &moment.folder.path().join("chain.db"), &mut view, run).map_err(failed)?;
         }
@@ -162,9 +152,6 @@ impl Backup {
         fault::point("backup-sealed");
         target.persist_noclobber(file).map_err(|error| failed(error.error))?;
         File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
-        if moment.vault.is_none() {
-            view.notes.push(format!("the vault is {}: back it up with its own tools", self.plant.vault.name()));
-        }
         Ok(view)
     }
 }
@@ -184,7 +171,7 @@ impl<W: Write> Small<'_, W> {
             let last = entry.file_name();
             let Some(last) = last.to_str() else { continue };
             let name = if within.is_empty() { last.to_owned() } else { format!("{within}/{last}") };
-            let is_database = [LEDGER, VAULT, CHAIN].iter().any(|database| name.starts_with(database));
+            let is_database = [LEDGER, CHAIN].iter().any(|database| name.starts_with(database));
             if !is_database && !LEFT_OUT.iter().any(|begin| last.starts_with(begin)) {
                 self.entry(&name, &entry.path(), entry.file_type()?)?;
             }
@@ -221,7 +208,6 @@ impl<W: Write> Small<'_, W> {
 struct Moment {
     folder: UnfinishedFolder,
     ledger: Snapshot,
-    vault: Option<Snapshot>,
     /// Whether the chain was copied into the folder.
     chain: bool,
 }

@@ -222,8 +222,8 @@ fn of_stream((owner, topic): (Address, TopicId)) -> RecordQuery {
 }
 
 fn is_on_its_way(state: RecordState) -> bool {
-    use RecordState::{Batched, Captured, Confirmed, Mined, Sealed, Stored, Submitted};
-    matches!(state, Captured | Sealed | Stored | Batched | Submitted | Mined | Confirmed)
+    use RecordState::{Batched, Captured, Confirmed, Mined, Stored, Submitted};
+    matches!(state, Captured | Stored | Batched | Submitted | Mined | Confirmed)
 }
 
 fn topics_of(ledger: &Ledger, owner: Address, scope: &Scope) -> Result<Vec<TopicId>, Failure> {

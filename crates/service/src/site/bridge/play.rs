@@ -154,7 +154,7 @@ impl<'a> Play<'a> {
     /// Plays to the end.
     ///
     /// # Errors
-    /// If chain, vault, ledger, master or child process fail; what was queued is not sent then.
+    /// If chain, store, master or child process fail; what was queued is not sent then.
     pub async fn run(mut self) -> Result<PlayedView, Failure> {
         let begun = Instant::now();
         let mut ended = self.rounds().await;

@@ -162,8 +162,8 @@ impl Capture {
     }
 
     /// Pauses the capture of everything that the profile watches, or resumes it; the watch list stays.
-    pub(in crate::site) fn hold(&self, profile: &ProfileName, hold: bool) {
-        let Some(owner) = self.owners.get(profile) else { return };
+    pub(in crate::site) fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
+        let Some(owner) = self.owners.get(profile) else { return Ok(()) };
         if hold {
             self.ros.second.settle(None);
         }

@@ -8,7 +8,7 @@ use crate::site::chain::link::Link;
 use crate::site::contacts::Contacts;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use crate::chain::Call;
@@ -194,9 +194,12 @@ impl Administering {
     }
 
     /// The administrator's decisions, with the names of the address book; the recovery account is `own`'s.
-    pub(in crate::site) fn view(&self, network: &Network, own: Option<Address>) -> AdministrationView {
+    pub(in crate::site) fn view(
+        network: &Network,
+        own: Option<Address>,
+        names: &BTreeMap<Address, String>,
+    ) -> AdministrationView {
         let (decided, now) = (network.directory.administration(), Timestamp::now());
-        let names = self.contacts.names();
         let name = |account: &Address| names.get(account).cloned();
         let proposals = decided.proposals.iter().map(|waits| ProposalView {
             lost: waits.lost,
@@ -262,7 +265,8 @@ impl Administering {
     }
 
     fn succession_texts(&self, network: &Network) -> Vec<String> {
-        let view = self.view(network, None);
+        // Without the address book accounts are shown by their addresses.
+        let view = Self::view(network, None, &self.contacts.names().unwrap_or_default());
         let shown = |account: Address, name: &Option<String>| {
             name.as_ref().map_or_else(|| account.to_string(), |name| format!("{name} ({account})"))
         };

@@ -13,11 +13,11 @@ use crate::chain::{
 };
 use crate::config::Config;
 use crate::event::{NoticeLevel, Part};
-use crate::failure::{input, internal};
+use crate::failure::{input, refused};
 use crate::hub::Hub;
-use crate::model::{ErrorKind, ProfileName};
+use crate::model::ProfileName;
 use crate::paths::Home;
-use crate::pipeline::{Network, Owner, PipelineError, Plant, Sender, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, Plant, Sender, network_pin, network_pin_in, watcher};
 use crate::reply::{DeployedView, Failure, ServedView};
 use crate::site::NetworkState;
 use crate::site::audit::Log;
@@ -25,7 +25,6 @@ use crate::site::identity::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
-use crate::store::atomic_write;
 
 /// The longest pause between two attempts to connect, seconds: a node that is back is found within it.
 const LONGEST_PAUSE: u64 = 5;
@@ -55,17 +54,9 @@ impl Connection {
 }
 
 impl Connection {
+    /// The chain and contract that the home is bound to; `None` = none yet.
     pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
-        pin_of(&self.home)
-    }
-
-    /// Writes the pin unless the file has it already: a command that only looks writes nothing.
-    pub(in crate::site) fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
-        let bytes = serde_json::to_vec_pretty(pin).map_err(|error| internal(error.to_string()))?;
-        if std::fs::read(self.home.pin()).is_ok_and(|there| there == bytes) {
-            return Ok(());
-        }
-        Ok(atomic_write(&self.home.pin(), &bytes)?)
+        Ok(block_in_place(|| network_pin(&self.plant.ledger))?)
     }
 
     /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected, it
@@ -107,7 +98,6 @@ impl Connection {
         }
         let chain = self.reach_chain().await?;
         if let Some(pin) = chain.pin() {
-            self.save_pin(&pin)?;
             return self.use_network(chain, &pin).await;
         }
         self.link.set(NetworkState::Bare(chain));
@@ -142,20 +132,24 @@ impl Connection {
 
     /// The network; deploys the contract with the owner's account if there is none yet.
     pub(in crate::site) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
-        self.network_or_deploy_with(owner, DEFAULT_DELAY).await
+        self.network_or_deploy_with(owner, DEFAULT_DELAY, false).await
     }
 
-    /// The same, with a given delay of successions.
-    pub(in crate::site) async fn network_or_deploy_with(
+    /// The same, with a given delay of successions; `anew`: even where the account has used this chain before.
+    async fn network_or_deploy_with(
         self: &Arc<Self>,
         owner: &Owner,
         delay: Duration,
+        anew: bool,
     ) -> Result<Network, Failure> {
         // Not before the first attempt has ended, which needs the lock as well.
         self.link.settled().await?;
         let _one_at_a_time = self.deploying.lock().await;
         let NetworkState::Bare(chain) = self.link.settled().await? else { return self.link.network().await };
         let eoa = owner.eoa();
+        if !anew {
+            is_new_here(&chain, owner).await?;
+        }
         self.fund(&chain, owner).await?;
         let mut deployed = chain.deploy_with(&eoa, delay, self.sender.policy()).await?;
         // A chain that was wiped and founded as before gives a contract the address of the lost one: records of both could
@@ -165,7 +159,6 @@ impl Connection {
         }
         deployed.raised.into_iter().for_each(|price| self.sender.note_needed(price));
         let pin = deployed.pin;
-        self.save_pin(&pin)?;
         self.use_network(chain, &pin).await?;
         self.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
         self.hub.notice(
@@ -184,19 +177,31 @@ impl Connection {
     }
 }
 
-/// The chain and contract that a home is bound to; `None` = none yet.
-pub(in crate::site) fn pin_of(home: &Home) -> Result<Option<Pin>, Failure> {
-    let path = home.pin();
-    match std::fs::read(&path) {
-        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
-            let path = path.display();
-            input(format!(
-                "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
-            ))
-        }),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
+/// Whether a home is bound to a chain, without opening it; also if that cannot be told.
+pub fn is_bound(home: &Home) -> bool {
+    !matches!(block_in_place(|| network_pin_in(&home.ledger())), Ok(None))
+}
+
+/// The most contracts of an account that are compared.
+const MOST_COMPARED: u64 = 10_000;
+
+/// Refuses to deploy a contract for keys that had one on this chain: the home lost its ledger, and a second contract would
+/// hide everything that is on the first.
+async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
+    let domains = owner.domains();
+    let sent = if domains.is_empty() { 0 } else { chain.nonce(owner.address, false).await? };
+    if sent == 0 {
+        return Ok(());
     }
+    let contract = (0..sent.min(MOST_COMPARED)).map(|nonce| chain.created_by(owner.address, nonce));
+    let known = contract.into_iter().find(|contract| domains.contains(&chain.domain_of(*contract)));
+    let contract = known.map_or_else(|| "the address of its contract".to_owned(), |contract| contract.to_string());
+    Err(refused(format!(
+        "the account of '{}' has used a contract on this chain before, and this home does not know it any more: restore \
+         the last backup of the home, or name the contract with --contract (or chain.contract): {contract}; nothing was \
+         deployed (`authros chain deploy` deploys a new one all the same)",
+        owner.profile
+    )))
 }
 
 /// Why the chain could not be connected.
@@ -257,7 +262,7 @@ impl Connection {
                 "{contract} is already pinned for this home, nothing was deployed; use another --home for another one"
             )));
         }
-        let network = self.network_or_deploy_with(owner, delay).await?;
+        let network = self.network_or_deploy_with(owner, delay, true).await?;
         let pin = network.chain.pin().ok_or_else(|| input("the chain has stopped; run the command again"))?;
         Ok(DeployedView { pin, administrator: owner.address })
     }

@@ -53,10 +53,9 @@ async fn a_head_is_fresh_for_as_long_as_was_asked_and_no_longer() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_pin_is_kept_not_written_again_and_named_where_it_is_damaged() {
+async fn a_pin_is_kept_with_the_ledger_and_named_where_it_is_damaged() {
     let ground = Ground::with(&[]);
-    let connection = Connection::new(&ground.parts, None);
-    std::fs::create_dir_all(ground.parts.home.root()).expect("a home");
+    let (connection, ledger) = (Connection::new(&ground.parts, None), &ground.parts.plant.ledger);
     assert!(connection.pin().expect("readable").is_none());
     let pin = Pin {
         chain_id: 1337,
@@ -65,12 +64,11 @@ async fn a_pin_is_kept_not_written_again_and_named_where_it_is_damaged() {
         code_hash: Hash([4; 32]),
         deployed_at: 0,
     };
-    connection.save_pin(&pin).expect("saved");
-    let written = || std::fs::metadata(ground.parts.home.pin()).expect("there").modified().expect("a time");
-    let before = written();
-    connection.save_pin(&pin).expect("saved");
-    assert_eq!((connection.pin().expect("readable"), written()), (Some(pin), before));
-    std::fs::write(ground.parts.home.pin(), b"{").expect("written");
-    let damaged = connection.pin().expect_err("damaged");
-    assert!(damaged.kind == ErrorKind::Input && damaged.message.contains("restore the file"), "{}", damaged.message);
+    let text = serde_json::to_string(&pin).expect("written");
+    ledger.rights.bind_contract(pin.domain(), &text).expect("bound");
+    ledger.rights.bind_contract(pin.domain(), &text).expect("bound again");
+    assert_eq!(connection.pin().expect("readable"), Some(pin.clone()));
+    ledger.rights.bind_contract(pin.domain(), "{").expect("written");
+    let damaged = connection.pin().expect_err("damaged").message;
+    assert!(damaged.contains("restore the last backup"), "{damaged}");
 }

@@ -5,7 +5,6 @@
 mod tests;
 
 use crate::paths::Home;
-use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
@@ -14,31 +13,19 @@ use crate::site::parts::Parts;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
 use crate::crypto::Fingerprint;
 use crate::model::{Address, ContactName, Party, ProfileName};
 use crate::pipeline::Network;
 use crate::service::event::Part;
-use crate::service::failure::{input, internal, refused};
+use crate::service::failure::{input, refused};
 use crate::service::reply::{CompareView, ContactRow, Failure};
+use crate::store::Notes;
+use crate::store::notes::{AddressBook, Contact, WrappedFor};
 
 /// The most contacts of a home.
 const MOST_CONTACTS: usize = 1_000;
-/// Where the book is stored in the ledger.
-pub(crate) const BOOK: &str = "contacts";
-
-/// One entry of the book.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Contact {
-    name: ContactName,
-    address: Address,
-    /// As a person reads it.
-    fingerprint: Option<String>,
-    /// A person gave it, or confirmed it.
-    given: bool,
-}
 
 fn read(text: &str) -> Result<Fingerprint, Failure> {
     text.parse().map_err(|error| input(format!("{error}")))
@@ -47,7 +34,7 @@ fn read(text: &str) -> Result<Fingerprint, Failure> {
 /// The address book.
 pub(in crate::site) struct Contacts {
     home: Home,
-    plant: Plant,
+    notes: Notes,
     hub: Arc<Hub>,
     log: Arc<Log>,
     owners: Arc<Owners>,
@@ -64,7 +51,7 @@ impl Contacts {
         let Parts { home, plant, hub, log, owners, link, .. } = parts.clone();
         Self {
             home,
-            plant,
+            notes: plant.ledger.notes,
             hub,
             log,
             owners,
@@ -77,14 +64,11 @@ impl Contacts {
 
 impl Contacts {
     fn book(&self) -> Result<Vec<Contact>, Failure> {
-        let Some(text) = block_in_place(|| self.plant.ledger.setting(BOOK))? else { return Ok(Vec::new()) };
-        serde_json::from_str(&text)
-            .map_err(|_| input("the address book in the ledger cannot be read; restore a backup"))
+        Ok(block_in_place(|| self.notes.read(&AddressBook {}))?.unwrap_or_default())
     }
 
-    fn write_book(&self, book: &[Contact]) -> Result<(), Failure> {
-        let text = serde_json::to_string(book).map_err(|error| internal(error.to_string()))?;
-        block_in_place(|| self.plant.ledger.put_setting(BOOK, &text))?;
+    fn write_book(&self, book: &Vec<Contact>) -> Result<(), Failure> {
+        block_in_place(|| self.notes.write(&AddressBook {}, book))?;
         self.hub.changed(Part::Grants);
         Ok(())
     }
@@ -107,11 +91,10 @@ impl Contacts {
         })
     }
 
-    /// Names by address, to show beside addresses. A book that cannot be read shows none; commands that need it report
-    /// that.
-    pub(crate) fn names(&self) -> BTreeMap<Address, String> {
-        let book = self.book().unwrap_or_default();
-        book.into_iter().map(|contact| (contact.address, contact.name.to_string())).collect()
+    /// Names by address, to show beside addresses.
+    pub(crate) fn names(&self) -> Result<BTreeMap<Address, String>, Failure> {
+        let book = self.book()?;
+        Ok(book.into_iter().map(|contact| (contact.address, contact.name.to_string())).collect())
     }
 
     /// The fingerprint of an account's registered key.
@@ -300,13 +283,13 @@ impl Contacts {
         let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.is_joined) else {
             return Ok(());
         };
-        let place = format!("wrapped for:{owner}:{reader}");
-        match block_in_place(|| self.plant.ledger.setting(&place))? {
+        let note = WrappedFor { owner, reader };
+        match block_in_place(|| self.notes.read(&note))? {
             Some(noted) if noted == found => return Ok(()),
             Some(_) => self.check_contact(network, reader).await?,
             None => {}
         }
-        Ok(block_in_place(|| self.plant.ledger.put_setting(&place, &found))?)
+        Ok(block_in_place(|| self.notes.write(&note, &found))?)
     }
 
     /// Compares a fingerprint with that of an account's registered key, or of this profile's own.
@@ -334,7 +317,7 @@ impl Contacts {
         };
         Ok(CompareView {
             account,
-            name: self.names().remove(&account),
+            name: self.names()?.remove(&account),
             fingerprint: fingerprint.to_string(),
             given: given.to_string(),
             equal: fingerprint == given,

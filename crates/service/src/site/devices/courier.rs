@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::enrolled::{Enrolled, EnrolledGateway, Enrolments, Step, words};
+use super::enrolled::{Enrolments, Step, words};
 use super::{Devices, Seat};
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
@@ -20,6 +20,7 @@ use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
 use crate::reply::{DeviceAddressesView, Failure};
 use crate::site::gateway::desk::courier_of;
+use crate::store::notes::{Enrolled, EnrolledGateway, KeysTold, NoticesCarried, OwnerKeysTold};
 use crate::store::{RecordQuery, RecordRow};
 
 /// The pauses between two rounds: while something is left, and otherwise.
@@ -135,8 +136,8 @@ impl Devices {
                 let uploads = block_in_place(|| self.uploads(window))?;
                 client.upload(uploads).await?;
                 for row in window {
-                    let place = carried(owner, enrolled, gateway, row.recorder);
-                    block_in_place(|| self.plant.ledger.put_setting(&place, &row.seq.to_string()))?;
+                    let note = carried(owner, enrolled, gateway, row.recorder);
+                    block_in_place(|| self.plant.ledger.notes.write(&note, &row.seq))?;
                 }
             }
             Ok::<_, Failure>(())
@@ -169,8 +170,8 @@ impl Devices {
         rows.retain(|row| ledger.recorder().has(&row.recorder));
         let mut newest = BTreeMap::new();
         for recorder in rows.iter().map(|row| row.recorder).collect::<BTreeSet<_>>() {
-            let text = ledger.setting(&carried(owner, enrolled, gateway, recorder))?;
-            newest.insert(recorder, text.and_then(|text| text.parse().ok()).unwrap_or(0_u64));
+            let carried = ledger.notes.read(&carried(owner, enrolled, gateway, recorder))?;
+            newest.insert(recorder, carried.unwrap_or(0));
         }
         rows.retain(|row| newest.get(&row.recorder).is_none_or(|newest| row.seq > *newest));
         rows.sort_unstable_by_key(|row| (row.acknowledged_at, row.seq));
@@ -180,17 +181,16 @@ impl Devices {
     fn uploads(&self, rows: &[RecordRow]) -> Result<Vec<Upload>, Failure> {
         let mut uploads = Vec::with_capacity(rows.len());
         for row in rows {
-            let blob = self.plant.vault.get(row.digest)?;
-            let gone = || refused(format!("the notice {} is not in the vault any more", row.id));
+            let blob = self.plant.ciphertext.get(row.digest)?;
+            let gone = || refused(format!("the notice {} is not in the store any more", row.id));
             uploads.push(Upload { signature: row.signature, blob: blob.ok_or_else(gone)? });
         }
         Ok(uploads)
     }
 }
 
-/// The setting with the number of the newest notice, under a recorder, that a robot's gateway has.
-fn carried(owner: &Owner, enrolled: &Enrolled, gateway: &EnrolledGateway, recorder: RecorderId) -> String {
-    format!("carried:{}:{}:{}:{recorder}", owner.address, enrolled.device, gateway.key)
+fn carried(owner: &Owner, enrolled: &Enrolled, gateway: &EnrolledGateway, recorder: RecorderId) -> NoticesCarried {
+    NoticesCarried { owner: owner.address, device: enrolled.device, gateway: gateway.key, recorder }
 }
 
 /// The name under which an owner's site brings notices to gateways: its own, whatever profiles there are called.
@@ -238,7 +238,7 @@ impl Enrolments {
 
     fn tell_device(&self, owner: &Owner, network: &Network, device: &Enrolled) -> Result<(), Failure> {
         let keys = self.issue(owner, network, device)?;
-        let told = self.plant.ledger.setting(&place(owner, device))?;
+        let told = self.plant.ledger.notes.read(&keys_told(owner, device))?;
         if told.as_deref() != Some(summary(&keys).as_str()) {
             let epoch = keys.now.epoch;
             self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
@@ -252,7 +252,7 @@ impl Enrolments {
     /// and within it by the account. Called again, it does what is left.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub(in crate::site) fn tell_owner_key(
         &self,
         owner: &Owner,
@@ -261,16 +261,16 @@ impl Enrolments {
     ) -> Result<(), Failure> {
         let old = owner.signing().public;
         let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
-        let (epoch, told) = (network.directory.epoch(owner.address), format!("{old} {new}"));
+        let (epoch, told) = (network.directory.epoch(owner.address), (old, *new));
         for device in self.of(owner)? {
-            let place = format!("rekeyed:{}:{}", owner.address, device.device);
+            let note = OwnerKeysTold { owner: owner.address, device: device.device };
             let now = Moment::newest(network.directory.now());
             let lent = may_sign(&network.directory, owner.address, device.device, now).is_ok();
-            if !lent || self.plant.ledger.setting(&place)?.as_deref() == Some(&told) {
+            if !lent || self.plant.ledger.notes.read(&note)? == Some(told) {
                 continue;
             }
             self.seal_notice(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
-            self.plant.ledger.put_setting(&place, &told)?;
+            self.plant.ledger.notes.write(&note, &told)?;
             self.hub.stored.notify_waiters();
         }
         Ok(())
@@ -279,7 +279,7 @@ impl Enrolments {
     /// Seals a notice that asks a robot for a span of its ring.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     pub(super) fn ask_for_ring(
         &self,
         owner: &Owner,
@@ -297,7 +297,7 @@ impl Enrolments {
 
     /// The device knows these keys.
     pub(super) fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
-        Ok(self.plant.ledger.put_setting(&place(owner, device), &summary(keys))?)
+        Ok(self.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
     }
 
     pub(super) fn seal_notice(
@@ -325,8 +325,8 @@ impl Enrolments {
     }
 }
 
-fn place(owner: &Owner, device: &Enrolled) -> String {
-    format!("told:{}:{}", owner.address, device.device)
+fn keys_told(owner: &Owner, device: &Enrolled) -> KeysTold {
+    KeysTold { owner: owner.address, device: device.device }
 }
 
 /// Distinguishes one issue from another; not secret. Topics are represented by their number: they are only ever added.

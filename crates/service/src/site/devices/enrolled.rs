@@ -17,39 +17,14 @@ use crate::crypto::{
 use crate::failure::{input, refused};
 use crate::gateway::{Context, DeviceNotice};
 use crate::hub::Hub;
-use crate::model::{Address, ErrorKind, ProfileName, PublicKey, SignerId, Timestamp, TopicName, clean};
+use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean};
 use crate::pipeline::{Network, Owner, Plant, quarantine, recorder_heads};
 use crate::reply::{DeviceTopicsView, EnrolledView, Failure, RobotGatewayView};
 use crate::site::gateway::desk::is_reserved;
 use crate::site::parts::Parts;
 use crate::site::sharing::overdue::earliest_expiry;
-use crate::store::Ledger;
-
-/// An enrolled device, as its owner's ledger stores it: no secret.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Enrolled {
-    /// N.
-    pub name: ProfileName,
-    /// SM3 of its public key.
-    pub device: SignerId,
-    /// Its topics; empty = none.
-    pub topics: Vec<String>,
-    /// Whether it was recalled.
-    pub ended: bool,
-    /// Its public key.
-    pub key: PublicKey,
-    /// Its gateway, and where it finds it.
-    pub gateway: Option<EnrolledGateway>,
-}
-
-/// The gateway of an enrolled robot.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct EnrolledGateway {
-    /// Host:port each, in the order in which the robot tries them.
-    pub addresses: Vec<String>,
-    /// SM3 of its identity key.
-    pub key: SignerId,
-}
+use crate::store::Notes;
+use crate::store::notes::{Enrolled, EnrolledGateway, EnrolledRobots};
 
 impl From<EnrolledGateway> for RobotGatewayView {
     fn from(gateway: EnrolledGateway) -> Self {
@@ -129,7 +104,7 @@ impl Enrolments {
 
     /// The robots enrolled by this owner, oldest first.
     pub(in crate::site) fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
-        block_in_place(|| of_account(&self.plant.ledger, owner.address))
+        block_in_place(|| of_account(&self.plant.ledger.notes, owner.address))
     }
 
     /// Notes another device.
@@ -173,12 +148,11 @@ impl Enrolments {
     }
 
     fn change_all(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Enrolled>)) -> Result<(), Failure> {
-        let changed = |text: Option<&str>| {
-            let mut all = read(text);
-            change(&mut all);
-            Ok((serde_json::to_string(&all).unwrap_or_default(), ()))
+        let changed = |all: &mut Vec<Enrolled>| {
+            change(all);
+            Ok(())
         };
-        block_in_place(|| self.plant.ledger.change_setting(&place(owner.address), changed))
+        block_in_place(|| self.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, changed))
     }
 }
 
@@ -193,16 +167,8 @@ pub(in crate::site) fn words(untold: &[Untold]) -> String {
 ///
 /// # Errors
 /// Errors of the ledger.
-pub(in crate::site) fn of_account(ledger: &Ledger, owner: Address) -> Result<Vec<Enrolled>, Failure> {
-    Ok(read(ledger.setting(&place(owner))?.as_deref()))
-}
-
-fn read(text: Option<&str>) -> Vec<Enrolled> {
-    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
-}
-
-fn place(owner: Address) -> String {
-    format!("enrolled:{owner}")
+pub(in crate::site) fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>, Failure> {
+    Ok(notes.read(&EnrolledRobots { owner })?.unwrap_or_default())
 }
 
 /// The most topics that a robot can be limited to; one place is reserved for its own statements.

@@ -7,12 +7,13 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::Devices;
-use super::enrolled::{Enrolled, words};
+use super::enrolled::words;
 use crate::model::{ErrorKind, Timestamp};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner};
 use crate::service::reply::{Failure, TransactionView};
 use crate::store::NewestRecord;
+use crate::store::notes::Enrolled;
 
 /// How long a robot at work may go on under an older epoch.
 const BOUND: Duration = Duration::from_secs(12);

@@ -9,7 +9,7 @@ pub(super) mod pulling;
 use std::sync::Arc;
 use std::time::Duration;
 
-use self::enrolled::{EnrolledGateway, Enrolments};
+use self::enrolled::Enrolments;
 use super::audit::Log;
 use super::chain::link::Link;
 use super::identity::Owners;
@@ -28,6 +28,7 @@ use crate::paths::Home;
 use crate::pipeline::directory::Lending;
 use crate::pipeline::{Network, Owner, Plant, Sender, authority};
 use crate::reply::{DeviceRow, Failure, TransactionView};
+use crate::store::notes::EnrolledGateway;
 
 /// The fewest characters of a device's id that identify it.
 const SHORTEST: usize = 8;

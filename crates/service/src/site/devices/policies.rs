@@ -3,11 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
 use super::Devices;
-use super::enrolled::Enrolled;
 use crate::config::RobotPolicy;
 use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Names, Notice, OpenedRecord, SignedPolicy, open, topic_key};
 use crate::model::{
@@ -17,6 +15,7 @@ use crate::pipeline::epoch::type_choice;
 use crate::pipeline::{Network, Owner, recorder_heads};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, RobotRow, RobotTopicRow, RobotView};
+use crate::store::notes::{Enrolled, PolicyWanted, WantedPolicy};
 use crate::store::{RecordQuery, RecordRow, SignerTopic};
 
 /// The most reports and losses looked at, the newest.
@@ -25,16 +24,6 @@ const MOST: usize = 10_000;
 const MOST_LOSSES: usize = 256;
 /// The most robots whose last sign of life is known.
 const MOST_ROBOTS: usize = 100_000;
-
-/// What an owner wants of a robot, as noted in its ledger.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-struct Wanted {
-    /// 0 = nothing was ever set.
-    version: u64,
-    /// Empty = the robot's own settings.
-    text: String,
-    set_at: Timestamp,
-}
 
 /// What robots told, and what they recorded.
 struct Known {
@@ -105,7 +94,7 @@ impl Devices {
         let sent = async {
             let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
             // Noted first: a number that was given away is never given to another policy.
-            self.note_wanted(owner, robot.device, &Wanted { version, text, set_at: Timestamp::now() })?;
+            self.note_wanted(owner, robot.device, &PolicyWanted { version, text, set_at: Timestamp::now() })?;
             block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))
         };
         self.log.deed(&owner.profile, "robot policy", &subject, sent).await?;
@@ -113,14 +102,14 @@ impl Devices {
         self.robot_view(owner, name).await
     }
 
-    fn wanted(&self, owner: &Owner, device: SignerId) -> Result<Wanted, Failure> {
-        let text = block_in_place(|| self.plant.ledger.setting(&place(owner, device)))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted, Failure> {
+        let note = WantedPolicy { owner: owner.address, device };
+        Ok(block_in_place(|| self.plant.ledger.notes.read(&note))?.unwrap_or_default())
     }
 
-    fn note_wanted(&self, owner: &Owner, device: SignerId, wanted: &Wanted) -> Result<(), Failure> {
-        let text = serde_json::to_string(wanted).unwrap_or_default();
-        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner, device), &text))?)
+    fn note_wanted(&self, owner: &Owner, device: SignerId, wanted: &PolicyWanted) -> Result<(), Failure> {
+        let note = WantedPolicy { owner: owner.address, device };
+        Ok(block_in_place(|| self.plant.ledger.notes.write(&note, wanted))?)
     }
 
     fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {
@@ -186,7 +175,7 @@ impl Devices {
 
     /// A record that a robot signed, if its bytes are here and whole.
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
-        let (signer, blob) = (robot.key, self.plant.vault.get(row.digest).ok()??);
+        let (signer, blob) = (robot.key, self.plant.ciphertext.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
         let topic_id: Option<TopicId> = Some(row.topic_id);
         let names = Names::Derived(owner.index());
@@ -199,7 +188,7 @@ impl super::enrolled::Enrolments {
     /// Seals the notice that sets a robot's policy.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// Errors of the store.
     fn send_policy(
         &self,
         owner: &Owner,
@@ -216,11 +205,7 @@ impl super::enrolled::Enrolments {
     }
 }
 
-fn place(owner: &Owner, device: SignerId) -> String {
-    format!("robot policy:{}:{device}", owner.address)
-}
-
-fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
+fn row(robot: &Enrolled, wanted: &PolicyWanted, known: &Known) -> RobotRow {
     let report = known.reports.get(&robot.device);
     let recorded = known.seen.get(&robot.device).copied();
     let told = report.map(|(_, at)| *at);
@@ -249,7 +234,7 @@ fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
 }
 
 /// How a robot stands to what is wanted of it, in words.
-fn standing(wanted: &Wanted, report: Option<&PolicyReport>) -> &'static str {
+fn standing(wanted: &PolicyWanted, report: Option<&PolicyReport>) -> &'static str {
     match report {
         Some(report) if report.running == wanted.version => "in force",
         Some(report) if report.running > wanted.version => "runs a policy not known here",
@@ -291,7 +276,7 @@ mod tests {
 
     #[test]
     fn a_robots_standing_follows_from_what_it_told() {
-        let wanted = |version| Wanted { version, text: String::new(), set_at: Timestamp(1_000) };
+        let wanted = |version| PolicyWanted { version, text: String::new(), set_at: Timestamp(1_000) };
         let report = |heard, running, refused: bool| PolicyReport {
             heard,
             running,

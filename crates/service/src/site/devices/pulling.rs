@@ -5,13 +5,13 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::Devices;
-use super::enrolled::Enrolled;
 use crate::model::{RingSpan, Timestamp, TopicPattern, TopicPatterns, clean};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{self as ask, Ask as _, RobotCommand};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, Reply, RingPullView};
 use crate::site::incidents;
+use crate::store::notes::Enrolled;
 
 /// The widest topic shown, characters.
 const WIDEST: usize = 255;
@@ -25,8 +25,9 @@ impl Devices {
     ) -> Result<Reply, Failure> {
         match command {
             RobotCommand::PullRing { name, since, until, topics, incident } => {
-                let incident = incident
-                    .map(|incident| block_in_place(|| incidents::view(&self.plant.ledger, owner.address, &incident)));
+                let incident = incident.map(|incident| {
+                    block_in_place(|| incidents::view(&self.plant.ledger.incidents, owner.address, &incident))
+                });
                 let incident = incident.transpose()?;
                 let of_incident = incident.as_ref();
                 let since = since.or(of_incident.map(|incident| incident.since));

@@ -102,7 +102,7 @@ impl Evidence {
     ) -> Result<Option<IncidentView>, Failure> {
         let Some(name) = wishes.incident.clone() else { return Ok(None) };
         let owner = owner.address;
-        blocking(self, move |evidence| incidents::view(&evidence.plant.ledger, owner, &name)).await.map(Some)
+        blocking(self, move |evidence| incidents::view(&evidence.plant.ledger.incidents, owner, &name)).await.map(Some)
     }
 
     /// The requested own records whose bytes are stored; all of them if nothing narrows it.
@@ -132,7 +132,7 @@ impl Evidence {
             let page = blocking(self, move |evidence| {
                 let ledger = &evidence.plant.ledger;
                 let query = match incident {
-                    Some(name) => incidents::narrowed(ledger, owner, &name, query)?,
+                    Some(name) => incidents::narrowed(&ledger.incidents, owner, &name, query)?,
                     None => query,
                 };
                 Ok(ledger.list(&query)?)
@@ -216,16 +216,15 @@ fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) 
     notes
 }
 
-/// Whether a record is not in the vault yet.
+/// Whether a record is not in the store yet.
 fn is_early(row: &RecordRow) -> bool {
-    matches!(row.state, RecordState::Captured | RecordState::Sealed)
+    row.state == RecordState::Captured
 }
 
 /// Whether no block is known to anchor a record.
 fn is_unanchored(row: &RecordRow) -> bool {
     match row.state {
         RecordState::Captured
-        | RecordState::Sealed
         | RecordState::Stored
         | RecordState::Batched
         | RecordState::Submitted
@@ -245,9 +244,9 @@ fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider
     page::page(bundle, &verify(bundle, trust.as_ref(), provider), about)
 }
 
-/// Whether a record's ciphertext should be in the vault.
+/// Whether a record's ciphertext should be in the store.
 fn is_stored(row: &RecordRow) -> bool {
-    !matches!(row.state, RecordState::Captured | RecordState::Sealed | RecordState::Quarantined | RecordState::Dropped)
+    !matches!(row.state, RecordState::Captured | RecordState::Quarantined | RecordState::Dropped)
 }
 
 /// How often to look for batches without a proof.
@@ -299,7 +298,7 @@ impl ChainProofs {
 
     /// The state of the proofs, if there are any or should be.
     pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
-        let counts = self.plant.ledger.chain_proof_counts()?;
+        let counts = self.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {
             return Ok(None);

@@ -54,7 +54,7 @@ fn an_open_incident_leaves_out_what_is_not_anchored_and_says_how_much() {
             row(1, RecordState::Verified, Some(7)),
             row(2, RecordState::Batched, None),
             row(3, RecordState::Submitted, None),
-            row(4, RecordState::Sealed, None),
+            row(4, RecordState::Captured, None),
             RecordRow { deleted_at: Some(Timestamp::from_seconds(9)), ..row(5, RecordState::Verified, Some(7)) },
             row(6, RecordState::Mined, Some(8)),
             row(7, RecordState::RightEnded, None),

@@ -18,7 +18,6 @@ use crate::chain::web;
 use crate::config::TimeAuthority;
 use crate::crypto::random_bytes;
 use crate::model::{ErrorKind, Hash, Timestamp, clean};
-use crate::pipeline::Plant;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
 use crate::service::hub::Hub;
@@ -26,7 +25,7 @@ use crate::service::reply::{Failure, HealthLevel, PartHealth, StampView, Stamped
 use crate::site::blocking;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use crate::store::KeptStamp;
+use crate::store::{KeptStamp, Proofs};
 
 /// How long an authority may take from connecting to the end of its answer.
 const PATIENCE: Duration = Duration::from_secs(15);
@@ -68,7 +67,7 @@ struct Last {
 
 /// The stamps of a site.
 pub(in crate::site) struct TimeStamps {
-    plant: Plant,
+    proofs: Proofs,
     hub: Arc<Hub>,
     life: Arc<Lifetime>,
     authorities: Vec<TimeAuthority>,
@@ -85,7 +84,7 @@ impl TimeStamps {
         let Parts { plant, hub, life, config, .. } = parts.clone();
         let authorities = config.time_authorities.clone();
         let (failures, last, turn) = (AtomicU64::new(0), Mutex::default(), tokio::sync::Mutex::default());
-        Self { plant, hub, life, authorities, failures, last, turn }
+        Self { proofs: plant.ledger.proofs, hub, life, authorities, failures, last, turn }
     }
 
     /// Whether any authority is configured.
@@ -118,14 +117,14 @@ impl TimeStamps {
 
     /// Puts batches under stamps: at once, or if the last time was long enough ago.
     fn begin(&self, at_once: bool, now: Timestamp) -> Result<u64, Failure> {
-        let newest = self.plant.ledger.stamp_counts()?.newest;
+        let newest = self.proofs.stamp_counts()?.newest;
         let due = newest.is_none_or(|newest| now.0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
         if !at_once && !due {
             return Ok(0);
         }
         let mut roots = 0;
         loop {
-            let more = self.plant.ledger.begin_stamp(MOST_ROOTS, now)?;
+            let more = self.proofs.begin_stamp(MOST_ROOTS, now)?;
             roots += more;
             if more < MOST_ROOTS as u64 {
                 return Ok(roots);
@@ -142,7 +141,7 @@ impl TimeStamps {
         let now = Moment::now();
         let roots = blocking(self, move |stamps| stamps.begin(true, now.wall)).await?;
         let (tokens, problem) = self.ask_all(now).await;
-        let waiting = blocking(self, |stamps| Ok(stamps.plant.ledger.stamp_counts()?.waiting)).await?;
+        let waiting = blocking(self, |stamps| Ok(stamps.proofs.stamp_counts()?.waiting)).await?;
         match problem {
             Some(failure) if tokens.is_empty() => Err(failure),
             problem => Ok(StampView { roots, tokens, waiting, problem: problem.map(|failure| failure.message) }),
@@ -183,7 +182,7 @@ impl TimeStamps {
     async fn ask(self: &Arc<Self>, authority: &TimeAuthority, tokens: &mut Vec<StampedView>) -> Result<(), Failure> {
         let certificate = read(authority)?;
         let id = Hash(Sha256::digest(certificate.der()).into());
-        let waiting = move |stamps: &Self| Ok(stamps.plant.ledger.waiting_stamps(id, AT_ONCE)?);
+        let waiting = move |stamps: &Self| Ok(stamps.proofs.waiting_stamps(id, AT_ONCE)?);
         let waiting = blocking(self, waiting).await?;
         if waiting.is_empty() {
             return Ok(());
@@ -201,7 +200,7 @@ impl TimeStamps {
             let stamped = check_token(token, &request.imprint, Some(&request), pinned).map_err(told)?;
             stamped.by_pinned().map_err(told)?;
             let (token, before) = (token.to_vec(), stamped.before);
-            blocking(self, move |stamps| Ok(stamps.plant.ledger.keep_token(key, id, before, token)?)).await?;
+            blocking(self, move |stamps| Ok(stamps.proofs.keep_token(key, id, before, token)?)).await?;
             tokens.push(StampedView { authority: clean(&authority.name, 80), before, roots: count });
         }
         Ok(())
@@ -212,7 +211,7 @@ impl TimeStamps {
         if !self.is_wanted() {
             return Ok(None);
         }
-        let counts = self.plant.ledger.stamp_counts()?;
+        let counts = self.proofs.stamp_counts()?;
         let newest = counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("newest before {before}"));
         let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
         let trouble = self.with(|last| last.trouble.clone());

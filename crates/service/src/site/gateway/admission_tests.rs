@@ -4,11 +4,9 @@
 use std::sync::Arc;
 
 use super::admissions::Admissions;
-use crate::crypto::SmKeyPair;
 use crate::model::{Address, Party};
 use crate::site::contacts::Contacts;
 use crate::site::testing::{Ground, profile};
-use crate::store::KeptBinding;
 
 const GUEST: Address = Address([9; 20]);
 
@@ -49,20 +47,4 @@ async fn a_profile_of_the_home_cannot_be_dismissed_also_while_it_is_not_open() {
     let ground = ground.again();
     let refused = admissions(&ground).dismiss(&profile("alice"), &Party::Address(own)).await.expect_err("of this home");
     assert!(refused.message.contains("a profile of this home"), "{}", refused.message);
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_had_a_name_before_there_was_a_list_is_on_it() {
-    let ground = Ground::with(&[]);
-    let pair = SmKeyPair::generate(ground.parts.plant.provider).expect("a pair").public;
-    let kept = KeptBinding { account: GUEST, signing: pair, envelope: pair, sealed_key: vec![1], device: None };
-    ground.parts.plant.ledger.bind(&profile("scout"), kept).expect("bound");
-    let list = admissions(&ground);
-    list.open().expect("made");
-    assert!(list.is_on_list(&GUEST) && !list.is_on_list(&Address([8; 20])));
-    list.dismiss(&profile("keeper"), &Party::Address(GUEST)).await.expect("dismissed");
-    drop(list);
-    let list = admissions(&ground);
-    list.open().expect("read");
-    assert!(!list.is_on_list(&GUEST), "an upgrade happens once");
 }

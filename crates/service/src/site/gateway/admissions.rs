@@ -4,43 +4,32 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError, RwLock};
 
-use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
 use super::{GatewayDesk, desk};
 use crate::event::Part;
-use crate::failure::{input, internal, refused};
+use crate::failure::{input, refused};
 use crate::gateway::{Code, Received, Refusal};
 use crate::hub::Hub;
 use crate::model::bytes::hex;
 use crate::model::{Address, Party, ProfileName, Timestamp};
 use crate::paths::Home;
-use crate::pipeline::{Network, Plant};
+use crate::pipeline::Network;
 use crate::reply::{AdmittedView, Failure};
 use crate::site::audit::Log;
 use crate::site::contacts::Contacts;
 use crate::site::identity::Owners;
 use crate::site::parts::Parts;
-use crate::store::Ledger;
+use crate::store::Notes;
+use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
-/// Where the list is stored in the ledger.
-const LIST: &str = "gateway admitted";
 /// The most owners on it.
 const MOST: usize = 10_000;
-
-/// One owner on the list.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Admitted {
-    owner: Address,
-    since: Timestamp,
-    /// Who admitted it, or why it is listed.
-    by: String,
-}
 
 /// Who may use the gateway of this home.
 pub(in crate::site) struct Admissions {
     home: Home,
-    plant: Plant,
+    notes: Notes,
     hub: Arc<Hub>,
     log: Arc<Log>,
     owners: Arc<Owners>,
@@ -57,7 +46,7 @@ impl Admissions {
         let Parts { home, plant, hub, log, owners, .. } = parts.clone();
         Self {
             home,
-            plant,
+            notes: plant.ledger.notes,
             hub,
             log,
             owners,
@@ -69,29 +58,12 @@ impl Admissions {
 }
 
 impl Admissions {
-    /// The list in the ledger. The first time, it contains everybody who has a name at this gateway already: an upgrade
-    /// locks nobody out.
-    fn list(&self) -> Result<Vec<Admitted>, Failure> {
-        let ledger = &self.plant.ledger;
-        let unread = |_| input("the list of admitted owners in the ledger cannot be read; restore a backup");
-        if let Some(text) = block_in_place(|| ledger.setting(LIST))? {
-            return serde_json::from_str(&text).map_err(unread);
-        }
-        // Somebody may be admitted meanwhile.
-        let first = |text: Option<&str>| {
-            let list = match text {
-                Some(text) => serde_json::from_str(text).map_err(unread)?,
-                None => bound(ledger)?,
-            };
-            let text = serde_json::to_string(&list).map_err(|error| internal(error.to_string()))?;
-            Ok::<_, Failure>((text, list))
-        };
-        block_in_place(|| ledger.change_setting(LIST, first))
+    fn list(&self) -> Result<Vec<AdmittedOwner>, Failure> {
+        Ok(block_in_place(|| self.notes.read(&AdmittedOwners {}))?.unwrap_or_default())
     }
 
-    fn write(&self, list: &Vec<Admitted>) -> Result<(), Failure> {
-        let text = serde_json::to_string(list).map_err(|error| internal(error.to_string()))?;
-        block_in_place(|| self.plant.ledger.put_setting(LIST, &text))?;
+    fn write(&self, list: &Vec<AdmittedOwner>) -> Result<(), Failure> {
+        block_in_place(|| self.notes.write(&AdmittedOwners {}, list))?;
         let owners = list.iter().map(|admitted| admitted.owner).collect();
         *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
         self.hub.changed(Part::Health);
@@ -126,7 +98,7 @@ impl Admissions {
                 if list.len() >= MOST {
                     return Err(refused(format!("a gateway can admit at most {MOST} owners; dismiss one first")));
                 }
-                list.push(Admitted { owner, since: Timestamp::now(), by: profile.to_string() });
+                list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
                 self.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
             }
@@ -155,8 +127,8 @@ impl Admissions {
 
     /// The admitted owners, with the names of the address book.
     pub fn rows(&self) -> Result<Vec<AdmittedView>, Failure> {
-        let (names, list) = (self.contacts.names(), self.list()?);
-        let row = |admitted: Admitted| AdmittedView {
+        let (names, list) = (self.contacts.names()?, self.list()?);
+        let row = |admitted: AdmittedOwner| AdmittedView {
             owner: admitted.owner,
             name: names.get(&admitted.owner).cloned(),
             since: admitted.since,
@@ -175,13 +147,6 @@ impl Admissions {
         });
         open.into_iter().chain(kept).collect()
     }
-}
-
-/// Everybody who has a name at this gateway.
-fn bound(ledger: &Ledger) -> Result<Vec<Admitted>, Failure> {
-    let owners: BTreeSet<Address> = ledger.bound_names()?.into_iter().map(|(_, owner)| owner).collect();
-    let (since, by) = (Timestamp::now(), "had a name here before admission was introduced");
-    Ok(owners.into_iter().map(|owner| Admitted { owner, since, by: by.to_owned() }).collect())
 }
 
 /// The most owners that an open gateway accepts without admission.
@@ -227,7 +192,7 @@ impl GatewayDesk {
         if self.standing_of(network, account)? == Standing::Admitted {
             return Ok(());
         }
-        let bound = self.gateway.plant.ledger.bound_names().map_err(Refusal::because(Code::Internal))?;
+        let bound = self.gateway.plant.ledger.bindings.bound_names().map_err(Refusal::because(Code::Internal))?;
         let own = bound.iter().filter(|(_, owner)| owner == account).count();
         let known = bound.iter().any(|(other, owner)| owner == account && other == name.as_str());
         let most = self.gateway.config.gateway.names;

@@ -9,7 +9,7 @@ use tokio::sync::watch;
 
 use super::GatewayDesk;
 use super::admissions::Standing as Access;
-use super::reading::{LONGEST_SILENCE, announced_key};
+use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
@@ -26,6 +26,7 @@ use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
+use crate::store::notes::AnnouncedRevoke;
 use crate::store::{KeptBinding, NewRecord, StoreError};
 
 impl GatewayDesk {
@@ -73,9 +74,9 @@ impl GatewayDesk {
 
     /// A revoke that is not on the chain yet: it is obeyed from now on.
     async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
-        let (key, epoch) = (announced_key(&caller.account, &notice.grantee), notice.epoch.to_string());
+        let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
         self.blocking(move |desk| {
-            desk.gateway.plant.ledger.put_setting(&key, &epoch).map_err(Refusal::because(Code::Internal))
+            desk.gateway.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::because(Code::Internal))
         })
         .await?;
         self.gateway.hub.feed_changed();
@@ -93,9 +94,9 @@ impl GatewayDesk {
         self.audit(caller, "device notice", &device.to_string()).await?;
         let (name, account) = (caller.name.to_string(), caller.account);
         self.blocking(move |desk| {
-            let ledger = &desk.gateway.plant.ledger;
-            ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
-            ledger.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
+            let bindings = &desk.gateway.plant.ledger.bindings;
+            bindings.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
+            bindings.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
         })
         .await
     }
@@ -154,7 +155,7 @@ impl Desk for GatewayDesk {
             let (account, token) = (*account, *token);
             let is_known = self.blocking(move |desk| {
                 let directory = desk.known_network()?.directory;
-                let known = kept::has_token(&desk.gateway.plant.ledger, &directory, account, token);
+                let known = kept::has_token(&desk.gateway.plant.ledger.rights, &directory, account, token);
                 known.map_err(Refusal::because(Code::Internal))
             });
             if !is_known.await? {
@@ -172,7 +173,7 @@ impl Desk for GatewayDesk {
         }
         let signer = *signer;
         self.blocking(move |desk| {
-            let key = desk.gateway.plant.ledger.signer(signer).map_err(Refusal::because(Code::Internal))?;
+            let key = desk.gateway.plant.ledger.bindings.signer(signer).map_err(Refusal::because(Code::Internal))?;
             Ok(key.filter(|key| signer_id(key) == signer))
         })
         .await
@@ -182,7 +183,9 @@ impl Desk for GatewayDesk {
         let name = name.clone();
         self.blocking(move |desk| {
             let internal = Refusal::because(Code::Internal);
-            let Some(kept) = desk.gateway.plant.ledger.binding(&name).map_err(&internal)? else { return Ok(None) };
+            let Some(kept) = desk.gateway.plant.ledger.bindings.binding(&name).map_err(&internal)? else {
+                return Ok(None);
+            };
             let provider = desk.gateway.plant.provider;
             let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
             let open =
@@ -222,7 +225,7 @@ impl Desk for GatewayDesk {
             let sealed_key = sealed_key.map_err(Refusal::because(Code::Internal))?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
-            desk.gateway.plant.ledger.bind(&name, kept).map_err(Refusal::because(Code::Internal))
+            desk.gateway.plant.ledger.bindings.bind(&name, kept).map_err(Refusal::because(Code::Internal))
         });
         let bound = bound.await;
         let told = match &bound {

@@ -9,7 +9,7 @@ use super::GatewayDesk;
 use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
 use crate::event::{NoticeLevel, Part};
 use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Refusal};
-use crate::model::{Digest, Header, RecordState};
+use crate::model::{Digest, Header};
 use crate::pipeline::Network;
 use crate::pipeline::columns::header_difference;
 use crate::pipeline::intake::{Accepted, Intake, Reason, Refused, taken_erased};
@@ -126,7 +126,7 @@ impl GatewayDesk {
         let taken = taken_erased(left.record.blob, &left.statement);
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: left.record.signature };
         let row = NewRecord::foreign(sealed, self.keeper.address);
-        let row = NewRecord { local_copy: None, state: RecordState::Stored, ..row };
+        let row = NewRecord { blob: None, ..row };
         let stated = (taken, account_signature.0.to_vec());
         match block_in_place(|| plant.ledger.take_told(row, stated, (inclusion, anchor))) {
             Ok(ToldErased::Listed | ToldErased::Named) => {

@@ -14,16 +14,12 @@ use crate::pipeline::authority::{
 };
 use crate::pipeline::chain_proofs::anchor_proof;
 use crate::site::chain::link::GRACE;
+use crate::store::notes::AnnouncedRevoke;
 use crate::store::{self, FeedFilter, FeedPlace, FeedRow, RecordRow};
 
 /// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
 /// [`GatewayDesk::fresh_network`].
 pub(super) const LONGEST_SILENCE: Duration = Duration::from_secs(30);
-
-/// The setting for a revoke that is announced and not on the chain yet: the epoch that it begins.
-pub(super) fn announced_key(owner: &Address, grantee: &Address) -> String {
-    format!("announced revoke:{owner}:{grantee}")
-}
 
 fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
     Refusal::new(Code::NotAuthorised, format_args!("{reader} has no grant of {owner}"))
@@ -97,10 +93,8 @@ impl GatewayDesk {
     }
 
     fn is_revoke_announced(&self, network: &Network, owner: &Address, reader: &Address) -> Result<bool, Refusal> {
-        let ledger = &self.gateway.plant.ledger;
-        let internal = Refusal::because(Code::Internal);
-        let announced = ledger.setting(&announced_key(owner, reader)).map_err(&internal)?;
-        let epoch: Option<u64> = announced.and_then(|text| text.parse().ok());
+        let announced = AnnouncedRevoke { owner: *owner, reader: *reader };
+        let epoch = self.gateway.plant.ledger.notes.read(&announced).map_err(Refusal::because(Code::Internal))?;
         // The chain has caught up: its own state decides again.
         if epoch.is_some_and(|epoch| network.directory.epoch(*owner) < epoch) {
             return Ok(true);
@@ -117,14 +111,7 @@ impl GatewayDesk {
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
         let placed = plant.ledger.placed(row.digest).map_err(&internal)?;
-        let blob = match row.deleted_at {
-            // Deleted is deleted, even where an earlier version took the bytes in again.
-            Some(_) => None,
-            None => match plant.vault.get(row.digest).map_err(&internal)? {
-                Some(blob) => Some(blob),
-                None => plant.ledger.local_copy(row.digest).map_err(&internal)?,
-            },
-        };
+        let blob = plant.stored_bytes(&row).map_err(&internal)?;
         let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)))?;
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
             return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
@@ -201,7 +188,7 @@ impl GatewayDesk {
                 .map_or_else(|| Refusal::new(Code::Malformed, "nobody is asked about"), |(_, refusal)| refusal));
         }
         let filter = FeedFilter { places, kind: asked.kind, recorders: asked.recorders.clone() };
-        let page = self.gateway.plant.ledger.feed().page(&asked.id, &filter, MOST_ENTRIES);
+        let page = self.gateway.plant.ledger.feed.page(&asked.id, &filter, MOST_ENTRIES);
         let store::FeedPage { id, head, upto, mut rows } = page.map_err(Refusal::because(Code::Internal))?;
         // A device knows its owner's recorder from her notices.
         rows.retain(|row| !of_own || is_a_device(&network, caller, &row.placed.row.signer));

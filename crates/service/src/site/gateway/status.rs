@@ -33,7 +33,7 @@ impl Gateway {
     }
 
     pub(in crate::site) fn status(&self) -> Result<GatewayStatusView, Failure> {
-        let bound = block_in_place(|| self.plant.ledger.bound_names())?;
+        let bound = block_in_place(|| self.plant.ledger.bindings.bound_names())?;
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(serving) = &*serving else {

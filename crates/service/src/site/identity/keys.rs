@@ -12,7 +12,7 @@ use crate::command::{KeyKind, SecretBytes, SecretText};
 use crate::crypto::{
     Fingerprint, Keyring, SmKeyPair, keyfile, open_transport_key, prove, seal_transport_key, signer_id,
 };
-use crate::event::Part;
+use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
 use crate::model::{RecordState, SignerId};
@@ -118,8 +118,10 @@ impl Profiles {
     ) -> Result<Option<Network>, Failure> {
         match self.link.network().await {
             Ok(network) => Ok(network.directory.identity(owner.address).is_ok().then_some(network)),
-            Err(failure) if self.home.pin().exists() => Err(failure),
-            Err(_) => Ok(None),
+            Err(failure) => match self.connection.pin()? {
+                Some(_) => Err(failure),
+                None => Ok(None),
+            },
         }
     }
 
@@ -215,7 +217,7 @@ impl Profiles {
         let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
             // Robots know already of a change begun before.
-            self.finish_pairs(owner, network).await?;
+            self.settle_pairs(owner, network).await?;
             if new.signing.is_some() {
                 self.nothing_is_captured(owner)?;
             }
@@ -233,6 +235,39 @@ impl Profiles {
             Some(network) => self.finish_pairs(owner, network).await,
             None => self.take_over_pairs(owner, None),
         }
+    }
+
+    /// Brings the chain to the pairs of the keyring: registers them again where it went back to earlier ones, and finishes a
+    /// change that was begun. The caller holds the owner's changes and has taken over what the chain hands out.
+    pub(in crate::site) async fn settle_pairs(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+    ) -> Result<(), Failure> {
+        if recovery::is_ahead(network, owner)? {
+            // No record signed by the registered key is in flight: the keyring signs with a later one.
+            let (signing, envelope) = (owner.signing(), owner.envelope());
+            let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
+                let text = format!(
+                    "the chain has earlier SM2 keys of '{}' than the keyring, and the keyring's could not be registered \
+                     again: {}; run `authros register`",
+                    owner.profile, failure.message
+                );
+                self.sharing.note_pairs(owner, Some(text.clone()));
+                Failure { message: text, ..failure }
+            });
+            let subject = owner.address.to_string();
+            self.log.ended(&owner.profile, "register keys again", &subject, sent).await?;
+            self.sharing.note_pairs(owner, None);
+            let text = format!(
+                "the chain had gone back to earlier SM2 keys of '{}', as an older copy does: those of the keyring are \
+                 registered again",
+                owner.profile
+            );
+            self.hub.notice(NoticeLevel::Warning, &text);
+            self.hub.changed(Part::Identity);
+        }
+        self.finish_pairs(owner, network).await
     }
 
     /// Finishes a change that was begun; does nothing if there is none. The caller holds the owner's changes.
@@ -340,8 +375,8 @@ impl Profiles {
         // Nothing is bound meanwhile.
         let mut held = under.as_ref().map(|under| under.write().unwrap_or_else(std::sync::PoisonError::into_inner));
         let Some((present, former)) = pairs.split_first() else { return Ok(()) };
-        for (name, _) in ledger.bound_names()? {
-            let Some(kept) = name.parse().ok().map(|name| ledger.binding(&name)).transpose()?.flatten() else {
+        for (name, _) in ledger.bindings.bound_names()? {
+            let Some(kept) = name.parse().ok().map(|name| ledger.bindings.binding(&name)).transpose()?.flatten() else {
                 continue;
             };
             let open = |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, &name, &kept.sealed_key).ok();
@@ -350,7 +385,7 @@ impl Profiles {
             }
             if let Some(key) = former.iter().find_map(open) {
                 let sealed = seal_transport_key(provider, &present.secret, &name, &key)?;
-                ledger.reseal_binding(&name, kept.sealed_key.clone(), sealed)?;
+                ledger.bindings.reseal_binding(&name, kept.sealed_key.clone(), sealed)?;
             }
         }
         if let Some(held) = &mut held {

@@ -194,7 +194,10 @@ impl Profiles {
         self.pins.introduce(&owner);
         self.owners.insert(&owner);
         self.seal_as_before(&owner);
-        self.watches.restore(&owner);
+        if let Err(failure) = self.watches.restore(&owner) {
+            let text = format!("what '{}' watches is not captured: {}", owner.profile, failure.message);
+            self.hub.notice(NoticeLevel::Error, &text);
+        }
         self.hub.changed(Part::Identity);
         owner
     }
@@ -311,6 +314,7 @@ impl Profiles {
             self.send_registration(owner, &network).await?;
         }
         self.take_up(owner, &network).await?;
+        self.settle_pairs(owner, &network).await?;
         if owner.sealing().is_none() {
             let missing = self.sharing.missing_text();
             return Err(refused(missing.unwrap_or_else(|| "no epoch has started; run the command again".to_owned())));
@@ -354,7 +358,7 @@ impl Profiles {
             let pairs = async {
                 let network = profiles.link.network().await?;
                 let _one_at_a_time = owner.changes.lock().await;
-                profiles.finish_pairs(&owner, &network).await
+                profiles.settle_pairs(&owner, &network).await
             };
             if let Err(failure) = pairs.await {
                 profiles.hub.notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));

@@ -6,7 +6,6 @@ mod tests;
 use std::sync::Arc;
 
 use crate::model::{Address, ErrorKind, IncidentName, ProfileName, Timestamp, TopicName, clean, clean_lines};
-use crate::pipeline::Plant;
 use crate::service::command::{self as ask, Ask, IncidentCommand};
 use crate::service::event::Part;
 use crate::service::failure::input;
@@ -16,7 +15,7 @@ use crate::site::audit::Log;
 use crate::site::blocking;
 use crate::site::identity::Owners;
 use crate::site::parts::Parts;
-use crate::store::{IncidentRow, IncidentSpan, Ledger, RecordQuery, SpanCoverage};
+use crate::store::{IncidentRow, IncidentSpan, Incidents as KeptIncidents, RecordQuery, SpanCoverage};
 
 /// The most incidents of a profile.
 const MOST: usize = 200;
@@ -31,7 +30,7 @@ const WIDEST: usize = 255;
 
 /// Incidents as the operator opens, notes, closes and removes them.
 pub(in crate::site) struct Incidents {
-    plant: Plant,
+    kept: KeptIncidents,
     hub: Arc<Hub>,
     log: Arc<Log>,
     owners: Arc<Owners>,
@@ -48,7 +47,7 @@ impl Incidents {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, log, owners, .. } = parts.clone();
-        Self { plant, hub, log, owners }
+        Self { kept: plant.ledger.incidents, hub, log, owners }
     }
 
     /// Answers one request.
@@ -91,7 +90,7 @@ impl Incidents {
         }
         let (subject, named) = (subject(&name, &span), name.clone());
         let opened = blocking(self, move |incidents| {
-            let opened = incidents.plant.ledger.open_incident(owner, &named, &span, note.as_deref())?;
+            let opened = incidents.kept.open(owner, &named, &span, note.as_deref())?;
             if opened { Ok(()) } else { Err(taken(&named)) }
         });
         self.log.deed(profile, "open incident", &subject, opened).await?;
@@ -100,21 +99,21 @@ impl Incidents {
     }
 
     async fn rows(self: &Arc<Self>, owner: Address) -> Result<Vec<IncidentRow>, Failure> {
-        blocking(self, move |incidents| Ok(incidents.plant.ledger.incidents(owner)?)).await
+        blocking(self, move |incidents| Ok(incidents.kept.list(owner)?)).await
     }
 
     async fn list(self: &Arc<Self>, owner: Address) -> Result<Vec<IncidentView>, Failure> {
         blocking(self, move |incidents| {
-            let ledger = &incidents.plant.ledger;
-            ledger.incidents(owner)?.into_iter().map(|row| covered(ledger, owner, row)).collect()
+            let kept = &incidents.kept;
+            kept.list(owner)?.into_iter().map(|row| covered(kept, owner, row)).collect()
         })
         .await
     }
 
     async fn show(self: &Arc<Self>, owner: Address, name: IncidentName) -> Result<IncidentView, Failure> {
         blocking(self, move |incidents| {
-            let ledger = &incidents.plant.ledger;
-            covered(ledger, owner, known(ledger, owner, &name)?)
+            let kept = &incidents.kept;
+            covered(kept, owner, known(kept, owner, &name)?)
         })
         .await
     }
@@ -131,8 +130,7 @@ impl Incidents {
             return Err(input(format!("{name} has {MOST_NOTES} notes, the limit per incident")));
         }
         let named = name.clone();
-        let noted =
-            blocking(self, move |incidents| found(&named, incidents.plant.ledger.note_incident(owner, &named, &text)?));
+        let noted = blocking(self, move |incidents| found(&named, incidents.kept.note(owner, &named, &text)?));
         self.log.deed(profile, "note incident", name.as_str(), noted).await?;
         self.show(owner, name).await
     }
@@ -147,8 +145,7 @@ impl Incidents {
             return Err(input(format!("{name} is already closed; its records are held until it is removed")));
         }
         let named = name.clone();
-        let closed =
-            blocking(self, move |incidents| found(&named, incidents.plant.ledger.close_incident(owner, &named)?));
+        let closed = blocking(self, move |incidents| found(&named, incidents.kept.close(owner, &named)?));
         self.log.deed(profile, "close incident", name.as_str(), closed).await?;
         self.hub.changed(Part::Uploads);
         self.show(owner, name).await
@@ -162,8 +159,7 @@ impl Incidents {
     ) -> Result<Vec<IncidentView>, Failure> {
         let view = self.show(owner, name.clone()).await?;
         let told = format!("{name}: {} records were held", view.records);
-        let removed =
-            blocking(self, move |incidents| found(&name, incidents.plant.ledger.remove_incident(owner, &name)?));
+        let removed = blocking(self, move |incidents| found(&name, incidents.kept.remove(owner, &name)?));
         self.log.deed(profile, "remove incident", &told, removed).await?;
         self.hub.changed(Part::Uploads);
         self.list(owner).await
@@ -217,8 +213,8 @@ fn found(name: &IncidentName, done: bool) -> Result<(), Failure> {
     if done { Ok(()) } else { Err(unknown(name)) }
 }
 
-fn known(ledger: &Ledger, owner: Address, name: &IncidentName) -> Result<IncidentRow, Failure> {
-    ledger.incident(owner, name)?.ok_or_else(|| unknown(name))
+fn known(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentRow, Failure> {
+    kept.find(owner, name)?.ok_or_else(|| unknown(name))
 }
 
 /// The subject in the audit log.
@@ -233,12 +229,12 @@ fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
 /// # Errors
 /// Kind `Input` if there is none of this name; errors of the ledger.
 pub(in crate::site) fn narrowed(
-    ledger: &Ledger,
+    kept: &KeptIncidents,
     owner: Address,
     name: &IncidentName,
     query: RecordQuery,
 ) -> Result<RecordQuery, Failure> {
-    let IncidentSpan { since, until, topics } = known(ledger, owner, name)?.span;
+    let IncidentSpan { since, until, topics } = known(kept, owner, name)?.span;
     let until = [query.until, until].into_iter().flatten().min();
     Ok(RecordQuery { since: query.since.max(Some(since)), until, topics, ..query })
 }
@@ -247,13 +243,17 @@ pub(in crate::site) fn narrowed(
 ///
 /// # Errors
 /// See [`narrowed`].
-pub(in crate::site) fn view(ledger: &Ledger, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
-    covered(ledger, owner, known(ledger, owner, name)?)
+pub(in crate::site) fn view(
+    kept: &KeptIncidents,
+    owner: Address,
+    name: &IncidentName,
+) -> Result<IncidentView, Failure> {
+    covered(kept, owner, known(kept, owner, name)?)
 }
 
-fn covered(ledger: &Ledger, owner: Address, row: IncidentRow) -> Result<IncidentView, Failure> {
+fn covered(kept: &KeptIncidents, owner: Address, row: IncidentRow) -> Result<IncidentView, Failure> {
     let coverage: Vec<SpanCoverageView> =
-        ledger.span_coverage(owner, &row.span)?.into_iter().map(coverage_view).collect();
+        kept.span_coverage(owner, &row.span)?.into_iter().map(coverage_view).collect();
     let note = |note: crate::store::IncidentNote| IncidentNoteView {
         at: note.at,
         text: clean_lines(&note.text, LONGEST_NOTE),

@@ -34,7 +34,7 @@ fn capture(ground: &Ground, owner: Address, topic: &str, second: u64) {
         captured_at: Timestamp::from_seconds(second),
         simulated: false,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     };
     ground.parts.plant.ledger.append(vec![record]).expect("acknowledged");
 }
@@ -115,12 +115,12 @@ async fn a_query_is_narrowed_to_the_incident_and_never_widened() {
     let within = |since: Option<u64>, until: Option<u64>| {
         let (since, until) = (since.map(Timestamp::from_seconds), until.map(Timestamp::from_seconds));
         let query = RecordQuery { since, until, ..RecordQuery::default() };
-        let query = narrowed(ledger, alice, &name("crash"), query).expect("there");
+        let query = narrowed(&ledger.incidents, alice, &name("crash"), query).expect("there");
         assert_eq!(query.topics, ["/odom"]);
         (query.since.map(|at| at.seconds()), query.until.map(|at| at.seconds()))
     };
     assert_eq!(within(None, None), (Some(15), Some(25)));
     assert_eq!(within(Some(1), Some(99)), (Some(15), Some(25)));
     assert_eq!(within(Some(17), Some(19)), (Some(17), Some(19)));
-    assert!(narrowed(ledger, bob, &name("crash"), RecordQuery::default()).is_err(), "another's");
+    assert!(narrowed(&ledger.incidents, bob, &name("crash"), RecordQuery::default()).is_err(), "another's");
 }

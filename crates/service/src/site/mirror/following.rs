@@ -7,13 +7,12 @@ use tokio::task::block_in_place;
 
 use super::{Broken, Joined, TICK};
 use crate::event::{NoticeLevel, Part};
-use crate::gateway::feed::FeedId;
 use crate::gateway::{Client, Code, Feed, FeedEntry, FeedPage, Fetched, Follow, GatewayError};
-use crate::model::bytes::hex;
 use crate::model::{Address, Digest, Fact, Hash};
 use crate::pipeline::intake::{Accepted, Anchors, Intake, Wish, sources, wish};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
+use crate::store::notes::{FeedTaken, FollowedOwner, TakenOfFeed};
 
 /// How long the gateway may wait for something to tell.
 const WAIT: Duration = Duration::from_secs(1);
@@ -22,68 +21,38 @@ const BEHIND: Duration = Duration::from_secs(3);
 /// Records asked for at once.
 const WINDOW: usize = 64;
 
-/// What was known of an owner when his records were followed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Known {
-    /// The beginning of the hash of his grant's transaction.
-    grant: u64,
-    /// The newest epoch that the reader had keys for, and how many there were up to it.
-    newest: u64,
-    count: u64,
-}
-
-impl Known {
-    /// Whether more can be read of what was passed by than before. Keys of later epochs are no such thing: what they open was
-    /// kept for later.
-    fn opens_more(&self, other: &Self, epochs: &BTreeSet<u64>) -> bool {
-        other.grant != self.grant || epochs.range(..=self.newest).count() as u64 > self.count
-    }
+/// Whether more can be read of what was passed by than before. Keys of later epochs are no such thing: what they open was kept
+/// for later.
+fn opens_more(known: &FollowedOwner, now: &FollowedOwner, epochs: &BTreeSet<u64>) -> bool {
+    now.grant != known.grant || epochs.range(..=known.newest).count() as u64 > known.count
 }
 
 /// Where a reader is in a gateway's feed.
 struct Place {
-    name: String,
+    note: TakenOfFeed,
     follow: Follow,
-    known: BTreeMap<Address, Known>,
+    known: BTreeMap<Address, FollowedOwner>,
     /// As it was stored last.
-    saved: String,
+    saved: FeedTaken,
 }
 
 impl Place {
-    /// From its text: id, then for each owner `address grant newest count number`. A text that is damaged in any way is no place:
-    /// reading anew loses nothing.
-    fn read(name: String, text: &str) -> Self {
-        let (id, owners) = parse(text).unwrap_or_default();
-        let places = owners.iter().map(|(owner, (_, number))| (*owner, *number)).collect();
-        let filter = Feed { id, wait: WAIT, kind: None, topics: Vec::new(), recorders: Vec::new(), places };
-        let known = owners.into_iter().map(|(owner, (known, _))| (owner, known)).collect();
-        Self { name, follow: Follow::new(filter), known, saved: text.to_owned() }
+    fn of(note: TakenOfFeed, saved: FeedTaken) -> Self {
+        let places = saved.owners.iter().map(|(owner, (_, number))| (*owner, *number)).collect();
+        let (id, topics, recorders) = (saved.feed, Vec::new(), Vec::new());
+        let follow = Follow::new(Feed { id, wait: WAIT, kind: None, topics, recorders, places });
+        let known = saved.owners.iter().map(|(owner, (known, _))| (*owner, *known)).collect();
+        Self { note, follow, known, saved }
     }
 
-    /// Its text, with no number beyond `most`.
-    fn text(&self, most: u64) -> String {
+    /// What of it is stored: no number beyond `most`.
+    fn taken(&self, most: u64) -> FeedTaken {
         let each = self.follow.places().iter().map(|(owner, number)| {
-            let Known { grant, newest, count } = self.known.get(owner).copied().unwrap_or(UNKNOWN);
-            format!(" {owner} {grant} {newest} {count} {}", (*number).min(most))
+            let known = self.known.get(owner).copied().unwrap_or_default();
+            (*owner, (known, (*number).min(most)))
         });
-        std::iter::once(hex(&self.follow.id())).chain(each).collect()
+        FeedTaken { feed: self.follow.id(), owners: each.collect() }
     }
-}
-
-const UNKNOWN: Known = Known { grant: 0, newest: 0, count: 0 };
-
-type Owners = BTreeMap<Address, (Known, u64)>;
-
-fn parse(text: &str) -> Option<(FeedId, Owners)> {
-    let mut words = text.split(' ');
-    let id = crate::model::bytes::unhex(words.next()?)?.try_into().ok()?;
-    let (mut owners, rest) = (BTreeMap::new(), words.collect::<Vec<_>>());
-    for one in rest.chunks(5) {
-        let [owner, grant, newest, count, number] = one else { return None };
-        let known = Known { grant: grant.parse().ok()?, newest: newest.parse().ok()?, count: count.parse().ok()? };
-        owners.insert(owner.parse().ok()?, (known, number.parse().ok()?));
-    }
-    Some((id, owners))
 }
 
 /// The most entries that wait for the chain here, or for a key.
@@ -167,14 +136,14 @@ impl<'a> Following<'a> {
         (owner, network): (&'a Owner, &'a Network),
         (keeper, anchors): (Address, &'a Anchors),
     ) -> Result<Self, PipelineError> {
-        let name = format!("feed:{}:{keeper}:{}", network.domain, owner.address);
+        let note = TakenOfFeed { domain: network.domain, keeper, reader: owner.address };
         let plant = &joined.plant;
-        let text = block_in_place(|| plant.ledger.setting(&name))?.unwrap_or_default();
+        let taken = block_in_place(|| plant.ledger.notes.read(&note))?.unwrap_or_default();
         Ok(Self {
             joined,
             intake: Intake { plant, network, anchors, keeper, patience: BEHIND },
             reader: Reader { plant, network, reader: owner },
-            place: Place::read(name, &text),
+            place: Place::of(note, taken),
             later: Later::default(),
             idle: 0,
             asked: Instant::now(),
@@ -197,8 +166,8 @@ impl<'a> Following<'a> {
         for (owner, grant) in sources {
             let epochs = block_in_place(|| self.reader.epochs_of(owner))?;
             let (newest, count) = (epochs.last().copied().unwrap_or(0), epochs.len() as u64);
-            let now = Known { grant: beginning(&grant), newest, count };
-            if self.place.known.get(&owner).is_none_or(|known| known.opens_more(&now, &epochs)) {
+            let now = FollowedOwner { grant: beginning(&grant), newest, count };
+            if self.place.known.get(&owner).is_none_or(|known| opens_more(known, &now, &epochs)) {
                 self.place.follow.remove(&owner);
                 is_anew = true;
             }
@@ -229,7 +198,7 @@ impl<'a> Following<'a> {
     /// Takes in what a page tells, and what is due of what had to wait. Returns whether that is all that the gateway has.
     ///
     /// # Errors
-    /// If the connection breaks, or chain, vault or ledger fail.
+    /// If the connection breaks, or chain or store fail.
     pub async fn take(&mut self, client: &mut Client, page: Option<FeedPage>) -> Result<bool, Broken> {
         let due = self.later.due(Instant::now());
         self.take_all(client, &due).await?;
@@ -320,10 +289,10 @@ impl<'a> Following<'a> {
 
     /// Stores how far all is dealt with.
     fn save(&mut self) -> Result<(), PipelineError> {
-        let text = self.place.text(self.later.most());
-        if text != self.place.saved {
-            block_in_place(|| self.joined.plant.ledger.put_setting(&self.place.name, &text))?;
-            self.place.saved = text;
+        let taken = self.place.taken(self.later.most());
+        if taken != self.place.saved {
+            block_in_place(|| self.joined.plant.ledger.notes.write(&self.place.note, &taken))?;
+            self.place.saved = taken;
         }
         Ok(())
     }
@@ -348,7 +317,7 @@ mod tests {
     #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
     use super::*;
-    use crate::model::{RecordKind, RecorderId, Timestamp, TopicId};
+    use crate::model::{Domain, RecordKind, RecorderId, Timestamp, TopicId};
 
     const ALICE: Address = Address([1; 20]);
 
@@ -372,25 +341,22 @@ mod tests {
     }
 
     #[test]
-    fn a_place_is_kept_as_text_and_a_damaged_one_begins_anew() {
-        let text = format!("{} {ALICE} 7 3 2 90", hex(&[9; 16]));
-        let place = Place::read("feed".to_owned(), &text);
-        assert_eq!((place.follow.id(), place.text(u64::MAX)), ([9; 16], text.clone()));
-        assert!(place.text(40).ends_with(" 40"), "what waits is told again");
-        let (more, below) = (format!("{text} 5"), text.replace(" 90", " -1"));
-        for damaged in ["", "x", "0909", &text[..text.len() - 3], more.as_str(), below.as_str()] {
-            let place = Place::read("feed".to_owned(), damaged);
-            assert!(place.follow.places().is_empty() && place.follow.id() == FeedId::default(), "{damaged}");
-        }
+    fn a_place_is_kept_up_to_what_waits() {
+        let owner = FollowedOwner { grant: 7, newest: 3, count: 2 };
+        let taken = |number| FeedTaken { feed: [9; 16], owners: [(ALICE, (owner, number))].into() };
+        let note = TakenOfFeed { domain: Domain([4; 32]), keeper: Address([8; 20]), reader: ALICE };
+        let place = Place::of(note, taken(90));
+        assert_eq!((place.follow.id(), place.follow.places()[&ALICE]), ([9; 16], 90));
+        assert_eq!((place.taken(u64::MAX), place.taken(40)), (taken(90), taken(40)), "what waits is told again");
     }
 
     #[test]
     fn a_feed_is_read_anew_for_another_grant_and_for_keys_of_earlier_epochs() {
-        let known = Known { grant: 7, newest: 3, count: 1 };
+        let known = FollowedOwner { grant: 7, newest: 3, count: 1 };
         let now = |grant, epochs: &[u64]| {
             let epochs: BTreeSet<u64> = epochs.iter().copied().collect();
             let newest = epochs.last().copied().unwrap_or(0);
-            known.opens_more(&Known { grant, newest, count: epochs.len() as u64 }, &epochs)
+            opens_more(&known, &FollowedOwner { grant, newest, count: epochs.len() as u64 }, &epochs)
         };
         assert!(now(8, &[3]) && now(7, &[2, 3]));
         assert!(!now(7, &[3]) && !now(7, &[3, 4]), "what a later one opens was kept for later");

@@ -15,6 +15,7 @@ use crate::pipeline::retention::{self, is_owners, notice_of};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{ErasureView, Failure};
+use crate::store::notes::ErasuresTold;
 
 /// How often all is told again: a gateway may have been restored from a backup.
 const WHOLE: Duration = Duration::from_secs(3600);
@@ -86,12 +87,11 @@ impl OwnErasures {
     }
 
     /// The place behind which nothing was told, as of the last run of this home.
-    fn load(&mut self, joined: &Joined, name: &str) -> Result<u64, Failure> {
+    fn load(&mut self, joined: &Joined, note: &ErasuresTold) -> Result<u64, Failure> {
         if let Some(known) = self.known {
             return Ok(known);
         }
-        let text = block_in_place(|| joined.plant.ledger.setting(name))?.unwrap_or_default();
-        let known = text.parse().unwrap_or(0);
+        let known = block_in_place(|| joined.plant.ledger.notes.read(note))?.unwrap_or(0);
         (self.known, self.after) = (Some(known), known);
         Ok(known)
     }
@@ -111,8 +111,8 @@ impl Joined {
         let keeper = remote.keeper(network)?;
         // Numbers are the ledger's own: those of a restored home begin anew.
         let ledger = hex(self.plant.ledger.recorder().as_bytes());
-        let name = format!("erasures told:{}:{ledger}:{keeper}:{}", network.domain, owner.address);
-        let mut known = told.load(self, &name)?;
+        let note = ErasuresTold { domain: network.domain, ledger, keeper, owner: owner.address };
+        let mut known = told.load(self, &note)?;
         told.begin(Instant::now());
         for _ in 0..MOST_PAGES {
             let page = block_in_place(|| self.plant.ledger.erasures(told.after, MOST_ERASURES))
@@ -128,7 +128,7 @@ impl Joined {
                 self.note(remote, owner, &outcome).await;
                 (known, told.known, told.will) = (last, Some(last), Will::Unknown);
                 if !told.left {
-                    let kept = block_in_place(|| self.plant.ledger.put_setting(&name, &last.to_string()));
+                    let kept = block_in_place(|| self.plant.ledger.notes.write(&note, &last));
                     kept.map_err(PipelineError::from)?;
                 }
             }

@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::pipeline::{Pins, Plant};
+use crate::pipeline::Pins;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::identity::Owners;
@@ -18,6 +18,7 @@ use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
 use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
+use crate::store::Pins as KeptPins;
 
 /// Widest publisher shown, characters.
 const WIDEST: usize = 400;
@@ -29,13 +30,13 @@ fn cleaned(publisher: Publisher) -> Publisher {
         caller_id: clean(&caller_id, 255),
         host: clean(&host, 255),
         type_name: clean(&type_name, 255),
-        md5sum: clean(&md5sum, 32),
+        md5sum: clean(&md5sum, 64),
     }
 }
 
 /// Pinned publishers as the operator sees and decides about them.
 pub(in crate::site) struct Pinning {
-    plant: Plant,
+    kept: KeptPins,
     hub: Arc<Hub>,
     log: Arc<Log>,
     owners: Arc<Owners>,
@@ -47,7 +48,7 @@ impl Pinning {
     /// From the shared parts.
     pub fn new(parts: &Parts, pins: &Arc<Pins>) -> Self {
         let Parts { plant, hub, log, owners, .. } = parts.clone();
-        Self { plant, hub, log, owners, pins: Arc::clone(pins) }
+        Self { kept: plant.ledger.pins, hub, log, owners, pins: Arc::clone(pins) }
     }
 }
 
@@ -68,15 +69,14 @@ impl Pinning {
             at: None,
         });
         let mut pins: Vec<PinView> = settings.collect();
-        let ledger = &self.plant.ledger;
-        let kept = block_in_place(|| ledger.pins(owner, topic.as_deref()))?;
+        let kept = block_in_place(|| self.kept.list(owner, topic.as_deref()))?;
         pins.extend(kept.into_iter().map(|row| PinView {
             topic: clean(&row.topic, 255),
             publisher: cleaned(row.publisher),
             source: row.source,
             at: Some(row.at),
         }));
-        let alarms = block_in_place(|| ledger.alarms(owner, topic.as_deref()))?;
+        let alarms = block_in_place(|| self.kept.alarms(owner, topic.as_deref()))?;
         let alarms = alarms.into_iter().map(|row| AlarmView {
             topic: clean(&row.topic, 255),
             publisher: clean(&row.publisher, WIDEST),
@@ -138,14 +138,14 @@ impl Pinning {
     /// Topics with an open alarm about a publisher.
     pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
         let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };
-        let alarms = block_in_place(|| self.plant.ledger.alarms(owner, None))?;
+        let alarms = block_in_place(|| self.kept.alarms(owner, None))?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, by first sight or by the settings.
     pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
         let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
-        let kept = block_in_place(|| self.plant.ledger.pins(owner, None))?;
+        let kept = block_in_place(|| self.kept.list(owner, None))?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
         let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
         let mut names: HashMap<String, HashSet<String>> = HashMap::new();

@@ -31,7 +31,7 @@ fn origin(number: u64, caller_id: &str) -> Arc<Origin> {
 
 fn pinning(ground: &Ground, mode: PinMode, listed: &str) -> Arc<Pinning> {
     let (ledger, hub) = (ground.parts.plant.ledger.clone(), ground.parts.hub.clone());
-    let pins = Pins::new(ledger, hub, PinRules { mode, listed: listed.parse().expect("a list") });
+    let pins = Pins::new(&ledger, hub, PinRules { mode, listed: listed.parse().expect("a list") });
     Arc::new(Pinning::new(&ground.parts, &Arc::new(pins)))
 }
 

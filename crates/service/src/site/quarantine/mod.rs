@@ -62,7 +62,7 @@ impl Quarantine {
                 return;
             }
             // It is counted once records are acknowledged again.
-            if block_in_place(|| self.plant.takes_records()).is_err() {
+            if block_in_place(|| self.plant.ledger.takes_records()).is_err() {
                 continue;
             }
             for owner in self.owners.all() {
@@ -100,7 +100,7 @@ impl Quarantine {
         let query =
             HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
         let (rows, counts) = blocking(self, move |quarantine| {
-            Ok((quarantine.plant.ledger.held(owner, &query)?, quarantine.plant.ledger.counts(Some(owner))?))
+            Ok((quarantine.plant.ledger.quarantine.held(owner, &query)?, quarantine.plant.ledger.counts(Some(owner))?))
         })
         .await?;
         let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
@@ -123,7 +123,8 @@ impl Quarantine {
         let address = owner.address;
         let query =
             HeldQuery { topic: held.topic.as_ref().map(ToString::to_string), limit: MOST, ..HeldQuery::default() };
-        let mut rows = blocking(self, move |quarantine| Ok(quarantine.plant.ledger.held(address, &query)?)).await?;
+        let mut rows =
+            blocking(self, move |quarantine| Ok(quarantine.plant.ledger.quarantine.held(address, &query)?)).await?;
         if held.topic.is_some() {
             return Ok(rows);
         }
@@ -161,7 +162,7 @@ impl Quarantine {
         self.report(&owner.author, u64::MAX).await?;
         let digests = self.with_definitions(owner, rows).await?;
         let asked: Vec<Digest> = digests.into_iter().collect();
-        blocking(self, move |quarantine| Ok(quarantine.plant.ledger.release(&asked)?)).await?;
+        blocking(self, move |quarantine| Ok(quarantine.plant.ledger.quarantine.release(&asked)?)).await?;
         self.decided(owner, held)
     }
 
@@ -176,7 +177,8 @@ impl Quarantine {
         for topic in topics {
             let (address, query) =
                 (owner.address, HeldQuery { topic: Some(topic), limit: MOST, ..HeldQuery::default() });
-            let held = blocking(self, move |quarantine| Ok(quarantine.plant.ledger.held(address, &query)?)).await?;
+            let held =
+                blocking(self, move |quarantine| Ok(quarantine.plant.ledger.quarantine.held(address, &query)?)).await?;
             digests.extend(held.iter().filter(|row| !row.is_message()).map(|row| row.record.digest));
         }
         Ok(digests)
@@ -282,7 +284,7 @@ impl Quarantine {
     /// Deciding about a whole topic closes its alarms.
     fn decided(&self, owner: &Owner, held: &Held) -> Result<(), Failure> {
         if let Some(topic) = &held.topic {
-            block_in_place(|| self.plant.ledger.close_alarms(owner.address, topic.as_str()))?;
+            block_in_place(|| self.plant.ledger.pins.close_alarms(owner.address, topic.as_str()))?;
         }
         self.hub.changed(Part::Topics);
         self.hub.changed(Part::Uploads);

@@ -32,11 +32,10 @@ fn hold(ground: &Ground, owner: Address, seq: u64) -> Digest {
         captured_at: Timestamp::from_seconds(seq),
         simulated: false,
         state: RecordState::Quarantined,
-        local_copy: None,
+        blob: Some(b"ciphertext".to_vec()),
     };
     let hold = Hold { digest, reason: "new", publisher: "/evil@h:a/B:0".to_owned() };
-    ground.parts.plant.vault.put(&[(digest, b"ciphertext")]).expect("stored");
-    ground.parts.plant.ledger.append_held(vec![record], vec![hold]).expect("held");
+    ground.parts.plant.ledger.quarantine.append_held(vec![record], vec![hold]).expect("held");
     digest
 }
 
@@ -63,7 +62,7 @@ async fn nothing_is_deleted_while_no_record_on_the_chain_counts_it() {
     let refused = quarantine.discard(&owner, all()).await.expect_err("not counted yet");
     assert_eq!(refused.kind, ErrorKind::Incomplete);
     assert!(refused.message.starts_with("nothing was discarded"), "{}", refused.message);
-    assert!(ground.parts.plant.vault.get(digest).expect("readable").is_some());
+    assert!(ground.parts.plant.ciphertext.get(digest).expect("readable").is_some());
     let view = quarantine.view(&profile("alice"), None, 10).await.expect("a list");
     assert_eq!((view.messages, view.records.len()), (1, 1));
     assert!(view.records.iter().all(|held| held.report.is_some()), "counted by a record that waits for the chain");

@@ -12,10 +12,9 @@ use serde_json::{Value, json};
 
 use super::audit::Log;
 use super::blocking;
-use super::chain::connection::pin_of;
 use super::chain::link::Link;
 use super::contacts::Contacts;
-use super::devices::enrolled::{self, Enrolled};
+use super::devices::enrolled;
 use super::identity::Owners;
 use super::parts::Parts;
 use crate::config::Config;
@@ -24,16 +23,15 @@ use crate::model::{
     Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, Timestamp, TopicName,
     clean,
 };
-use crate::paths::Home;
 use crate::pipeline::columns::Heads;
-use crate::pipeline::{Network, Plant};
+use crate::pipeline::{Network, Plant, network_pin};
 use crate::reply::{CoveragePart, CoverageView, Failure};
 use crate::ros::recording::{Beside, BesideContent};
 use crate::store::CoverageQuery;
+use crate::store::notes::Enrolled;
 
 /// Records as people read them.
 pub(in crate::site) struct Reading {
-    home: Home,
     config: Arc<Config>,
     plant: Plant,
     log: Arc<Log>,
@@ -49,9 +47,9 @@ pub(in crate::site) struct Reading {
 impl Reading {
     /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
-        let Parts { home, config, plant, log, owners, link, .. } = parts.clone();
+        let Parts { config, plant, log, owners, link, .. } = parts.clone();
         let (contacts, heads, nameless) = (Arc::clone(contacts), Heads::default(), Mutex::default());
-        Self { home, config, plant, log, owners, link, contacts, heads, nameless }
+        Self { config, plant, log, owners, link, contacts, heads, nameless }
     }
 
     /// The network; if its chain cannot be asked now, what this home kept of it, to read own records by.
@@ -64,7 +62,7 @@ impl Reading {
             Ok(network) => return Ok(network),
             Err(failure) => failure,
         };
-        blocking(self, move |reading| match pin_of(&reading.home)? {
+        blocking(self, move |reading| match network_pin(&reading.plant.ledger)? {
             Some(pin) => Ok(Network::kept(&reading.plant, pin, &clean(&failure.message, 400))?),
             None => Err(failure),
         })
@@ -106,7 +104,7 @@ impl Reading {
         self.learn_own_names(profile).await?;
         let (name, asked) = (topic.to_string(), robot.clone());
         let (found, robots) = blocking(self, move |reading| {
-            let enrolled = enrolled::of_account(&reading.plant.ledger, owner)?;
+            let enrolled = enrolled::of_account(&reading.plant.ledger.notes, owner)?;
             let signers = asked.map(|robot| devices_of(&enrolled, &robot)).transpose()?;
             let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
             let found = reading.plant.ledger.coverage(&query)?;

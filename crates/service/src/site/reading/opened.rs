@@ -10,7 +10,7 @@ use super::view::{reason_of, record_view};
 use crate::crypto::OpenedRecord;
 use crate::model::{ErrorKind, RecordKind, RecordState, clean};
 use crate::pipeline::columns::{Compared, Shown};
-use crate::pipeline::reader::Reader;
+use crate::pipeline::reader::{Opening, Reader};
 use crate::pipeline::{Owner, importer};
 use crate::ros::Limits;
 use crate::ros::message::Folders;
@@ -117,7 +117,7 @@ impl Reading {
         if row.kind != RecordKind::Data {
             return Ok(Described::default());
         }
-        let text = reader.definition_text(row, record).await?;
+        let text = reader.definition_text(row, record, Opening::Anchored).await?;
         let (head, about) = (&record.head, importer::about(&record.head.tags));
         let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
         let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash, md5sum: &head.md5sum };

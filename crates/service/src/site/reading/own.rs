@@ -37,7 +37,7 @@ impl Reading {
         let page = blocking(self, move |reading| {
             let ledger = &reading.plant.ledger;
             let query = match incident {
-                Some(name) => narrowed(ledger, owner, &name, query)?,
+                Some(name) => narrowed(&ledger.incidents, owner, &name, query)?,
                 None => query,
             };
             Ok(ledger.list(&query)?)
@@ -60,7 +60,7 @@ impl Reading {
         .await?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
         self.note_erased(&mut page.records)?;
-        let names = self.contacts.names();
+        let names = self.contacts.names()?;
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
         }
@@ -138,7 +138,7 @@ impl Reading {
             step("signature", format!("SM2 by signer {}", row.signer)),
         ];
         if row.state >= RecordState::Stored {
-            steps.push(step("vault", format!("ciphertext stored ({})", self.plant.vault.name())));
+            steps.push(step("store", "ciphertext stored with its row".to_owned()));
         }
         let digest = row.digest;
         let placed = blocking(self, move |reading| Ok(reading.plant.ledger.placed(digest)?)).await?;
@@ -305,17 +305,17 @@ fn moment(at: Timestamp) -> String {
 /// What a record's state means, for readers who wonder what is still to come.
 fn standing(state: RecordState) -> &'static str {
     match state {
-        RecordState::Captured | RecordState::Sealed => "sealed on this disk; the vault is next",
-        RecordState::Stored => "in the vault; waiting to be anchored",
+        RecordState::Captured => "in memory, not on the disk yet",
+        RecordState::Stored => "in the store; waiting to be anchored",
         RecordState::Batched => "in a closed batch; its root is waiting to be sent",
         RecordState::Submitted => "its transaction was sent; waiting for a block",
         RecordState::Mined => "in a block; waiting for confirmations",
-        RecordState::Confirmed => "confirmed; about to be read back from the vault",
-        RecordState::Verified => "read back from the vault: digest matches the chain, signature valid",
+        RecordState::Confirmed => "confirmed; about to be read back from the store",
+        RecordState::Verified => "read back from the store: digest matches the chain, signature valid",
         RecordState::Quarantined => "quarantined: sent by a node that is not the pinned publisher",
         RecordState::Dropped => "discarded and counted",
         RecordState::RightEnded => {
-            "in the vault; its signer may not sign for its owner now, so it is not anchored; it resumes when the owner \
+            "in the store; its signer may not sign for its owner now, so it is not anchored; it resumes when the owner \
              is restored or the loan is renewed"
         }
         RecordState::Tampered => "the stored bytes are not the ones anchored and signed",

@@ -56,7 +56,7 @@ impl Reading {
             ..record_query(query)
         };
         let mut page = self.readable_page(&reader, query, &filters).await?;
-        let names = self.contacts.names();
+        let names = self.contacts.names()?;
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
         }

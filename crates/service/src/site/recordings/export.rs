@@ -9,7 +9,7 @@ use super::writing::Draft;
 use super::{Recordings, Run};
 use crate::crypto::{CryptoError, OpenedRecord};
 use crate::model::{Address, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
-use crate::pipeline::reader::{Definitions, Reader, is_held};
+use crate::pipeline::reader::{Definitions, Opening, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
 use crate::ros::rosbag2::{METADATA, Tally};
@@ -187,7 +187,11 @@ impl<'a> Export<'a> {
             *if is_message { &mut refused.unsuitable } else { &mut refused.attachments } += 1;
             return Ok(());
         }
-        let definition = if is_message { self.definitions.text(reader, row, &opened).await? } else { Some("".into()) };
+        let definition = if is_message {
+            self.definitions.text(reader, row, &opened, Opening::Anchored).await?
+        } else {
+            Some("".into())
+        };
         let Some(definition) = definition else {
             self.view.refused.no_definition += 1;
             return Ok(());

@@ -5,23 +5,23 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use tokio::runtime::Handle;
+
 use super::import::{ReadOut, left_out_list};
 use super::{Recordings, Run};
 use crate::chain::SEAL_ANEW;
-use crate::config::Config;
 use crate::crypto::OpenedRecord;
 use crate::model::{RecordKind, RecordState, clean};
 use crate::paths::Home;
 use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
-use crate::pipeline::reader::{Definitions, Reader};
-use crate::pipeline::{CaptureSession, Network, Owner, Plant};
+use crate::pipeline::reader::{Definitions, Opening, Reader};
+use crate::pipeline::{CaptureSession, Network, Owner, Plant, network_pin};
 use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
 use crate::service::command::HomeWishes;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic};
 use crate::site::blocking;
-use crate::site::chain::connection::pin_of;
-use crate::store::{Ledger, RecordQuery, RecordRow, SiteLock, open_vault};
+use crate::store::{Ciphertext, Ledger, RecordQuery, RecordRow, SiteLock};
 
 /// Records requested from the other ledger at a time.
 const PAGE: usize = 500;
@@ -80,24 +80,12 @@ impl Recordings {
         let Some(lock) = SiteLock::acquire(&home.site_lock())? else {
             return Err(refused(format!("{shown} is in use; stop its site or console first, then repeat the command")));
         };
-        let pin = pin_of(&home)?.ok_or_else(|| {
+        Ledger::check_version(&home.ledger())?;
+        let ledger = Ledger::open(&home.ledger())?;
+        let plant = Plant { ciphertext: Ciphertext::of(&ledger), ledger, ..self.plant.clone() };
+        let pin = network_pin(&plant.ledger)?.ok_or_else(|| {
             input(format!("{shown} was never bound to a chain, so it has no records; use it with the new chain"))
         })?;
-        let settings = std::fs::read_to_string(home.config()).ok();
-        let settings = settings.as_ref().map(|text| (home.config(), text.as_str()));
-        let settings = settings.as_ref().map(|(path, text)| (path.as_path(), *text));
-        let config = Config::resolve(&|_| None, &|_| None, settings)?;
-        if config.vault_url.is_none() && !home.vault().join("vault.db").exists() {
-            return Err(input(format!(
-                "{shown} has no vault; restore it, or name its Redis as vault.url in its settings"
-            )));
-        }
-        Ledger::check_version(&home.ledger())?;
-        let plant = Plant {
-            ledger: Ledger::open(&home.ledger())?,
-            vault: open_vault(config.vault_url.as_deref(), &home.vault())?,
-            ..self.plant.clone()
-        };
         let network = Network::kept(&plant, pin, "a home that is imported is read without its chain")?;
         Ok(OldHome { plant, network, _lock: lock })
     }
@@ -187,7 +175,7 @@ impl Stays {
             Self::Tampered => "not the bytes that were anchored",
             Self::Deleted => "deleted by retention, or erased",
             Self::WithoutRight => "signed by a device that had no right to sign",
-            Self::Missing => "the vault of the old home does not have its ciphertext",
+            Self::Missing => "the old home does not have its ciphertext",
             Self::Closed => {
                 "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it"
             }
@@ -238,7 +226,10 @@ impl Moving<'_> {
             return Ok(Found::Here(opened.head.topic));
         }
         let definition = match opened.header.kind {
-            RecordKind::Data => self.definitions.own_text(&self.there, row, &opened)?.unwrap_or_default(),
+            RecordKind::Data => {
+                let text = self.definitions.text(&self.there, row, &opened, Opening::Own);
+                Handle::current().block_on(text)?.unwrap_or_default()
+            }
             _ => "".into(),
         };
         let OpenedRecord { header, head, body, digest, .. } = opened;

@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::choosing::Choosing;
+use super::claims::{Claim, Holder};
 use super::sealed_before::SealedBefore;
-use super::standings::{Parts, Standing};
+use super::standings::Parts;
 use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
 use crate::model::{Digest, ErrorKind, clean};
@@ -24,6 +25,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
 use crate::site::blocking;
+use crate::store::notes::Standing;
 
 /// The most tags that a person may give: with the importer's own they stay far below the limit of a head.
 pub(super) const MOST_TAGS: usize = 24;
@@ -56,10 +58,30 @@ impl Recordings {
         // Without a chain nothing would ever be verified.
         let network = self.link.network().await?;
         let (author, path) = (Arc::clone(owner), wishes.path.clone());
+        // Until its records are verified, also where nobody waits for that any more.
+        let claim = Arc::new(self.claim(owner, &path)?);
+        let held = Arc::clone(&claim);
         let read = move |recordings: &Self, run: &Run, control: &CaptureSession| {
+            let _held = held;
             recordings.read_recording(&author, &network, &wishes, run, control)
         };
-        self.run_import(owner, &path, "import recording", read).await
+        let imported = self.run_import(owner, &path, "import recording", read).await;
+        drop(claim);
+        imported
+    }
+
+    /// Nobody else of this home may seal these files meanwhile.
+    fn claim(&self, owner: &Owner, path: &Path) -> Result<Claim, Failure> {
+        self.claims.take(owner.address, &files_of(path)?, Holder::Import).map_err(|(file, holder)| {
+            let file = clean(&file.display().to_string(), 300);
+            refused(match holder {
+                Holder::Import => format!("{file} is already being imported; wait for that to finish"),
+                Holder::Follower => format!(
+                    "{file} is being followed and sealed now; import it when the follower has said that it has ended, or end \
+                     the follower first"
+                ),
+            })
+        })
     }
 
     /// Reads with `read`, and waits until all that it gave to the sealer is verified.
@@ -72,11 +94,7 @@ impl Recordings {
     ) -> Result<ImportView, Failure> {
         self.sealer.begin()?;
         let file = clean(&path.display().to_string(), 300);
-        // Begun before it is asked: of two at once, one sees the other.
         let running = self.begin_run(&owner.profile, path, "reading");
-        if !running.is_first() {
-            return Err(refused(format!("{file} is already being imported; wait for that to finish")));
-        }
         self.log.begin(owner, action, &file).await?;
         // Ends the import as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));

@@ -1,6 +1,7 @@
 //! Recordings and other homes: imported as records, exported from records; and their progress.
 
 mod choosing;
+mod claims;
 mod export;
 mod follow;
 mod from_home;
@@ -9,7 +10,7 @@ mod sealed_before;
 mod standings;
 mod writing;
 
-use self::follow::Follows;
+use self::claims::Claims;
 pub(in crate::site) use self::import::RECORDING;
 use crate::config::Config;
 use crate::paths::Home;
@@ -58,7 +59,7 @@ pub(in crate::site) struct Recordings {
     sealer: Arc<SealerThread>,
     rings: Arc<Rings<CapturedMessage>>,
     evidence: Arc<Evidence>,
-    follows: Arc<Follows>,
+    claims: Arc<Claims>,
     runs: Runs,
 }
 
@@ -95,7 +96,7 @@ impl Recordings {
             sealer: Arc::clone(sealer),
             rings: Arc::clone(rings),
             evidence: Arc::clone(evidence),
-            follows: Arc::default(),
+            claims: Arc::default(),
             runs,
         }
     }

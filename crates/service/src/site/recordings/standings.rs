@@ -6,8 +6,6 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
-
 use super::Recordings;
 use super::follow::followed_as;
 use super::sealed_before::SealedBefore;
@@ -15,30 +13,11 @@ use crate::model::{Address, Digest};
 use crate::ros::recording::RecordedMessage;
 use crate::service::failure::input;
 use crate::service::reply::Failure;
-
-/// The progress of a topic of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Standing {
-    /// Some messages may be sealed.
-    Begun,
-    /// All messages are sealed.
-    Whole,
-}
-
-/// What is sealed of a file.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub(super) struct Standings {
-    /// Its topics, as far as they were begun.
-    pub topics: BTreeMap<String, Standing>,
-    /// What the tag `recording` of its records may say: a file is imported alone, with a folder, or followed.
-    pub tags: BTreeSet<String>,
-}
+use crate::store::notes::{Imported, Standing, Standings};
 
 impl Recordings {
     pub(super) fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
-        let text = self.plant.ledger.setting(&key(owner, digest))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+        Ok(self.plant.ledger.notes.read(&Imported { owner, file: digest })?.unwrap_or_default())
     }
 
     /// Adds that topics of a file stand so, and that its records may have a tag; what is whole stays whole.
@@ -49,19 +28,15 @@ impl Recordings {
         topics: impl IntoIterator<Item = String>,
         standing: Standing,
     ) -> Result<(), Failure> {
-        let mut standings = self.standings(owner, digest)?;
-        standings.tags.extend(tag.map(str::to_owned));
-        for topic in topics {
-            let known = standings.topics.entry(topic).or_insert(standing);
-            *known = standing.max(*known);
-        }
-        let text = serde_json::to_string(&standings).unwrap_or_default();
-        Ok(self.plant.ledger.put_setting(&key(owner, digest), &text)?)
+        self.plant.ledger.notes.change(&Imported { owner, file: digest }, |standings| {
+            standings.tags.extend(tag.map(str::to_owned));
+            for topic in topics {
+                let known = standings.topics.entry(topic).or_insert(standing);
+                *known = standing.max(*known);
+            }
+            Ok(())
+        })
     }
-}
-
-fn key(owner: Address, digest: Digest) -> String {
-    format!("import:{owner}:{digest}")
 }
 
 /// The content of a file that is imported.
@@ -103,7 +78,7 @@ impl<'a> Parts<'a> {
             if again {
                 continue;
             }
-            let followed = followed_as(&recordings.plant.ledger, owner, path)?;
+            let followed = followed_as(&recordings.plant.ledger.notes, owner, path)?;
             // Two files of one content have the same standings, and each may have been followed.
             let tags = std::mem::take(&mut part.before.tags);
             part.before = recordings.standings(owner, *digest)?;

@@ -42,6 +42,7 @@ impl Sharing {
         purpose: &str,
         call: impl FnOnce(Token, Vec<u8>) -> Call,
     ) -> Result<TransactionView, Failure> {
+        self.repeat_epochs(owner, network).await?;
         let next = network.directory.epoch(owner.address) + 1;
         let token = owner.prepare_epoch(network.domain, next)?;
         let envelope = recovery::own_envelope(&self.plant, network, owner, next)?;
@@ -54,7 +55,7 @@ impl Sharing {
         let sent = sent.map_err(Failure::from);
         let (transaction, receipt) = self.log.ended(&owner.profile, action, subject.trim_start(), sent).await?;
         self.link.scanned(receipt.block).await;
-        let known = block_in_place(|| kept::token(&self.plant.ledger, &network.directory, owner.address, next))?;
+        let known = block_in_place(|| kept::token(&self.plant.ledger.rights, &network.directory, owner.address, next))?;
         if known.is_some_and(|known| known != token) {
             return Err(refused(format!(
                 "epoch {next} of '{}' was begun by another site with the same keys; run the command again, and let only \
@@ -80,12 +81,32 @@ impl Sharing {
         })
     }
 
+    /// Begins the epochs that the chain had before and lost again. None of them is used for a second time: readers who were
+    /// revoked know their keys.
+    async fn repeat_epochs(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let seen = owner.confirmed_epoch(network.domain);
+        for epoch in network.directory.epoch(owner.address) + 1..=seen {
+            let new_token = owner.prepare_epoch(network.domain, epoch)?;
+            let envelope = recovery::own_envelope(&self.plant, network, owner, epoch)?;
+            let call = Call::Rotate { new_token, envelope };
+            let sent = self.sender.send(&network.chain, &owner.eoa(), call, "rotate (again)").await;
+            let subject = format!("epoch {epoch}");
+            let sent = self.log.ended(&owner.profile, "rotate again", &subject, sent.map_err(Failure::from)).await?;
+            self.link.scanned(sent.1.block).await;
+        }
+        self.went_back(owner, network);
+        Ok(())
+    }
+
     /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
     pub(in crate::site) async fn finish_epoch(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         // Transactions of the previous run may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
+        if self.went_back(owner, &network) {
+            return Ok(());
+        }
         let on_chain = network.directory.epoch(owner.address);
         if owner.epochs(network.domain).last().is_some_and(|newest| *newest > on_chain) {
             self.next_epoch(owner, &network, "resumed").await?;
@@ -101,7 +122,7 @@ impl Sharing {
         let ledger = self.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
-            let open = block_in_place(|| ledger.open_lane(account))?;
+            let open = block_in_place(|| ledger.lanes.open_lane(account))?;
             if open.iter().all(|row| row.anchors) {
                 return Ok(());
             }
@@ -120,6 +141,9 @@ impl Sharing {
         owner: &Owner,
         network: &Network,
     ) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
+        if self.went_back(owner, network) {
+            return Ok(BTreeMap::new());
+        }
         let (epoch, known) = (network.directory.epoch(owner.address), owner.epochs(network.domain));
         let holds = recovery::holds_current(network, owner);
         let mut lacking: BTreeMap<u64, Vec<Granted>> = BTreeMap::new();

@@ -20,8 +20,10 @@ const MOST_NAMED: usize = 8;
 #[derive(Default)]
 pub(super) struct Missing {
     epochs: Mutex<BTreeMap<ProfileName, Lack>>,
-    /// Why newer SM2 pairs of the chain are not in the keyring.
+    /// Why newer SM2 pairs of the chain are not in the keyring, or those of the keyring not on the chain.
     pairs: Mutex<BTreeMap<ProfileName, String>>,
+    /// That the chain has an earlier epoch than it had before.
+    back: Mutex<BTreeMap<ProfileName, String>>,
 }
 
 /// What one profile lacks.
@@ -55,6 +57,10 @@ impl Missing {
 
     fn pairs(&self) -> MutexGuard<'_, BTreeMap<ProfileName, String>> {
         self.pairs.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn back(&self) -> MutexGuard<'_, BTreeMap<ProfileName, String>> {
+        self.back.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -147,9 +153,34 @@ impl Sharing {
         }
     }
 
+    /// Whether the chain has an earlier epoch than it had before, as an older copy or a node that is behind does. A reader
+    /// revoked since may stand in it again, so nothing is wrapped for anyone until the owner has looked.
+    pub(in crate::site) fn went_back(&self, owner: &Owner, network: &Network) -> bool {
+        let (chain, seen) = (network.directory.epoch(owner.address), owner.confirmed_epoch(network.domain));
+        let mut back = self.missing.back();
+        if chain >= seen {
+            if back.remove(&owner.profile).is_some() {
+                self.hub.changed(Part::Health);
+            }
+            return false;
+        }
+        let text = format!(
+            "the chain has epoch {chain} of '{}' and had epoch {seen} before: it is an older copy, in which a reader \
+             revoked since may have a grant again; look at `authros grants list`, revoke as before, then run \
+             `authros keys rotate`",
+            owner.profile
+        );
+        if back.insert(owner.profile.clone(), text.clone()).is_none() {
+            self.hub.notice(NoticeLevel::Error, &text);
+            self.hub.changed(Part::Health);
+        }
+        true
+    }
+
     /// What open profiles lack, in words; `None` if they have all keys.
     pub(in crate::site) fn missing_text(&self) -> Option<String> {
         let mut texts: Vec<String> = self.missing.pairs().values().cloned().collect();
+        texts.extend(self.missing.back().values().cloned());
         texts.extend(self.missing.all().iter().map(|(profile, lack)| lack.text(profile)));
         (!texts.is_empty()).then(|| texts.join("; "))
     }

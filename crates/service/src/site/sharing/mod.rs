@@ -17,6 +17,7 @@ use crate::site::lifetime::Lifetime;
 use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
+use crate::store::notes::{GrantedEarlier, GrantedTopic};
 use std::sync::Arc;
 
 use crate::chain::Call;
@@ -99,6 +100,9 @@ impl Sharing {
         if expires.is_some_and(|at| at <= network.directory.now()) {
             return Err(input(too_early(network.directory.now())));
         }
+        if self.went_back(owner, &network) {
+            return Err(refused(self.missing_text().unwrap_or_default()));
+        }
         network.directory.identity(grantee)?;
         self.contacts.check_contact(&network, grantee).await?;
         self.contacts.check_reader(&network, owner.address, grantee).await?;
@@ -114,7 +118,7 @@ impl Sharing {
             Epochs::Current => vec![epoch],
             Epochs::All => owner.epochs(network.domain).into_iter().filter(|known| *known <= epoch).collect(),
         };
-        let noted = if covered.iter().any(|known| *known < epoch) { "earlier" } else { "current" };
+        let earlier = covered.iter().any(|known| *known < epoch);
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
         self.log.begin(owner, "grant", &grantee.to_string()).await?;
         self.settle_revocation(owner, grantee)?;
@@ -124,8 +128,8 @@ impl Sharing {
         let sent = self.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
         // The envelope opens for the grantee alone. Without this note the list says nothing of earlier epochs.
-        let key = epochs_key(&transaction.to_string());
-        drop(tokio::task::block_in_place(|| self.plant.ledger.put_setting(&key, noted)));
+        let note = GrantedEarlier { transaction };
+        drop(tokio::task::block_in_place(|| self.plant.ledger.notes.write(&note, &earlier)));
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
         self.joined.tell_of_grant(owner, &network, notice).await;
         self.link.scanned(receipt.block).await;
@@ -203,8 +207,8 @@ impl Sharing {
     fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
         tokio::task::block_in_place(|| {
             topics.iter().try_for_each(|topic| {
-                let id = owner.topic_id(topic);
-                Ok(self.plant.ledger.put_setting(&topic_key(owner.address, id), topic)?)
+                let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
+                Ok(self.plant.ledger.notes.write(&note, topic)?)
             })
         })
     }
@@ -215,7 +219,7 @@ impl Sharing {
         tokio::task::block_in_place(|| {
             let ledger = &self.plant.ledger;
             let name_of = |id: &TopicId| {
-                let kept = ledger.setting(&topic_key(owner.address, *id))?;
+                let kept = ledger.notes.read(&GrantedTopic { owner: owner.address, topic: *id })?;
                 let others = ledger.topic_names(owner.address, *id)?;
                 let mut known = kept.into_iter().chain(others);
                 Ok(known.find(|name| owner.topic_id(name) == *id))
@@ -228,8 +232,8 @@ impl Sharing {
     pub(super) async fn rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
         let network = self.link.network().await?;
         let me = owner.address;
-        let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger, &network.directory, me))?;
-        let names = self.contacts.names();
+        let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger.rights, &network.directory, me))?;
+        let names = self.contacts.names()?;
         let with_name = |mut row: GrantRow| {
             let other = if row.owner == me { row.grantee } else { row.owner };
             row.name = names.get(&other).cloned();
@@ -275,9 +279,8 @@ impl Sharing {
 
     /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere.
     fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
-        let key = epochs_key(&grant.transaction.to_string());
-        let noted = tokio::task::block_in_place(|| self.plant.ledger.setting(&key))?;
-        Ok(noted.map(|noted| noted == "earlier"))
+        let note = GrantedEarlier { transaction: grant.transaction };
+        Ok(tokio::task::block_in_place(|| self.plant.ledger.notes.read(&note))?)
     }
 
     /// Whether a received grant opens epochs before its own, by the keys in its envelope; `None` = it does not open.
@@ -312,11 +315,6 @@ impl Sharing {
     }
 }
 
-/// Where it is noted which epochs a grant was given for, by its transaction.
-fn epochs_key(transaction: &str) -> String {
-    format!("granted-epochs:{transaction}")
-}
-
 /// Why a grant cannot end at the requested time; the chain's time may be ahead of this machine's clock.
 fn too_early(now: Timestamp) -> String {
     let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
@@ -340,8 +338,4 @@ fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {
         }
     }
     Scope::Topics(ids)
-}
-
-fn topic_key(owner: Address, topic: TopicId) -> String {
-    format!("granted-topic:{owner}:{topic}")
 }

@@ -17,6 +17,7 @@ use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
 use crate::reply::{Failure, TransactionView};
 use crate::site::blocking;
+use crate::store::notes::Revoking;
 
 /// How long before an expiry the next epoch is prepared, nanoseconds.
 const FORESIGHT: u64 = 60_000_000_000;
@@ -107,7 +108,7 @@ impl Sharing {
         };
         let expired = network.directory.grants_of(owner.address).iter().any(covered);
         let ended = sealing.is_some_and(|keys| keys.epoch > epoch) || expired;
-        Ok(ended || !self.owed_revocations(owner, network)?.is_empty())
+        Ok(ended && !self.went_back(owner, network) || !self.owed_revocations(owner, network)?.is_empty())
     }
 
     /// Begins the next epoch: through the interrupted revocation, if there is one, because a rotation would give the
@@ -150,25 +151,17 @@ impl Sharing {
     }
 
     fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
-        Ok(read(block_in_place(|| self.plant.ledger.setting(&owed_key(owner)))?.as_deref()))
+        let note = Revoking { owner: owner.address };
+        Ok(block_in_place(|| self.plant.ledger.notes.read(&note))?.unwrap_or_default())
     }
 
     fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<(), Failure> {
-        let changed = |text: Option<&str>| {
-            let mut owed = read(text);
-            change(&mut owed);
-            Ok((serde_json::to_string(&owed).unwrap_or_default(), ()))
+        let changed = |owed: &mut Vec<Address>| {
+            change(owed);
+            Ok(())
         };
-        block_in_place(|| self.plant.ledger.change_setting(&owed_key(owner), changed))
+        block_in_place(|| self.plant.ledger.notes.change(&Revoking { owner: owner.address }, changed))
     }
-}
-
-fn read(text: Option<&str>) -> Vec<Address> {
-    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
-}
-
-fn owed_key(owner: &Owner) -> String {
-    format!("revoking:{}", owner.address)
 }
 
 /// When the first of the grants that cover an epoch expires.

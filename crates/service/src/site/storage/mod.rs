@@ -143,7 +143,7 @@ impl Storage {
         )
     }
 
-    /// How the vault's health is reported while records are refused.
+    /// How the store's health is reported while records are refused.
     pub(in crate::site) fn room_health(&self) -> Option<(HealthLevel, String)> {
         let held: Result<(), Failure> = self.plant.ledger.takes_records().map_err(Failure::from);
         held.err().map(|_| {
@@ -153,7 +153,7 @@ impl Storage {
     }
 }
 
-/// Records re-read from the vault; a crash can only have touched what was written last.
+/// Records re-read from the store; a crash can only have touched what was written last.
 const NEWEST: usize = 256;
 
 /// How long the process that started the site may take to listen.
@@ -181,10 +181,7 @@ impl Storage {
         }
         match blocking(&self, contradictions).await {
             Ok(found) if found.is_empty() => {
-                self.hub.notice(
-                    NoticeLevel::Info,
-                    "the previous run did not shut down cleanly; ledger and vault are sound",
-                );
+                self.hub.notice(NoticeLevel::Info, "the previous run did not shut down cleanly; the store is sound");
             }
             Ok(found) => found.iter().for_each(|text| self.hub.notice(NoticeLevel::Error, text)),
             Err(failure) => {
@@ -207,13 +204,9 @@ fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
         .map(|text| format!("after an unclean shutdown, in the ledger: {text}; keep a copy of the home"))
         .collect();
     for digest in plant.ledger.newest_stored(NEWEST)? {
-        let blob = plant.vault.get(digest)?;
-        // A vault that is only a cache is filled again from the local copies.
-        if blob.is_none() && !plant.vault.durable() {
-            continue;
-        }
+        let blob = plant.ciphertext.get(digest)?;
         if blob.is_none_or(|blob| plant.provider.sm3(&[&blob]) != digest.0) {
-            found.push(format!("after an unclean shutdown: record {digest} is not in the vault as it was stored"));
+            found.push(format!("after an unclean shutdown: record {digest} is not in the store as it was written"));
         }
     }
     Ok(found)

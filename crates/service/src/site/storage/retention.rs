@@ -24,8 +24,6 @@ use crate::store::{Erasure, IncidentRow, RecordQuery, RecordRow};
 const LOOK: Duration = Duration::from_secs(1);
 /// Looks after which names are learned anew: what robots bring arrives without those that rules are about.
 const LEARN: u32 = 10;
-/// Local copies deleted at a time.
-const COPIES: usize = 1024;
 
 impl Storage {
     /// Applies the rules until the site ends.
@@ -36,7 +34,6 @@ impl Storage {
             if !self.life.beat(LOOK).await {
                 return;
             }
-            self.drop_copies().await;
             let learns = !keeping.is_empty() && looks.is_multiple_of(LEARN);
             looks = looks.wrapping_add(1);
             for owner in self.owners.all() {
@@ -131,17 +128,6 @@ impl Storage {
         }
         Ok(())
     }
-
-    /// Copies of verified records that no rule keeps beside the vault any longer.
-    async fn drop_copies(self: &Arc<Self>) {
-        let Some(span) = self.config.vault_local.filter(|_| !self.plant.vault.durable()) else { return };
-        let age = u64::try_from(span.as_nanos()).unwrap_or(u64::MAX);
-        let before = Timestamp(Timestamp::now().0.saturating_sub(age));
-        let dropped = blocking(self, move |storage| Ok(storage.plant.ledger.drop_old_copies(before, COPIES)?)).await;
-        if let Err(failure) = dropped {
-            self.hub.notice(NoticeLevel::Warning, &format!("local copies are kept for now: {}", failure.message));
-        }
-    }
 }
 
 /// The most records of one erasure.
@@ -156,7 +142,7 @@ const STAYS: [&str; 4] = [
     "copies that readers have fetched",
     "backups, exports and evidence bundles made before",
     "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
-    "the files of a Redis vault, until its server rewrites them, and what a disk keeps of overwritten blocks",
+    "the files of a Redis cache, until its server rewrites them, and what a disk keeps of overwritten blocks",
 ];
 
 impl Storage {
@@ -174,7 +160,7 @@ impl Storage {
         let network = self.link.network().await?;
         let (rows, incidents) = blocking(self, move |storage| {
             let reader = Reader { plant: &storage.plant, network: &network, reader: &asking };
-            Ok((chosen(&reader, &asked)?, storage.plant.ledger.incidents(asking.address)?))
+            Ok((chosen(&reader, &asked)?, storage.plant.ledger.incidents.list(asking.address)?))
         })
         .await?;
         let (view, erasable) = planned(&rows, &incidents);

@@ -17,7 +17,7 @@ async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
     // No disk has as much left.
     let ground = Ground::with(&[("disk.reserve", "1000000GiB")]);
     let storage = Arc::new(Storage::new(&ground.parts, &reading(&ground.parts)));
-    assert!(storage.room_health().is_none() && ground.parts.plant.takes_records().is_ok());
+    assert!(storage.room_health().is_none() && ground.parts.plant.ledger.takes_records().is_ok());
     let mut events = ground.parts.hub.events().subscribe();
     let kept = tokio::spawn(Arc::clone(&storage).keep_room());
     let text = loop {
@@ -26,12 +26,12 @@ async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
         }
     };
     assert!(text.contains("less than disk.reserve"), "{text}");
-    assert!(ground.parts.plant.takes_records().is_err());
+    assert!(ground.parts.plant.ledger.takes_records().is_err());
     let (level, told) = storage.room_health().expect("told in the health too");
     assert!(level == HealthLevel::Failed && told.contains("no further record is acknowledged"), "{told}");
     ground.parts.life.stop();
     kept.await.expect("ends with the site");
-    assert!(ground.parts.plant.takes_records().is_ok(), "held by the task alone");
+    assert!(ground.parts.plant.ledger.takes_records().is_ok(), "held by the task alone");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -49,7 +49,7 @@ async fn after_an_unclean_end_it_is_told_whether_all_is_sound() {
     let mut events = parts.hub.events().subscribe();
     Arc::new(Storage::new(&parts, &reading(&parts))).check_after_crash().await;
     let told = tokio::time::timeout(Duration::from_secs(60), events.recv()).await.expect("soon").expect("a notice");
-    assert!(matches!(told, Event::Notice { text, .. } if text.contains("ledger and vault are sound")));
+    assert!(matches!(told, Event::Notice { text, .. } if text.contains("the store is sound")));
     drop(folder);
 }
 

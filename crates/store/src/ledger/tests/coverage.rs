@@ -39,7 +39,7 @@ fn each_part_says_what_there_is_of_it() {
         ..loss(LossReason::Transport, 7)
     };
     let elsewhere = loss(LossReason::Memory, 2);
-    ledger.count_losses(vec![lost, elsewhere]).expect("counted");
+    ledger.losses.count(vec![lost, elsewhere]).expect("counted");
     let coverage = ledger.coverage(&query(Some(100), 500, 4)).expect("read");
     assert_eq!(strip(&coverage), ["d", "l", "dql", "."]);
     assert_eq!(
@@ -66,7 +66,7 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     ledger.append(records).expect("acknowledged");
     let topic = "/robot1/odom".to_owned();
     let lost = Loss { topic, first_at: Timestamp(210), last_at: Timestamp(210), ..loss(LossReason::Transport, 7) };
-    ledger.count_losses(vec![lost]).expect("counted");
+    ledger.losses.count(vec![lost]).expect("counted");
     let of = |signers: &[SignerId]| {
         let signers = Some(signers.iter().copied().collect());
         ledger.coverage(&CoverageQuery { signers, ..query(Some(100), 500, 4) }).expect("read")

@@ -6,7 +6,7 @@ use crate::model::{Domain, Token};
 /// A ledger that knows its contract.
 fn bound() -> (tempfile::TempDir, Ledger) {
     let (home, ledger) = open();
-    ledger.bind_contract(Domain([4; 32])).expect("bound");
+    ledger.rights.bind_contract(Domain([4; 32]), "{}").expect("bound");
     (home, ledger)
 }
 
@@ -29,7 +29,7 @@ fn event(block: u64, kind: RightKind, epoch: u64) -> RightEvent {
 fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
     let (_home, ledger) = bound();
     let changes = || ledger.write(|session| Ok(session.connection.total_changes())).expect("counted");
-    ledger.keep_rights(vec![event(1, RightKind::Epoch, 1)]).expect("kept");
+    ledger.rights.keep_rights(vec![event(1, RightKind::Epoch, 1)]).expect("kept");
     let mut costs = std::collections::BTreeSet::new();
     for hundred in 0..60u64 {
         let rounds = (1..=100).map(|round| hundred * 100 + round);
@@ -37,25 +37,25 @@ fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
             [event(round * 2, RightKind::Grant, round), event(round * 2 + 1, RightKind::Epoch, round + 1)]
         });
         let before = changes();
-        ledger.keep_rights(both.collect()).expect("kept");
+        ledger.rights.keep_rights(both.collect()).expect("kept");
         costs.insert(changes() - before);
     }
     assert_eq!(costs.len(), 1, "{costs:?}");
-    let standing = ledger.standing_rights().expect("read");
+    let standing = ledger.rights.standing_rights().expect("read");
     assert_eq!(standing.last, Some((12_001, 0)));
     let left: Vec<&str> = standing.events.iter().map(|event| event.event.as_str()).collect();
     assert_eq!(left, ["12001"], "the newest epoch alone");
-    assert_eq!(ledger.revoked_grants(Address([2; 20])).expect("history").len(), 6_000);
+    assert_eq!(ledger.rights.revoked_grants(Address([2; 20])).expect("history").len(), 6_000);
 }
 
 #[test]
 fn a_ledger_belongs_to_one_contract_for_good() {
     let (_home, ledger) = bound();
-    assert_eq!(ledger.bind_contract(Domain([4; 32])), Ok(()));
+    assert_eq!(ledger.rights.bind_contract(Domain([4; 32]), "{}"), Ok(()));
     let (bound, domain) = (Domain([4; 32]), Domain([5; 32]));
-    assert_eq!(ledger.bind_contract(domain), Err(StoreError::Bound { bound, domain }));
-    ledger.forget_rights().expect("forgotten");
-    assert!(ledger.bind_contract(domain).is_err());
+    assert_eq!(ledger.rights.bind_contract(domain, "{}"), Err(StoreError::Bound { bound, domain }));
+    ledger.rights.forget_rights().expect("forgotten");
+    assert!(ledger.rights.bind_contract(domain, "{}").is_err());
 }
 
 #[test]
@@ -80,21 +80,21 @@ fn what_an_event_ends_is_found_without_what_ended_before() {
 #[test]
 fn replaced_blocks_give_back_what_they_ended() {
     let (_home, ledger) = bound();
-    let last = |ledger: &Ledger| ledger.standing_rights().expect("read");
-    assert_eq!(ledger.standing_rights(), Ok(StandingRights::default()), "never read");
-    ledger.keep_rights(vec![event(5, RightKind::Grant, 1)]).expect("kept");
+    let last = |ledger: &Ledger| ledger.rights.standing_rights().expect("read");
+    assert_eq!(ledger.rights.standing_rights(), Ok(StandingRights::default()), "never read");
+    ledger.rights.keep_rights(vec![event(5, RightKind::Grant, 1)]).expect("kept");
     let before = last(&ledger);
-    ledger.keep_rights(vec![event(6, RightKind::Epoch, 2)]).expect("kept");
+    ledger.rights.keep_rights(vec![event(6, RightKind::Epoch, 2)]).expect("kept");
     assert_ne!(last(&ledger).events, before.events);
-    let between = |revoked| ledger.envelopes_between(Address([1; 20]), Address([2; 20]), revoked);
+    let between = |revoked| ledger.rights.envelopes_between(Address([1; 20]), Address([2; 20]), revoked);
     assert_eq!((between(None).map(|all| all.len()), between(Some(2)).map(|all| all.len())), (Ok(0), Ok(1)));
-    ledger.take_back_rights(6).expect("undone");
+    ledger.rights.take_back_rights(6).expect("undone");
     assert_eq!(last(&ledger).events, before.events);
     assert_eq!(between(None).map(|all| all.len()), Ok(1));
-    ledger.keep_rights(vec![event(5, RightKind::Epoch, 9)]).expect("passed over");
+    ledger.rights.keep_rights(vec![event(5, RightKind::Epoch, 9)]).expect("passed over");
     assert_eq!(last(&ledger).events, before.events);
-    ledger.forget_rights().expect("forgotten");
-    assert_eq!(ledger.standing_rights(), Ok(StandingRights::default()));
+    ledger.rights.forget_rights().expect("forgotten");
+    assert_eq!(ledger.rights.standing_rights(), Ok(StandingRights::default()));
     assert_eq!(between(None), Ok(Vec::new()));
 }
 
@@ -109,14 +109,14 @@ fn what_an_owner_keeps_for_itself_is_history_at_once_and_found_by_epoch() {
         ..event(block, RightKind::Own, epoch)
     };
     for epoch in 1..=50 {
-        ledger.keep_rights(vec![event(epoch, RightKind::Epoch, epoch), own(epoch, epoch)]).expect("kept");
+        ledger.rights.keep_rights(vec![event(epoch, RightKind::Epoch, epoch), own(epoch, epoch)]).expect("kept");
     }
-    assert_eq!(ledger.standing_rights().expect("read").events.len(), 1, "a start reads the newest epoch alone");
-    let found = |from, to| ledger.own_envelopes(Address([1; 20]), from, to).expect("read");
+    assert_eq!(ledger.rights.standing_rights().expect("read").events.len(), 1, "a start reads the newest epoch alone");
+    let found = |from, to| ledger.rights.own_envelopes(Address([1; 20]), from, to).expect("read");
     let epochs: Vec<u64> = found(7, 9).iter().map(|envelope| envelope.epoch).collect();
     assert_eq!((epochs, found(1, 50).len()), (vec![7, 8, 9], 50));
-    assert_eq!(ledger.own_envelopes(Address([2; 20]), 1, 50), Ok(Vec::new()), "another's");
-    assert_eq!(ledger.envelope_at(9, 1), Ok(Some(vec![6; 360])));
-    ledger.take_back_rights(50).expect("undone");
-    assert_eq!((found(1, 50).len(), ledger.envelope_at(50, 1)), (49, Ok(None)));
+    assert_eq!(ledger.rights.own_envelopes(Address([2; 20]), 1, 50), Ok(Vec::new()), "another's");
+    assert_eq!(ledger.rights.envelope_at(9, 1), Ok(Some(vec![6; 360])));
+    ledger.rights.take_back_rights(50).expect("undone");
+    assert_eq!((found(1, 50).len(), ledger.rights.envelope_at(50, 1)), (49, Ok(None)));
 }

@@ -1,9 +1,10 @@
 //! Erasing: who and why stay with the records, and the bytes of their copies are in no file any more. And retention by
 //! name, also of topics that only robots recorded.
 
-use std::collections::HashSet;
+use rusqlite::params;
 
 use super::*;
+use crate::notes::Erased;
 
 const OWNER: Address = Address([1; 20]);
 const ROBOT: SignerId = SignerId([0x60; 32]);
@@ -56,7 +57,7 @@ fn retention_knows_topics_that_only_robots_recorded_by_the_names_that_were_learn
     move_to(&ledger, vec![report.digest], Verified);
     assert_eq!(ledger.to_delete(OWNER, 9).expect("read").len(), 2);
     let span = IncidentSpan { since: Timestamp(0), until: None, topics: vec!["/robot4/odom".to_owned()] };
-    ledger.open_incident(OWNER, &"crash".parse().expect("a name"), &span, None).expect("opened");
+    ledger.incidents.open(OWNER, &"crash".parse().expect("a name"), &span, None).expect("opened");
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()));
 }
 
@@ -82,7 +83,10 @@ fn who_had_a_record_erased_and_why_stays_with_it() {
     ledger.deleted(&[one.digest]).expect("noted");
     let retained = ledger.retained(one.digest).expect("read").expect("kept");
     assert_eq!((retained.erased.clone(), retained.report), (Some(erasure.clone()), report.digest));
-    assert_eq!((ledger.has_named(), ledger.erasure(report.digest)), (Ok(false), Ok(Some(erasure))));
+    assert_eq!(
+        (ledger.has_named(), ledger.notes.read(&Erased { report: report.digest })),
+        (Ok(false), Ok(Some(erasure)))
+    );
     let words = retained.erased.expect("erased").to_string();
     assert!(words.starts_with("erased 1970-01-01T00:00:01Z by alice, a ") && !words.contains('\u{1b}'), "{words}");
 }
@@ -117,18 +121,20 @@ fn what_a_rule_has_named_is_an_erasures_as_long_as_its_bytes_are_here() {
 }
 
 #[test]
-fn bytes_that_are_named_or_deleted_are_known_to_be_unwanted() {
+fn bytes_that_are_named_or_deleted_do_not_come_back() {
     let (_home, ledger) = open();
     let (named, deleted, kept) = (brought(4, 1), brought(4, 2), brought(4, 3));
     let all = [named.clone(), deleted.clone(), kept];
     ledger.append(all.to_vec()).expect("acknowledged");
-    assert_eq!(ledger.retained_among(&all), Ok(HashSet::new()));
     move_to(&ledger, vec![named.digest], Verified);
     let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
     let erasure = Erasure { at: Timestamp::from_seconds(1), by: "alice".to_owned(), reason: "a face".to_owned() };
     ledger.erase(report, &erasure, vec![(named.digest, vec![1])]).expect("named");
     ledger.deleted(&[deleted.digest]).expect("noted");
-    assert_eq!(ledger.retained_among(&all), Ok(HashSet::from([named.digest, deleted.digest])));
+    let again = all.clone().map(|record| NewRecord { blob: Some(vec![7; 9]), ..record });
+    ledger.append(again.to_vec()).expect("acknowledged as known");
+    let bytes = Ciphertext::of(&ledger).get_many(&all.map(|record| record.digest));
+    assert_eq!(bytes, Ok(vec![None, None, Some(vec![7; 9])]));
 }
 
 #[test]
@@ -137,7 +143,7 @@ fn a_scoured_copy_is_in_no_file() {
     let copy = |seed: u8| {
         (0..20_000u32).map(|at| (at * 7 + u32::from(seed) * 31).to_le_bytes()[0] ^ seed).collect::<Vec<u8>>()
     };
-    let with = |seq: u64, blob: Vec<u8>| NewRecord { local_copy: Some(blob), ..record(1, 1, seq) };
+    let with = |seq: u64, blob: Vec<u8>| NewRecord { blob: Some(blob), ..record(1, 1, seq) };
     let (large, small) = (copy(3), copy(9)[..200].to_vec());
     let records = [with(1, large.clone()), with(2, small.clone()), with(3, copy(5))];
     let digests: Vec<Digest> = records.iter().map(|record| record.digest).collect();
@@ -149,29 +155,29 @@ fn a_scoured_copy_is_in_no_file() {
     };
     let pieces = [&large[100..148], &large[10_000..10_048], &small[20..68]];
     assert!(pieces.iter().all(|piece| is_in(piece)), "the search finds what is there");
-    ledger.scour_local_copies(&digests[..2]).expect("scoured");
+    let store = Ciphertext::of(&ledger);
+    store.scour(&digests[..2]).expect("scoured");
     assert!(!pieces.iter().any(|piece| is_in(piece)));
-    assert_eq!(ledger.local_copy(digests[2]), Ok(Some(copy(5))), "others stay");
-    assert_eq!(ledger.local_copy(digests[0]), Ok(None));
+    assert_eq!(store.get_many(&digests), Ok(vec![None, None, Some(copy(5))]), "others stay");
 }
 
 #[test]
 fn scouring_what_an_earlier_attempt_deleted_empties_the_log_all_the_same() {
     let (home, ledger) = open();
     let blob: Vec<u8> = (0..3_000u32).map(|at| (at * 11 + 5).to_le_bytes()[0]).collect();
-    let one = NewRecord { local_copy: Some(blob.clone()), ..record(1, 1, 1) };
+    let one = NewRecord { blob: Some(blob.clone()), ..record(1, 1, 1) };
     ledger.append(vec![one.clone()]).expect("acknowledged");
     let log = home.path().join("ledger.db-wal");
     let is_in_log = || std::fs::read(&log).expect("read").windows(48).any(|window| window == &blob[100..148]);
     // As an attempt leaves it that failed because somebody read an earlier state.
     let deleted = ledger.write(|session| {
         database::overwriting(session.connection, |connection| {
-            Ok(connection.execute("DELETE FROM copies", []).map(drop)?)
+            Ok(connection.execute("DELETE FROM ciphertext", []).map(drop)?)
         })
     });
     deleted.expect("deleted");
     assert!(is_in_log(), "its bytes are still in the log");
-    ledger.scour_local_copies(&[one.digest]).expect("the second attempt");
+    Ciphertext::of(&ledger).scour(&[one.digest]).expect("the second attempt");
     assert!(!is_in_log());
 }
 

@@ -77,9 +77,11 @@ impl World {
         Self { home, ledger, model, backup: None, id: [0; 16], after: 0, seen }
     }
 
-    fn change(&self, sql: &'static str, number: u64) {
+    fn change(&self, column: &'static str, value: u64, number: u64) {
         let digest = super::record(1, 1, number).digest;
-        let changed = self.ledger.write(move |session| Ok(session.connection.execute(sql, [digest.0])?));
+        let sql = format!("UPDATE records SET {column} = ?1 WHERE digest = ?2");
+        let value = value.cast_signed();
+        let changed = self.ledger.write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?));
         changed.expect("changed");
     }
 
@@ -90,7 +92,7 @@ impl World {
     fn step(&mut self, step: &Step) {
         match step {
             Step::Verify(number) => {
-                self.change("UPDATE records SET state = 7 WHERE digest = ?1", *number);
+                self.change("state", RecordState::Verified.code().into(), *number);
                 if !self.model.facts.iter().any(|(other, _)| other == number) {
                     let fact = if self.model.erased.contains(number) { Fact::Erased } else { Fact::Verified };
                     self.model.put(*number, fact);
@@ -99,13 +101,13 @@ impl World {
             Step::TakeBack(count) => {
                 for _ in 0..*count {
                     if let Some((number, _)) = self.model.facts.pop() {
-                        self.change("UPDATE records SET state = 6 WHERE digest = ?1", number);
+                        self.change("state", RecordState::Confirmed.code().into(), number);
                     }
                 }
             }
             Step::Erase(number) => {
                 if self.model.facts.iter().any(|(other, _)| other == number) && self.model.erased.insert(*number) {
-                    self.change("UPDATE records SET deleted_at = 9 WHERE digest = ?1", *number);
+                    self.change("deleted_at", 9, *number);
                     self.model.put(*number, Fact::Erased);
                 }
             }
@@ -136,7 +138,7 @@ impl World {
 
     /// Reads one page as a follower does; returns whether it is at the head.
     fn read(&mut self, limit: usize) -> bool {
-        let page = self.ledger.feed().page(&self.id, &places(self.after), limit).expect("read");
+        let page = self.ledger.feed.page(&self.id, &places(self.after), limit).expect("read");
         if page.id != self.id || self.after > page.head {
             (self.id, self.after) = (page.id, 0);
             self.seen.clear();
@@ -186,14 +188,15 @@ fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
     ledger
         .write(move |session| {
             for digest in &digests {
-                session.connection.execute("UPDATE records SET state = 7 WHERE digest = ?1", [digest.0])?;
+                let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
+                session.connection.execute(sql, (RecordState::Verified.code(), digest.0))?;
             }
             Ok(())
         })
         .expect("verified");
-    let id = ledger.feed().page(&[0; 16], &places(0), 0).expect("read").id;
+    let id = ledger.feed.page(&[0; 16], &places(0), 0).expect("read").id;
     let of = |filter: &FeedFilter, limit: usize| {
-        let page = ledger.feed().page(&id, filter, limit).expect("read");
+        let page = ledger.feed.page(&id, filter, limit).expect("read");
         let rows: Vec<(u64, Fact)> = page.rows.iter().map(|row| (row.number, row.fact)).collect();
         (rows, page.upto, page.head)
     };

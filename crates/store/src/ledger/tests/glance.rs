@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::ledger::query::Glance;
+use crate::notes::AddressBook;
 
 fn files(home: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(home).expect("a folder").flatten();
@@ -17,7 +18,7 @@ fn names_and_ids_are_found_with_a_site_at_work_and_without() {
     let ledger = Ledger::open(&path).expect("opens");
     let records: Vec<NewRecord> = (1..=3).map(|topic| record(1, topic, 7)).collect();
     ledger.append(records.clone()).expect("acknowledged");
-    ledger.put_setting("contacts", "[]").expect("kept");
+    ledger.notes.write(&AddressBook {}, &Vec::new()).expect("kept");
     let look = || {
         let glance = Glance::at(&path).expect("opens");
         let id: String = records[1].digest.to_hex().chars().take(16).collect();
@@ -30,7 +31,7 @@ fn names_and_ids_are_found_with_a_site_at_work_and_without() {
         assert_eq!(glance.ids(&id[..6].to_ascii_uppercase(), 9), Ok(vec![id]));
         assert_eq!(glance.ids("", 2).expect("read").len(), 2);
         assert_eq!((glance.ids("zz", 9), glance.ids(&"0".repeat(65), 9)), (Ok(Vec::new()), Ok(Vec::new())));
-        assert_eq!(glance.setting("contacts"), Ok(Some("[]".to_owned())));
+        assert_eq!(glance.note(&AddressBook {}), Ok(Some(Vec::new())));
     };
     look();
     ledger.close().expect("closed");

@@ -52,7 +52,7 @@ fn put(ledger: &Ledger, topic: u8, ask: Ask, large: bool) -> Answer {
         }
         Ok(())
     };
-    ledger.shared.writer.ask(size, work).expect("open")
+    ledger.database.shared.writer.ask(size, work).expect("open")
 }
 
 /// Which of these stay when done in one group. A large one starts a new transaction; a lost one takes the transaction
@@ -83,7 +83,7 @@ proptest! {
         ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
         let ((begin, begun), (go, wait)) = (mpsc::channel(), mpsc::channel::<()>());
         // The writer thread is blocked until everything is queued, so that it is done in one group.
-        let holder = ledger.shared.writer.ask(1, move |_| Ok(begin.send(()).is_ok() && wait.recv().is_ok()));
+        let holder = ledger.database.shared.writer.ask(1, move |_| Ok(begin.send(()).is_ok() && wait.recv().is_ok()));
         let holder = holder.expect("open");
         begun.recv().expect("begun");
         let answers: Vec<Answer> =

@@ -1,5 +1,7 @@
 //! Incidents: their scope, what they exempt from retention, and that each belongs to one owner alone.
 
+use rusqlite::params;
+
 use super::*;
 
 const OWNER: Address = Address([1; 20]);
@@ -38,28 +40,31 @@ fn give_up(ledger: &Ledger, topic: &KeptTopic, limit: usize) {
 fn incidents_outlive_the_process_and_are_of_one_owner() {
     let (home, ledger) = open();
     let crash = span(5, Some(9), &["/odom", "/scan", "/odom"]);
-    assert_eq!(ledger.open_incident(OWNER, &name("crash"), &crash, Some("a\u{1b}b")), Ok(true));
-    assert_eq!(ledger.open_incident(OWNER, &name("crash"), &span(1, None, &[]), Some("other")), Ok(false));
+    assert_eq!(ledger.incidents.open(OWNER, &name("crash"), &crash, Some("a\u{1b}b")), Ok(true));
+    assert_eq!(ledger.incidents.open(OWNER, &name("crash"), &span(1, None, &[]), Some("other")), Ok(false));
     let other = Address([2; 20]);
-    assert_eq!(ledger.open_incident(other, &name("crash"), &span(1, None, &[]), None), Ok(true));
-    assert_eq!(ledger.note_incident(OWNER, &name("crash"), "second"), Ok(true));
-    assert_eq!(ledger.note_incident(OWNER, &name("none"), "lost"), Ok(false));
+    assert_eq!(ledger.incidents.open(other, &name("crash"), &span(1, None, &[]), None), Ok(true));
+    assert_eq!(ledger.incidents.note(OWNER, &name("crash"), "second"), Ok(true));
+    assert_eq!(ledger.incidents.note(OWNER, &name("none"), "lost"), Ok(false));
     ledger.close().expect("closed");
 
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-    let rows = ledger.incidents(OWNER).expect("read");
+    let rows = ledger.incidents.list(OWNER).expect("read");
     assert_eq!(rows.len(), 1);
-    let row = ledger.incident(OWNER, &name("crash")).expect("read").expect("there");
+    let row = ledger.incidents.find(OWNER, &name("crash")).expect("read").expect("there");
     assert_eq!(rows, std::slice::from_ref(&row));
     assert_eq!((row.name.as_str(), row.span, row.closed_at), ("crash", span(5, Some(9), &["/odom", "/scan"]), None));
     let notes: Vec<&str> = row.notes.iter().map(|note| note.text.as_str()).collect();
     assert_eq!(notes, ["a\u{1b}b", "second"]);
 
-    assert_eq!(ledger.remove_incident(OWNER, &name("crash")), Ok(true));
-    assert_eq!((ledger.remove_incident(OWNER, &name("crash")), ledger.incidents(OWNER)), (Ok(false), Ok(Vec::new())));
-    assert_eq!(ledger.incidents(other).expect("read").len(), 1, "another's stays");
-    assert_eq!(ledger.open_incident(OWNER, &name("crash"), &span(1, None, &[]), None), Ok(true));
-    let again = ledger.incident(OWNER, &name("crash")).expect("read").expect("there");
+    assert_eq!(ledger.incidents.remove(OWNER, &name("crash")), Ok(true));
+    assert_eq!(
+        (ledger.incidents.remove(OWNER, &name("crash")), ledger.incidents.list(OWNER)),
+        (Ok(false), Ok(Vec::new()))
+    );
+    assert_eq!(ledger.incidents.list(other).expect("read").len(), 1, "another's stays");
+    assert_eq!(ledger.incidents.open(OWNER, &name("crash"), &span(1, None, &[]), None), Ok(true));
+    let again = ledger.incidents.find(OWNER, &name("crash")).expect("read").expect("there");
     assert_eq!((again.notes.len(), again.span.topics.len()), (0, 0), "nothing of the one before");
 }
 
@@ -68,12 +73,12 @@ fn closing_ends_a_span_that_goes_on_and_leaves_one_that_has_ended() {
     let (_home, ledger) = open();
     let future = Timestamp::now().0 + 3_600_000_000_000;
     for (word, until) in [("past", Some(9)), ("endless", None), ("future", Some(future))] {
-        ledger.open_incident(OWNER, &name(word), &span(5, until, &[]), None).expect("written");
-        assert_eq!(ledger.close_incident(OWNER, &name(word)), Ok(true));
-        assert_eq!(ledger.close_incident(OWNER, &name(word)), Ok(false), "closed once");
+        ledger.incidents.open(OWNER, &name(word), &span(5, until, &[]), None).expect("written");
+        assert_eq!(ledger.incidents.close(OWNER, &name(word)), Ok(true));
+        assert_eq!(ledger.incidents.close(OWNER, &name(word)), Ok(false), "closed once");
     }
-    assert_eq!(ledger.close_incident(OWNER, &name("none")), Ok(false));
-    let closed = |word| ledger.incident(OWNER, &name(word)).expect("read").expect("there");
+    assert_eq!(ledger.incidents.close(OWNER, &name("none")), Ok(false));
+    let closed = |word| ledger.incidents.find(OWNER, &name(word)).expect("read").expect("there");
     assert_eq!(closed("past").span.until, Some(Timestamp(9)));
     for word in ["endless", "future"] {
         let row = closed(word);
@@ -96,9 +101,10 @@ fn coverage_tells_what_there_is_of_each_topic() {
         last_at: Timestamp(1_001),
         ..loss(LossReason::Memory, 3)
     };
-    ledger.count_losses(vec![lost]).expect("counted");
+    ledger.losses.count(vec![lost]).expect("counted");
 
-    let found = ledger.span_coverage(OWNER, &span(1_001, Some(1_100), &["/robot1/odom", "/never"])).expect("read");
+    let found =
+        ledger.incidents.span_coverage(OWNER, &span(1_001, Some(1_100), &["/robot1/odom", "/never"])).expect("read");
     let never = SpanCoverage { topic: "/never".to_owned(), ..SpanCoverage::default() };
     let odom = SpanCoverage {
         topic: "/robot1/odom".to_owned(),
@@ -112,7 +118,7 @@ fn coverage_tells_what_there_is_of_each_topic() {
         lost: 3,
     };
     assert_eq!(found, [never, odom]);
-    let all = ledger.span_coverage(OWNER, &span(1_002, None, &[])).expect("read");
+    let all = ledger.incidents.span_coverage(OWNER, &span(1_002, None, &[])).expect("read");
     let told: Vec<(&str, u64, u64)> = all.iter().map(|one| (one.topic.as_str(), one.records, one.lost)).collect();
     assert_eq!(told, [("/robot1/odom", 2, 0)], "the end of a span is not in it, and neither is a loss before it");
 }
@@ -126,16 +132,16 @@ fn what_was_named_and_not_yet_deleted_stays_as_long_as_an_incident_holds_it() {
     give_up(&ledger, &topic, 9);
     let both = vec![old[0].digest, old[1].digest];
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(both.clone()));
-    ledger.open_incident(OWNER, &name("first"), &span(1_001, Some(1_002), &["/robot1/odom"]), None).expect("opened");
+    ledger.incidents.open(OWNER, &name("first"), &span(1_001, Some(1_002), &["/robot1/odom"]), None).expect("opened");
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(vec![old[1].digest]));
-    ledger.open_incident(OWNER, &name("all"), &span(0, None, &[]), None).expect("opened");
+    ledger.incidents.open(OWNER, &name("all"), &span(0, None, &[]), None).expect("opened");
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()), "two overlap");
-    ledger.remove_incident(OWNER, &name("first")).expect("removed");
-    ledger.close_incident(OWNER, &name("all")).expect("closed");
+    ledger.incidents.remove(OWNER, &name("first")).expect("removed");
+    ledger.incidents.close(OWNER, &name("all")).expect("closed");
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()), "one is left, closed or not");
-    ledger.remove_incident(OWNER, &name("all")).expect("removed");
-    ledger.open_incident(OWNER, &name("other"), &span(0, None, &["/robot2/odom"]), None).expect("opened");
-    ledger.open_incident(Address([2; 20]), &name("all"), &span(0, None, &[]), None).expect("another's");
+    ledger.incidents.remove(OWNER, &name("all")).expect("removed");
+    ledger.incidents.open(OWNER, &name("other"), &span(0, None, &["/robot2/odom"]), None).expect("opened");
+    ledger.incidents.open(Address([2; 20]), &name("all"), &span(0, None, &[]), None).expect("another's");
     assert_eq!(ledger.to_delete(OWNER, 9), Ok(both));
 }
 
@@ -146,7 +152,8 @@ fn bytes_of_a_stretch_leave_out_what_was_given_up_and_what_was_dropped() {
     append_in(&ledger, RecordState::Dropped, vec![record(1, 1, 4)]);
     ledger.append(vec![record(1, 1, 3)]).expect("acknowledged");
     let topic = ledger.kept_topics(OWNER).expect("read").pop().expect("a topic");
-    let between = |since, until| ledger.bytes_between(topic.key, (Timestamp(since), Timestamp(until))).expect("read");
+    let between =
+        |since, until| ledger.incidents.bytes_between(topic.key, (Timestamp(since), Timestamp(until))).expect("read");
     assert_eq!((between(1_001, 1_003), between(0, 9_999), between(1_004, 9_999)), (203, 306, 0));
     give_up(&ledger, &topic, 1);
     assert_eq!(between(0, 9_999), 205);

@@ -9,17 +9,16 @@ mod batch;
 mod chain;
 
 use super::*;
-use RecordState::{Batched, Confirmed, Mined, Sealed, Stored, Submitted, Tampered, Verified};
+use RecordState::{Batched, Confirmed, Mined, Stored, Submitted, Tampered, Verified};
 use batch::Batch;
 
-const STATES: [RecordState; 8] = [Sealed, Stored, Batched, Submitted, Mined, Confirmed, Verified, Tampered];
+const STATES: [RecordState; 7] = [Stored, Batched, Submitted, Mined, Confirmed, Verified, Tampered];
 
 #[derive(Debug, Clone)]
 enum Step {
-    Append { owner: u8, topics: Vec<u8>, data: bool, sealed: bool },
+    Append { owner: u8, topics: Vec<u8>, data: bool, whole: bool },
     AppendTwin(Index),
     Advance { picked: Vec<Index>, from: usize, to: usize },
-    Heal(Vec<Index>),
     Submit(Vec<Index>),
     CloseBatch(Vec<Index>),
     SubmitBatch(Index),
@@ -31,7 +30,7 @@ enum Step {
     Unmine(u64),
     Unverify(u64),
     Drop { topic: u8, count: u64 },
-    DropCopies(Vec<Index>),
+    Discard(Vec<Index>),
     Reopen { clean: bool },
 }
 
@@ -40,11 +39,10 @@ fn step() -> impl Strategy<Value = Step> {
     let block = || 1u64..12;
     prop_oneof![
         6 => (1u8..3, prop::collection::vec(1u8..4, 1..6), prop::bool::weighted(0.8), any::<bool>())
-            .prop_map(|(owner, topics, data, sealed)| Step::Append { owner, topics, data, sealed }),
+            .prop_map(|(owner, topics, data, whole)| Step::Append { owner, topics, data, whole }),
         1 => any::<Index>().prop_map(Step::AppendTwin),
         8 => (picked(), 0..STATES.len(), 0..STATES.len())
             .prop_map(|(picked, from, to)| Step::Advance { picked, from, to }),
-        1 => picked().prop_map(Step::Heal),
         5 => picked().prop_map(Step::Submit),
         5 => picked().prop_map(Step::CloseBatch),
         5 => any::<Index>().prop_map(Step::SubmitBatch),
@@ -57,7 +55,7 @@ fn step() -> impl Strategy<Value = Step> {
         1 => block().prop_map(Step::Unmine),
         1 => block().prop_map(Step::Unverify),
         1 => (1u8..4, 1u64..9).prop_map(|(topic, count)| Step::Drop { topic, count }),
-        1 => picked().prop_map(Step::DropCopies),
+        1 => picked().prop_map(Step::Discard),
         1 => any::<bool>().prop_map(|clean| Step::Reopen { clean }),
     ]
 }
@@ -99,16 +97,15 @@ impl Model {
         picked.iter().map(|index| self.records[*index].new.digest).collect()
     }
 
-    fn append(&mut self, owner: u8, topics: &[u8], data: bool, sealed: bool) -> Vec<NewRecord> {
-        let state = if sealed { Sealed } else { Stored };
+    fn append(&mut self, owner: u8, topics: &[u8], data: bool, whole: bool) -> Vec<NewRecord> {
         let mut added = Vec::new();
         for topic in topics {
             let same = |known: &&Known| (known.new.owner.0[0], known.new.topic_id.0[0]) == (owner, *topic);
             let seq = u64::try_from(self.records.iter().filter(same).count()).expect("small") + 1;
             let kind = if data { RecordKind::Data } else { RecordKind::Gap };
-            let local_copy = sealed.then(|| vec![*topic; 50]);
-            let new = NewRecord { kind, state, local_copy, ..record(owner, *topic, seq) };
-            self.records.push(Known { new: new.clone(), state, transaction: None, block: None, batch: None });
+            let blob = whole.then(|| vec![*topic; 50]);
+            let new = NewRecord { kind, blob, ..record(owner, *topic, seq) };
+            self.records.push(Known { new: new.clone(), state: Stored, transaction: None, block: None, batch: None });
             added.push(new);
         }
         added
@@ -118,14 +115,7 @@ impl Model {
         let mut moved = 0;
         for index in picked {
             let known = &mut self.records[*index];
-            let possible = match to {
-                Mined | Confirmed => known.block.is_some(),
-                Submitted => known.block.is_none() && known.transaction.is_some(),
-                Stored => known.block.is_none() && known.transaction.is_none() && known.batch.is_none(),
-                Batched => known.block.is_none() && known.transaction.is_none() && known.batch.is_some(),
-                _ => true,
-            };
-            if known.state == from && possible {
+            if known.state == from {
                 known.state = to;
                 moved += 1;
             }
@@ -185,7 +175,7 @@ impl Model {
         let known = self.records.iter_mut().find(|known| known.new.digest == sighting.digest).expect("known");
         let same = known.block == Some(sighting.block);
         let (state, changed) = match known.state {
-            Sealed | Stored | Batched | Submitted => (Mined, 1),
+            Stored | Batched | Submitted => (Mined, 1),
             Mined if !same => (Mined, 1),
             Tampered if !same => (Tampered, 0),
             _ => return 0,
@@ -244,8 +234,8 @@ impl Pair {
             return;
         }
         match step {
-            Step::Append { owner, topics, data, sealed } => {
-                let added = self.model.append(owner, &topics, data, sealed);
+            Step::Append { owner, topics, data, whole } => {
+                let added = self.model.append(owner, &topics, data, whole);
                 assert_eq!(self.ledger().append(added), Ok(()));
             }
             Step::AppendTwin(picked) => {
@@ -262,23 +252,16 @@ impl Pair {
                     Err(_) => assert!(!rows::may(rows::By::Worker, from, to)),
                 }
             }
-            Step::Heal(picked) => {
+            Step::Discard(picked) => {
                 let picked = self.model.pick(&picked);
-                let healed = [Mined, Submitted, Batched, Stored].map(|to| self.model.advance(&picked, Tampered, to));
-                assert_eq!(self.ledger().heal(&self.model.digests(&picked)), Ok(healed.iter().sum()));
-            }
-            Step::DropCopies(picked) => {
-                let picked = self.model.pick(&picked);
-                let copy = |index: &usize| self.model.records[*index].new.local_copy.is_some();
-                let held = u64::try_from(picked.iter().filter(|index| copy(index)).count()).expect("small");
-                assert_eq!(self.ledger().drop_local_copies(&self.model.digests(&picked)), Ok(held));
-                picked.iter().for_each(|index| self.model.records[*index].new.local_copy = None);
+                assert_eq!(Ciphertext::of(self.ledger()).discard(&self.model.digests(&picked)), Ok(()));
+                picked.iter().for_each(|index| self.model.records[*index].new.blob = None);
             }
             Step::Drop { topic, count } => {
                 *self.model.dropped.entry(topic).or_default() += count;
                 let name = record(1, topic, 1).topic;
                 let lost = Loss { topic: name, ..super::loss(LossReason::Memory, count) };
-                assert_eq!(self.ledger().count_losses(vec![lost]), Ok(()));
+                assert_eq!(self.ledger().losses.count(vec![lost]), Ok(()));
             }
             Step::Reopen { clean } => self.reopen(clean),
             other => self.take_chain(other),
@@ -303,9 +286,9 @@ impl Pair {
             let row = by_digest[&known.new.digest];
             assert_eq!((row.state, row.transaction, row.block), (known.state, known.transaction, known.block));
             assert_eq!((row.seq, row.kind, &row.topic, row.bytes), expected(&known.new));
-            assert_eq!(self.ledger().local_copy(row.digest), Ok(known.new.local_copy.clone()));
+            assert_eq!(Ciphertext::of(self.ledger()).get(row.digest), Ok(known.new.blob.clone()));
         }
-        let open = self.ledger().open_transactions(Address([1; 20])).expect("open");
+        let open = self.ledger().lanes.open_transactions(Address([1; 20])).expect("open");
         let model = self.model.sent.iter().filter(|sent| sent.state == TransactionState::Open);
         // A transaction that anchors an empty list anchors nothing.
         let plain = |anchors: &Anchors| match anchors {

@@ -22,6 +22,6 @@ pub(in super::super) fn numbered(number: u8) -> NewRecord {
         captured_at: Timestamp(u64::from(number)),
         simulated: false,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     }
 }

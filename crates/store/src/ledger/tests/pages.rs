@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::model::FilterId;
-use RecordState::Sealed;
+use RecordState::Quarantined;
 
 fn tag(number: u64) -> FilterId {
     FilterId(number.to_be_bytes())
@@ -30,13 +30,13 @@ proptest! {
         let (_home, ledger) = open();
         let records: Vec<NewRecord> = (1u64..).zip(&times).map(|(seq, (owner, topic, time, stored))| NewRecord {
             captured_at: Timestamp(*time),
-            state: if *stored { Stored } else { Sealed },
+            state: if *stored { Stored } else { Quarantined },
             // Some topics never, some occasionally.
             filters: (1..5).filter(|tag| (u64::from(*topic) + seq / 7).is_multiple_of(*tag)).map(tag).collect(),
             ..record(*owner, *topic, seq)
         }).collect();
         ledger.append(records.clone()).expect("acknowledged");
-        let state = stored.map(|stored| if stored { Stored } else { Sealed });
+        let state = stored.map(|stored| if stored { Stored } else { Quarantined });
         let mut query = RecordQuery {
             owner: owner.map(|owner| Address([owner; 20])),
             topic: topic.map(|topic| record(1, topic, 1).topic),

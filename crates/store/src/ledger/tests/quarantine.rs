@@ -1,10 +1,10 @@
 //! Quarantined records: kept from the chain until they are released, and always counted.
 
 use super::*;
-use RecordState::{Dropped, Mined, Quarantined, Sealed, Tampered};
+use RecordState::{Dropped, Mined, Quarantined, Tampered};
 
 fn held(seq: u64, copy: bool) -> NewRecord {
-    NewRecord { state: Quarantined, local_copy: copy.then(|| vec![1, 2]), ..record(1, 1, seq) }
+    NewRecord { state: Quarantined, blob: copy.then(|| vec![1, 2]), ..record(1, 1, seq) }
 }
 
 fn hold(record: &NewRecord) -> Hold {
@@ -19,14 +19,14 @@ fn all() -> HeldQuery {
 fn held_records_are_neither_batched_nor_submitted_nor_moved_by_a_worker() {
     let (_home, ledger) = open();
     let (good, bad) = (record(1, 1, 1), held(2, false));
-    ledger.append_held(vec![good.clone(), bad.clone()], vec![hold(&bad)]).expect("acknowledged");
+    ledger.quarantine.append_held(vec![good.clone(), bad.clone()], vec![hold(&bad)]).expect("acknowledged");
     let owner = Address([1; 20]);
     let leaves = ledger.stored_leaves(owner, 10).expect("leaves");
     assert_eq!(leaves.iter().map(|leaf| leaf.digest).collect::<Vec<_>>(), [good.digest]);
     assert_eq!(ledger.unbatched(owner).expect("read").0, 1);
     let batch = NewBatch { owner, root: Hash([1; 32]), leaves: vec![(bad.digest, Vec::new())] };
     assert!(matches!(ledger.close_batch(batch), Err(StoreError::NotReady { .. })));
-    assert!(matches!(ledger.submit(transaction(1, &[bad.digest])), Err(StoreError::NotReady { .. })));
+    assert!(matches!(ledger.lanes.submit(transaction(1, &[bad.digest])), Err(StoreError::NotReady { .. })));
     assert!(matches!(ledger.advance(&[bad.digest], Quarantined, Stored), Err(StoreError::IllegalEdge { .. })));
     assert_eq!(ledger.mined(&[sighting(&bad, 3)]), Ok(0));
     assert_eq!((state_of(&ledger, &bad), ledger.mined(&[sighting(&good, 3)])), (Quarantined, Ok(1)));
@@ -34,12 +34,9 @@ fn held_records_are_neither_batched_nor_submitted_nor_moved_by_a_worker() {
     let counts = ledger.counts(None).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.quarantined, topic.pending), (2, 1, 1));
-    // Found damaged and intact again, it is still quarantined.
+    // Found damaged, it is never released.
     assert_eq!(ledger.advance(&[bad.digest], Quarantined, Tampered), Ok(1));
-    assert_eq!((ledger.heal(&[bad.digest]), state_of(&ledger, &bad)), (Ok(1), Quarantined));
-    assert_eq!(ledger.release(&[bad.digest]), Ok(1));
-    assert_eq!(ledger.advance(&[bad.digest], Stored, Tampered), Ok(1));
-    assert_eq!((ledger.heal(&[bad.digest]), state_of(&ledger, &bad)), (Ok(1), Stored));
+    assert_eq!(ledger.quarantine.release(&[bad.digest]), Ok(0));
 }
 
 #[test]
@@ -47,31 +44,30 @@ fn released_ones_go_on_and_discarded_ones_never() {
     let (home, ledger) = open();
     let records = [held(1, false), held(2, true), held(3, true), held(4, false)];
     let holds = records.iter().map(hold).collect();
-    ledger.append_held(records.to_vec(), holds).expect("acknowledged");
-    let [stored, sealed, gone, left] = records.each_ref().map(|record| record.digest);
-    assert_eq!((ledger.release(&[stored, sealed]), ledger.release(&[stored])), (Ok(2), Ok(0)));
-    assert_eq!((ledger.discard(&[gone]), ledger.discard(&[gone, stored])), (Ok(1), Ok(0)));
+    ledger.quarantine.append_held(records.to_vec(), holds).expect("acknowledged");
+    let [stored, whole, gone, left] = records.each_ref().map(|record| record.digest);
+    assert_eq!((ledger.quarantine.release(&[stored, whole]), ledger.quarantine.release(&[stored])), (Ok(2), Ok(0)));
+    assert_eq!((ledger.quarantine.discard(&[gone]), ledger.quarantine.discard(&[gone, stored])), (Ok(1), Ok(0)));
     let states: Vec<_> = records.iter().map(|record| state_of(&ledger, record)).collect();
-    assert_eq!(states, [Stored, Sealed, Dropped, Quarantined]);
-    let copies = [sealed, gone].map(|digest| ledger.local_copy(digest).expect("read").is_some());
-    assert_eq!((copies, ledger.release(&[gone])), ([true, false], Ok(0)));
+    assert_eq!(states, [Stored, Stored, Dropped, Quarantined]);
+    assert_eq!(ledger.quarantine.release(&[gone]), Ok(0));
     let counts = ledger.counts(None).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.pending, topic.quarantined, topic.dropped), (4, 2, 1, 1));
     let undecided = HeldQuery { decided: false, ..all() };
-    let open: Vec<_> = ledger.held(Address([1; 20]), &undecided).expect("held");
+    let open: Vec<_> = ledger.quarantine.held(Address([1; 20]), &undecided).expect("held");
     assert_eq!(open.iter().map(|row| row.record.digest).collect::<Vec<_>>(), [left]);
     let definition = NewRecord { kind: RecordKind::Definition, ..held(5, false) };
-    ledger.append_held(vec![definition.clone()], vec![hold(&definition)]).expect("acknowledged");
+    ledger.quarantine.append_held(vec![definition.clone()], vec![hold(&definition)]).expect("acknowledged");
     let messages = HeldQuery { messages: true, ..undecided.clone() };
-    let count = |query: &HeldQuery| ledger.held(Address([1; 20]), query).expect("held").len();
-    assert_eq!((count(&messages), count(&undecided), ledger.release(&[definition.digest])), (1, 2, Ok(1)));
-    assert!(ledger.held(Address([2; 20]), &all()).expect("held").is_empty());
+    let count = |query: &HeldQuery| ledger.quarantine.held(Address([1; 20]), query).expect("held").len();
+    assert_eq!((count(&messages), count(&undecided), ledger.quarantine.release(&[definition.digest])), (1, 2, Ok(1)));
+    assert!(ledger.quarantine.held(Address([2; 20]), &all()).expect("held").is_empty());
     // It survives the process.
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
     let decisions: Vec<_> =
-        ledger.held(Address([1; 20]), &all()).expect("held").into_iter().map(|row| row.decision).collect();
+        ledger.quarantine.held(Address([1; 20]), &all()).expect("held").into_iter().map(|row| row.decision).collect();
     assert_eq!(
         decisions,
         [Some("released".into()), Some("released".into()), Some("discarded".into()), None, Some("released".into())]
@@ -82,29 +78,31 @@ fn released_ones_go_on_and_discarded_ones_never() {
 fn a_hold_comes_with_its_record_or_not_at_all() {
     let (_home, ledger) = open();
     let (good, bad) = (record(1, 1, 1), held(2, false));
-    let wrong = ledger.append_held(vec![good.clone(), bad.clone()], vec![hold(&good)]);
+    let wrong = ledger.quarantine.append_held(vec![good.clone(), bad.clone()], vec![hold(&good)]);
     assert!(matches!(wrong, Err(StoreError::NotReady { .. })), "{wrong:?}");
     assert_eq!(ledger.record(bad.digest), Ok(None), "all or none");
     for _ in 0..2 {
-        ledger.append_held(vec![bad.clone()], vec![hold(&bad)]).expect("idempotent");
+        ledger.quarantine.append_held(vec![bad.clone()], vec![hold(&bad)]).expect("idempotent");
     }
-    assert_eq!(ledger.held(Address([1; 20]), &all()).expect("held").len(), 1);
+    assert_eq!(ledger.quarantine.held(Address([1; 20]), &all()).expect("held").len(), 1);
 }
 
 #[test]
 fn a_report_counts_each_record_once() {
     let (_home, ledger) = open();
     let records = [held(1, false), held(2, false)];
-    ledger.append_held(records.to_vec(), records.iter().map(hold).collect()).expect("acknowledged");
-    let due = ledger.unreported(Address([1; 20]), 1).expect("read").expect("due");
+    ledger.quarantine.append_held(records.to_vec(), records.iter().map(hold).collect()).expect("acknowledged");
+    let due = ledger.quarantine.unreported(Address([1; 20]), 1).expect("read").expect("due");
     assert_eq!((due.minute, due.topic.as_str()), (0, "/robot1/odom"));
     assert_eq!(due.records, records.each_ref().map(|record| (record.seq, record.digest)));
-    assert_eq!(ledger.unreported(Address([1; 20]), 0), Ok(None), "its minute is not over");
+    assert_eq!(ledger.quarantine.unreported(Address([1; 20]), 0), Ok(None), "its minute is not over");
     let report = NewRecord { kind: RecordKind::Quarantine, ..record(1, 9, 1) };
-    ledger.report(report.clone(), vec![records[0].digest]).expect("kept");
-    let twice = ledger.report(NewRecord { kind: RecordKind::Quarantine, ..record(1, 9, 2) }, vec![records[0].digest]);
+    ledger.quarantine.report(report.clone(), vec![records[0].digest]).expect("kept");
+    let twice = ledger
+        .quarantine
+        .report(NewRecord { kind: RecordKind::Quarantine, ..record(1, 9, 2) }, vec![records[0].digest]);
     assert!(matches!(twice, Err(StoreError::NotReady { .. })));
     assert_eq!(ledger.record(record(1, 9, 2).digest), Ok(None), "all or none");
-    let due = ledger.unreported(Address([1; 20]), 1).expect("read").expect("due");
+    let due = ledger.quarantine.unreported(Address([1; 20]), 1).expect("read").expect("due");
     assert_eq!(due.records, [(2, records[1].digest)]);
 }

@@ -33,7 +33,7 @@ fn statements_are_planned_once_and_memory_is_not_counted() {
         Ok(connection.prepare_cached(sql)?.get_status(rusqlite::StatementStatus::RePrepare))
     };
     assert_eq!(ledger.read(planned_again).expect("read"), 0);
-    let plain = Connection::open(&ledger.shared.path).expect("opens");
+    let plain = Connection::open(ledger.path()).expect("opens");
     assert!(planned_again(&plain).expect("read") >= 8, "as it is without the setting");
     let counts = ledger.read(|connection| {
         let mut options = connection.prepare("PRAGMA compile_options")?;

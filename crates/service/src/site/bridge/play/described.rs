@@ -4,7 +4,7 @@ use super::{Checked, Play};
 use crate::crypto::OpenedRecord;
 use crate::model::{Verdict, clean};
 use crate::pipeline::importer;
-use crate::pipeline::reader::Reader;
+use crate::pipeline::reader::{Opening, Reader};
 use crate::ros::Advertised;
 use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
@@ -55,7 +55,7 @@ impl Play<'_> {
         latching: bool,
     ) -> Result<Result<Form, String>, Failure> {
         let reader = Reader { plant: &self.bridge.plant, network: &self.network, reader: self.owner };
-        let Some(definition) = self.definitions.text(&reader, &item.row, record).await? else {
+        let Some(definition) = self.definitions.text(&reader, &item.row, record, Opening::Anchored).await? else {
             return Ok(Err("no readable record contains the definition of its type".to_owned()));
         };
         let (type_name, md5sum) = (record.head.type_name.clone(), record.head.md5sum.clone());

@@ -147,7 +147,8 @@ impl Play<'_> {
     }
 
     fn name_of(&self, account: Address) -> String {
-        self.bridge.contacts.names().get(&account).map_or_else(|| account.to_string(), ToString::to_string)
+        let names = self.bridge.contacts.names().unwrap_or_default();
+        names.get(&account).map_or_else(|| account.to_string(), ToString::to_string)
     }
 
     fn tell(&self, why: &str) {

@@ -155,7 +155,7 @@ fn close(ground: &Ground, number: u8) -> Hash {
         captured_at: Timestamp::from_seconds(BEGIN),
         simulated: false,
         state: RecordState::Stored,
-        local_copy: None,
+        blob: None,
     };
     let ledger = &ground.parts.plant.ledger;
     ledger.append(vec![record]).expect("acknowledged");
@@ -169,7 +169,7 @@ fn stamps(ground: &Ground) -> Arc<TimeStamps> {
 
 /// Stamped, waiting, and what health says of it.
 fn told(ground: &Ground, stamps: &TimeStamps) -> (u64, u64, HealthLevel, String) {
-    let counts = ground.parts.plant.ledger.stamp_counts().expect("counts");
+    let counts = ground.parts.plant.ledger.proofs.stamp_counts().expect("counts");
     let health = stamps.health().expect("read").expect("an authority is configured");
     (counts.stamped, counts.waiting, health.level, health.text)
 }
@@ -207,8 +207,8 @@ async fn each_hours_roots_are_stamped_once_and_a_busy_authority_is_asked_later_a
     assert_eq!(authority.asked(), 5, "each hour once");
     let ledger = &ground.parts.plant.ledger;
     let under = |root: Hash| {
-        let key = ledger.stamp_of(root).expect("read").expect("stamped");
-        ledger.stamp(key).expect("read").expect("there")
+        let key = ledger.proofs.stamp_of(root).expect("read").expect("stamped");
+        ledger.proofs.stamp(key).expect("read").expect("there")
     };
     assert_eq!((under(first).roots, under(second).roots), (vec![first], vec![second, third]));
     for root in [first, third] {

@@ -28,10 +28,10 @@ pub(super) enum Look {
 /// What is in a folder.
 #[derive(Default)]
 pub(super) struct Found {
-    /// MCAP files, in the order of recording.
+    /// MCAP files and databases, in the order of recording.
     pub files: Vec<PathBuf>,
-    /// A recording that is a database, which is not opened while somebody may write it.
-    pub database: Option<PathBuf>,
+    /// Databases that the recorder compressed as a whole when it closed them.
+    pub packed: Vec<PathBuf>,
     entries: usize,
 }
 
@@ -84,15 +84,21 @@ fn gather(folder: &Path, deeper: usize, found: &mut Found) -> std::io::Result<()
             drop(gather(&path, deeper - 1, found));
         } else if kind.is_file() && is_recording(&entry.file_name().to_string_lossy()) {
             found.files.push(path);
-        } else if path.extension().is_some_and(|end| end == "db3") {
-            found.database = Some(path);
+        } else if kind.is_file() && path.to_string_lossy().ends_with(".db3.zstd") {
+            found.packed.push(path);
         }
     }
     Ok(())
 }
 
 fn is_recording(name: &str) -> bool {
-    Path::new(name).extension().is_some_and(|end| end == "mcap") && !name.ends_with(ATTACHED) && !name.starts_with('.')
+    let is_one = is_database(Path::new(name)) || Path::new(name).extension().is_some_and(|end| end == "mcap");
+    is_one && !name.ends_with(ATTACHED) && !name.starts_with('.')
+}
+
+/// Whether a file is a database of rosbag2 by its name.
+pub(super) fn is_database(path: &Path) -> bool {
+    path.extension().is_some_and(|end| end == "db3")
 }
 
 /// Compares names so that numbers in them count as numbers: `run_9` is before `run_10`.
@@ -115,41 +121,6 @@ fn parts(name: &str) -> Vec<(&str, usize, &str)> {
     parts
 }
 
-/// Whether rosbag2 has closed the recording that a file is of, or a later file of it is there.
-pub(super) fn is_followed_by(path: &Path, files: &[PathBuf]) -> bool {
-    let Some(folder) = path.parent() else { return false };
-    let is_later = |other: &PathBuf| {
-        other.parent() == Some(folder) && in_order(&path.to_string_lossy(), &other.to_string_lossy()) == Ordering::Less
-    };
-    has_description(path) || files.iter().any(is_later)
-}
-
-/// Whether the description that rosbag2 writes last is beside a file.
-pub(super) fn has_description(path: &Path) -> bool {
-    path.parent().is_some_and(|folder| folder.join("metadata.yaml").exists())
-}
-
-/// Whether a process that may be looked at has the file open for writing.
-pub(super) fn has_writer(device: u64, inode: u64) -> bool {
-    let Ok(processes) = fs::read_dir("/proc") else { return false };
-    processes.flatten().any(|process| {
-        let Ok(open) = fs::read_dir(process.path().join("fd")) else { return false };
-        open.flatten().any(|descriptor| {
-            let is_it = fs::metadata(descriptor.path())
-                .is_ok_and(|file| file.is_file() && file.dev() == device && file.ino() == inode);
-            is_it && is_for_writing(&process.path().join("fdinfo").join(descriptor.file_name()))
-        })
-    })
-}
-
-fn is_for_writing(about: &Path) -> bool {
-    let text = fs::read_to_string(about).unwrap_or_default();
-    let flags = text.lines().find_map(|line| line.strip_prefix("flags:"));
-    let flags = flags.and_then(|flags| u32::from_str_radix(flags.trim(), 8).ok());
-    // The way of access is in the lowest two bits; 0 is reading.
-    flags.is_some_and(|flags| flags & 0b11 != 0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -168,32 +139,17 @@ mod tests {
         let mut folder = Folder::new(path.clone());
         assert!(matches!(folder.look(), Look::NotYet));
         fs::create_dir_all(path.join("part/deep/deeper")).expect("created");
-        let names = ["run_1.mcap", "run_0.mcap", "run_0.authros.mcap", ".hidden.mcap", "old.db3", "part/deep/x.mcap"];
+        let names = ["run_1.mcap", "run_0.mcap", "run_0.authros.mcap", ".hidden.mcap", "run_2.db3", "part/deep/x.mcap"];
         names.iter().for_each(|name| fs::write(path.join(name), "").expect("written"));
         fs::write(path.join("part/deep/deeper/y.mcap"), "").expect("written");
-        let Look::Files(Found { files, database, .. }) = folder.look() else { panic!("no files") };
-        assert_eq!(database, Some(path.join("old.db3")));
+        fs::write(path.join("run_3.db3.zstd"), "").expect("written");
+        let Look::Files(Found { files, packed, .. }) = folder.look() else { panic!("no files") };
+        assert_eq!(packed, [path.join("run_3.db3.zstd")]);
         let found: Vec<_> = files.iter().filter_map(|file| file.strip_prefix(&path).ok()?.to_str()).collect();
-        assert_eq!(found, ["part/deep/x.mcap", "run_0.mcap", "run_1.mcap"]);
-        assert!(is_followed_by(&path.join("run_0.mcap"), &files) && !is_followed_by(&path.join("run_1.mcap"), &files));
-        fs::write(path.join("metadata.yaml"), "").expect("written");
-        assert!(is_followed_by(&path.join("run_1.mcap"), &files));
+        assert_eq!(found, ["part/deep/x.mcap", "run_0.mcap", "run_1.mcap", "run_2.db3"]);
         fs::rename(&path, home.path().join("other")).expect("moved");
         assert!(matches!(folder.look(), Look::Gone));
         fs::create_dir(&path).expect("created");
         assert!(matches!(folder.look(), Look::Gone), "another folder of its name");
-    }
-
-    #[test]
-    fn who_writes_a_file_is_found() {
-        let home = tempfile::tempdir().expect("a folder");
-        let path = home.path().join("run.mcap");
-        let writing = fs::File::create(&path).expect("created");
-        let metadata = fs::metadata(&path).expect("there");
-        let reading = fs::File::open(&path).expect("open");
-        assert!(has_writer(metadata.dev(), metadata.ino()));
-        drop(writing);
-        assert!(!has_writer(metadata.dev(), metadata.ino()), "who only reads is none");
-        drop(reading);
     }
 }

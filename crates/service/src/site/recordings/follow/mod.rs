@@ -4,24 +4,28 @@
 //! between leaves a few messages in doubt, which are looked for among the records. A file that has ended is stated: its
 //! length and digests become a record, and the bundle of that record, opened, is written beside the file.
 
+mod closing;
 mod folder;
 mod hashed;
 mod place;
 mod proof;
+mod source;
 mod tape;
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{mpsc, oneshot};
 
+use self::closing::{QUIET, Stamp, Waiting};
 use self::folder::{Folder, Look};
+use self::hashed::Hashed;
 use self::place::Known;
 use self::proof::{Due, Proven};
-use self::tape::{Opened, QUIET, Round, Tape};
+use self::tape::{Done, Opened, Round, Tape};
 use super::import::MOST_TAGS;
 use super::{Recordings, Run};
 use crate::model::{Address, clean};
@@ -33,7 +37,8 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::{AGAIN, input, refused};
 use crate::service::reply::{Failure, FollowView, FollowedFile};
 use crate::site::blocking;
-use crate::store::Ledger;
+use crate::store::Notes;
+use crate::store::notes::{FilePlace, FileStanding};
 
 /// Between two looks at the folder.
 const LOOK: Duration = Duration::from_millis(250);
@@ -41,41 +46,14 @@ const LOOK: Duration = Duration::from_millis(250);
 /// Between two looks whether proofs can be written.
 const PROVING: Duration = Duration::from_millis(500);
 
-/// Folders that are followed now, each with its owner. There is one site of a home, so this holds for the home.
-#[derive(Default)]
-pub(super) struct Follows(Mutex<Vec<(Address, PathBuf)>>);
-
-/// One folder of them.
-struct Claim(Arc<Follows>, (Address, PathBuf));
-
-impl Follows {
-    fn claim(self: &Arc<Self>, owner: Address, folder: &Path) -> Result<Claim, Failure> {
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let overlaps = |other: &Path| other.starts_with(folder) || folder.starts_with(other);
-        if let Some((_, other)) = all.iter().find(|(of, other)| *of == owner && overlaps(other)) {
-            return Err(refused(format!(
-                "{} is already being followed; end that first, or leave it to it",
-                clean(&other.display().to_string(), 300)
-            )));
-        }
-        let of = (owner, folder.to_owned());
-        all.push(of.clone());
-        Ok(Claim(Arc::clone(self), of))
-    }
-}
-
-impl Drop for Claim {
-    fn drop(&mut self) {
-        self.0.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|of| *of != self.1);
-    }
-}
-
 /// What the tag of a file's records says if it was followed, to its end or not; `None` if it was not.
-pub(super) fn followed_as(ledger: &Ledger, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
+pub(super) fn followed_as(notes: &Notes, owner: Address, path: &Path) -> Result<Option<String>, Failure> {
     let file = File::open(path).map_err(|error| input(format!("{} cannot be read: {error}", path.display())))?;
-    Ok(match place::known(ledger, owner, &file, true)? {
+    Ok(match place::known(notes, owner, &file, true)? {
         Known::Here(key, place, _) if place.begun > 0 => Some(key.tag),
-        Known::Here(..) | Known::TooShort | Known::Shrank(_) => None,
+        // What it was before it was altered.
+        Known::Here(_, _, former) => former.map(|former| former.0.tag),
+        Known::TooShort | Known::Shrank(_) => None,
     })
 }
 
@@ -114,10 +92,42 @@ impl<'a> Follower<'a> {
 
 /// What is known of a path.
 enum Entry<'a> {
+    /// A database that its recorder may still write, or a file that an import seals now.
+    Waiting(Waiting),
     Open(Box<Tape<'a>>),
     /// Another name of a file that is followed.
     Same,
-    Ended(Box<FollowedFile>),
+    Ended(Box<Ended>),
+}
+
+/// A file that was sealed to its end, or that cannot be followed.
+struct Ended {
+    file: FollowedFile,
+    /// How far it is sealed, where that is to its end.
+    place: Option<FilePlace>,
+    stamp: Option<Stamp>,
+}
+
+impl Ended {
+    fn new(path: &Path, file: FollowedFile, place: Option<FilePlace>) -> Self {
+        Self { file, place, stamp: Stamp::of(path) }
+    }
+
+    /// Looks whether it was written since, and then whether it is still what was sealed; what to say if not.
+    fn look(&mut self, path: &Path) -> Option<String> {
+        let place = self.place.as_ref().filter(|_| !self.file.is_altered)?;
+        let stamp = Stamp::of(path).filter(|stamp| self.stamp != Some(*stamp))?;
+        let (file, mut hashed) = (File::open(path).ok()?, Hashed::default());
+        hashed.advance(&file, file.metadata().ok()?.len(), Vec::new()).ok()?;
+        self.stamp = Some(stamp);
+        if place.digest == Some(hashed.digest()) {
+            return None;
+        }
+        let note = place::changed(place, &self.file.file);
+        self.file.is_altered = true;
+        self.file.notes.push(note.clone());
+        Some(note)
+    }
 }
 
 impl Recordings {
@@ -138,8 +148,12 @@ impl Recordings {
         self.sealer.begin()?;
         let folder = resolved(&wishes.folder)?;
         let wishes = FollowWishes { folder: folder.clone(), ..wishes };
-        let _claim = self.follows.claim(owner.address, &folder)?;
         let shown = clean(&folder.display().to_string(), 300);
+        let _claim = self.claims.take_folder(owner.address, &folder).map_err(|_| {
+            refused(format!(
+                "{shown}, or a folder above or below it, is already being followed; end that first, or leave it to it"
+            ))
+        })?;
         self.log.begin(owner, "follow recordings", &shown).await?;
         let running = self.begin_run(&owner.profile, &folder, "following");
         // Ends as a capture is ended: by the same command.
@@ -230,23 +244,25 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
             Look::Unreadable(why) => follower.tell(NoticeLevel::Warning, &format!("{shown} cannot be read: {why}")),
             Look::Files(found) => {
                 files = found.files;
-                found.database.into_iter().for_each(|path| tell_database(follower, &path));
+                found.packed.iter().for_each(|path| tell_packed(follower, path, &entries));
             }
         }
+        entries.retain(|path, entry| !matches!(entry, Entry::Waiting(_)) || files.contains(path));
         for path in &files {
-            if !view.is_gone && !entries.contains_key(path) && open(follower, path, &files, &mut entries, due) {
+            let is_new = matches!(entries.get(path), None | Some(Entry::Waiting(_)));
+            if !view.is_gone && is_new && open(follower, path, &files, &mut entries, due) {
                 newest = Instant::now();
             }
         }
         let moved = go_round(follower, &files, &mut entries, due);
         let sealed = entries.values().map(|entry| match entry {
             Entry::Open(tape) => tape.sealed(),
-            Entry::Ended(file) => file.sealed,
-            Entry::Same => 0,
+            Entry::Ended(ended) => ended.file.sealed,
+            Entry::Same | Entry::Waiting(_) => 0,
         });
         run.at(0, 0, sealed.sum());
-        let is_open = entries.values().any(|entry| matches!(entry, Entry::Open(_)));
-        let is_closed = || files.iter().all(|path| folder::has_description(path)) || newest.elapsed() >= QUIET;
+        let is_open = entries.values().any(|entry| matches!(entry, Entry::Open(_) | Entry::Waiting(_)));
+        let is_closed = || files.iter().all(|path| closing::has_description(path)) || newest.elapsed() >= QUIET;
         let has_ended = follower.wishes.until_closed && !entries.is_empty() && !is_open && is_closed();
         if !follower.goes_on() || !moved && (has_ended || view.is_gone) {
             view.ended_early = !has_ended;
@@ -264,22 +280,22 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
                 tape.leave();
                 view.files.push(tape.report());
             }
-            Some(Entry::Ended(file)) => view.files.push(*file),
-            Some(Entry::Same) | None => {}
+            Some(Entry::Ended(ended)) => view.files.push(ended.file),
+            Some(Entry::Same | Entry::Waiting(_)) | None => {}
         }
     }
     view
 }
 
-fn tell_database(follower: &Follower<'_>, path: &Path) {
-    let name = follower.name_of(path);
-    follower.tell(
-        NoticeLevel::Warning,
-        &format!(
-            "{name} is not followed: a second program that opens a .db3 can end its recorder; record with \
-             `--storage mcap`, or import it when it is closed"
-        ),
-    );
+/// A recorder that compresses whole files takes a database away as soon as it is closed.
+fn tell_packed(follower: &Follower<'_>, path: &Path, entries: &BTreeMap<PathBuf, Entry<'_>>) {
+    if matches!(entries.get(&path.with_extension("")), None | Some(Entry::Waiting(_))) {
+        let name = follower.name_of(path);
+        follower.tell(
+            NoticeLevel::Warning,
+            &format!("{name} was compressed before it could be sealed: import the folder when the recording has ended"),
+        );
+    }
 }
 
 /// Opens what is new; `true` if something was.
@@ -290,20 +306,37 @@ fn open<'a>(
     entries: &mut BTreeMap<PathBuf, Entry<'a>>,
     due: &mpsc::UnboundedSender<Due>,
 ) -> bool {
-    let is_held =
-        |key: &place::FileKey| entries.values().any(|entry| matches!(entry, Entry::Open(tape) if tape.key == *key));
     let name = follower.name_of(path);
-    let entry = match Tape::open(follower, path, files, &is_held) {
+    if folder::is_database(path) {
+        let entry = entries.entry(path.to_owned()).or_insert_with(|| {
+            let text = format!("{name} is sealed once it is closed: until then no other program may open it");
+            follower.tell(NoticeLevel::Info, &text);
+            Entry::Waiting(Waiting::default())
+        });
+        if let Entry::Waiting(waiting) = entry
+            && !waiting.is_over(path, files)
+        {
+            return false;
+        }
+    }
+    let entry = match Tape::open(follower, path, files) {
         Ok(Opened::NotYet) => return false,
+        Ok(Opened::Imported) => {
+            follower.tell(NoticeLevel::Info, &format!("{name} is being imported: it is followed when that has ended"));
+            entries.insert(path.to_owned(), Entry::Waiting(Waiting::default()));
+            return false;
+        }
         Ok(Opened::Same) => Entry::Same,
         Ok(Opened::Tape(tape)) => {
             follower.tell(NoticeLevel::Info, &format!("following {name}"));
+            tape.notes().iter().for_each(|note| follower.tell(NoticeLevel::Warning, &format!("{name}: {note}")));
             Entry::Open(tape)
         }
         Ok(Opened::Done(done)) => {
-            let (file, proof) = *done;
+            let Done { view, due: proof, place } = *done;
+            view.notes.iter().for_each(|note| follower.tell(NoticeLevel::Warning, &format!("{name}: {note}")));
             proof.into_iter().for_each(|proof| drop(due.send(proof)));
-            Entry::Ended(Box::new(file))
+            Entry::Ended(Box::new(Ended::new(path, view, place)))
         }
         Err(failure) => {
             follower.tell(NoticeLevel::Warning, &format!("{name}: {}", failure.message));
@@ -326,7 +359,16 @@ fn go_round(
     paths.sort_by(|one, other| folder::in_order(&one.to_string_lossy(), &other.to_string_lossy()));
     for path in paths {
         let Some(entry) = entries.get_mut(&path) else { continue };
-        let Entry::Open(tape) = &mut *entry else { continue };
+        let tape = match &mut *entry {
+            Entry::Open(tape) => tape,
+            Entry::Ended(ended) => {
+                let name = follower.name_of(&path);
+                let changed = ended.look(&path).map(|note| format!("{name}: {note}"));
+                changed.into_iter().for_each(|note| follower.tell(NoticeLevel::Warning, &note));
+                continue;
+            }
+            Entry::Same | Entry::Waiting(_) => continue,
+        };
         match tape.round(files) {
             Ok(Round::Idle) => {}
             Ok(Round::Moved) => moved = true,
@@ -341,7 +383,8 @@ fn go_round(
                     _ => format!("has ended, {} messages sealed", file.sealed + file.already),
                 };
                 follower.tell(level, &format!("{}: {how}", file.file));
-                *entry = Entry::Ended(Box::new(file));
+                let place = Some(tape.place().clone()).filter(|place| place.standing != FileStanding::Open);
+                *entry = Entry::Ended(Box::new(Ended::new(&path, file, place)));
             }
             Err(failure) => {
                 let (name, why) = (follower.name_of(&path), failure.message.trim_end_matches(AGAIN));

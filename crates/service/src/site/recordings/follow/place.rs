@@ -2,15 +2,15 @@
 
 use std::fs::File;
 use std::os::unix::fs::{FileExt, MetadataExt};
-
-use serde::{Deserialize, Serialize};
+use std::path::Path;
 
 use crate::crypto::sm3::sm3;
-use crate::model::{Address, Digest, Timestamp};
+use crate::model::{Address, Digest, clean};
 use crate::ros::mcap::MAGIC;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
-use crate::store::Ledger;
+use crate::store::Notes;
+use crate::store::notes::{FilePlace, FileStanding, Followed, SealedUnderName};
 
 /// A file is recognised by this many bytes at its beginning. A recorder's first chunk, with its times, begins within them.
 const LEAD: usize = 1024;
@@ -18,68 +18,39 @@ const LEAD: usize = 1024;
 /// The most files that one place on the disk was used for, of which all began alike.
 const MOST_AGAIN: u32 = 64;
 
-/// What becomes of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Standing {
-    /// More may come.
-    #[default]
-    Open,
-    /// All of it is sealed, and the statement of its digests.
-    Stated,
-    /// Its proof is written.
-    Proven,
-}
-
-/// How far a file is sealed.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub(super) struct Place {
-    /// The name it had.
-    pub name: String,
-    /// So many of its messages, in file order, are done with: their records are stored, or they were not wanted.
-    pub stored: u64,
-    /// Records of messages up to this one may be stored, too: a crash came between.
-    pub begun: u64,
-    /// How many of its bytes had been read by then.
-    pub at: u64,
-    /// SM3 of these bytes.
-    pub digest: Option<Digest>,
-    /// Chunks among them.
-    pub chunks: u64,
-    /// Whether its recorder closed it.
-    pub closed: bool,
-    /// What becomes of it.
-    pub standing: Standing,
-    /// When what the statement is about ended: the time of its record.
-    pub stated_at: Option<Timestamp>,
-    /// SM3 of the statement.
-    pub statement: Option<Digest>,
-    /// Whether a run chose among its topics: what is done with need not be sealed then.
-    pub chosen: bool,
+/// What there is to say of a file that is no longer what was sealed to its end.
+pub(super) fn changed(place: &FilePlace, name: &str) -> String {
+    let (name, messages) = (clean(name, 80), place.stored.saturating_sub(1));
+    let when = place.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
+    format!(
+        "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file as \
+             it was then. If nobody was to change it, put a copy of that in its place; to seal it as it is now, move \
+             {name}.authros away and follow the folder again"
+    )
 }
 
 /// The key of a file in the ledger, and the tag of its records.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct FileKey {
-    pub key: String,
+    pub note: Followed,
     pub tag: String,
 }
 
 /// By its inode and its first bytes. The number of its device is not in it: the same disk may have another one after
 /// the machine was started again.
 fn key_of(owner: Address, inode: u64, lead: &[u8], again: u32) -> FileKey {
-    let digest = Digest(sm3(&[&inode.to_be_bytes(), &again.to_be_bytes(), lead])).to_hex();
-    FileKey { key: format!("follow:{owner}:{digest}"), tag: digest.chars().take(16).collect() }
+    let file = Digest(sm3(&[&inode.to_be_bytes(), &again.to_be_bytes(), lead]));
+    FileKey { note: Followed { owner, file }, tag: file.to_hex().chars().take(16).collect() }
 }
 
 /// What is known of a file that is there.
 pub(super) enum Known {
     /// It is too short to be told from others, and may grow.
     TooShort,
-    /// It is new, or goes on where it was; `true` if another file that began alike was here before.
-    Here(FileKey, Box<Place>, bool),
-    /// It is shorter than what was sealed of it.
-    Shrank(Box<Place>),
+    /// It is new, or goes on where it was; with the last of those that began alike and were here before.
+    Here(FileKey, Box<FilePlace>, Option<Box<(FileKey, FilePlace)>>),
+    /// It is shorter than what was sealed of it so far.
+    Shrank(Box<FilePlace>),
 }
 
 /// Whether a file ends as a recorder ends it.
@@ -90,7 +61,7 @@ fn is_closed(file: &File, length: u64) -> bool {
 }
 
 /// Finds a file's place.
-pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool) -> Result<Known, Failure> {
+pub(super) fn known(notes: &Notes, owner: Address, file: &File, is_whole: bool) -> Result<Known, Failure> {
     let unreadable = |error: std::io::Error| internal(format!("it cannot be read: {error}"));
     let metadata = file.metadata().map_err(unreadable)?;
     if metadata.len() < LEAD as u64 && !is_whole && !is_closed(file, metadata.len()) {
@@ -98,34 +69,44 @@ pub(super) fn known(ledger: &Ledger, owner: Address, file: &File, is_whole: bool
     }
     let mut lead = vec![0; LEAD.min(usize::try_from(metadata.len()).unwrap_or(LEAD))];
     file.read_exact_at(&mut lead, 0).map_err(unreadable)?;
+    let mut former = None;
     for again in 0..MOST_AGAIN {
         let key = key_of(owner, metadata.ino(), &lead, again);
-        let Some(place) = get(ledger, &key)? else {
-            return Ok(Known::Here(key, Box::default(), again > 0));
+        let Some(place) = notes.read(&key.note)? else {
+            return Ok(Known::Here(key, Box::default(), former));
         };
+        // What was sealed to its end does not go on.
+        let is_over = place.standing != FileStanding::Open;
+        if is_over && metadata.len() != place.at {
+            former = Some(Box::new((key, place)));
+            continue;
+        }
         if metadata.len() < place.at {
             return Ok(Known::Shrank(Box::new(place)));
         }
         let mut hashed = super::hashed::Hashed::default();
         hashed.advance(file, place.at, Vec::new()).map_err(unreadable)?;
         if place.at == 0 || place.digest == Some(hashed.digest()) {
-            return Ok(Known::Here(key, Box::new(place), false));
+            return Ok(Known::Here(key, Box::new(place), None));
         }
+        former = Some(Box::new((key, place)));
     }
     Err(internal("too many files that begin alike were in its place"))
 }
 
-/// What the ledger has of a file.
-fn get(ledger: &Ledger, key: &FileKey) -> Result<Option<Place>, Failure> {
-    let Some(text) = ledger.setting(&key.key)? else { return Ok(None) };
-    let unreadable = |error: serde_json::Error| internal(format!("what the ledger has of it cannot be read: {error}"));
-    serde_json::from_str(&text).map(Some).map_err(unreadable)
+fn name_of(owner: Address, path: &Path) -> SealedUnderName {
+    SealedUnderName { owner, path: Digest(sm3(&[path.as_os_str().as_encoded_bytes()])) }
 }
 
-/// Keeps how far a file is.
-pub(super) fn put(ledger: &Ledger, key: &FileKey, place: &Place) -> Result<(), Failure> {
-    let text = serde_json::to_string(place).map_err(|error| internal(error.to_string()))?;
-    Ok(ledger.put_setting(&key.key, &text)?)
+/// Keeps which file was sealed to its end under a name.
+pub(super) fn put_name(notes: &Notes, owner: Address, path: &Path, key: &FileKey) -> Result<(), Failure> {
+    Ok(notes.write(&name_of(owner, path), &key.note.file)?)
+}
+
+/// The file that was sealed to its end under a name.
+pub(super) fn sealed_at(notes: &Notes, owner: Address, path: &Path) -> Result<Option<FilePlace>, Failure> {
+    let Some(file) = notes.read(&name_of(owner, path))? else { return Ok(None) };
+    Ok(notes.read(&Followed { owner, file })?)
 }
 
 #[cfg(test)]
@@ -133,6 +114,7 @@ mod tests {
     use std::io::{Seek, SeekFrom, Write};
 
     use super::*;
+    use crate::store::Ledger;
 
     struct Case {
         _home: tempfile::TempDir,
@@ -154,16 +136,16 @@ mod tests {
         fn is_too_short(&self) -> bool {
             let length = self.file.metadata().expect("there").len();
             assert!(length < LEAD as u64, "{length}");
-            matches!(known(&self.ledger, OWNER, &self.file, false), Ok(Known::TooShort))
+            matches!(known(&self.ledger.notes, OWNER, &self.file, false), Ok(Known::TooShort))
         }
 
         fn write(&mut self, bytes: &[u8]) {
             self.file.seek(SeekFrom::End(0)).and_then(|_| self.file.write_all(bytes)).expect("written");
         }
 
-        fn here(&self) -> (FileKey, Box<Place>, bool) {
-            match known(&self.ledger, OWNER, &self.file, false).expect("known") {
-                Known::Here(key, place, is_another) => (key, place, is_another),
+        fn here(&self) -> (FileKey, Box<FilePlace>, bool) {
+            match known(&self.ledger.notes, OWNER, &self.file, false).expect("known") {
+                Known::Here(key, place, former) => (key, place, former.is_some()),
                 Known::TooShort | Known::Shrank(_) => panic!("it is not here"),
             }
         }
@@ -172,8 +154,8 @@ mod tests {
         fn keep(&self, key: &FileKey, at: u64) {
             let mut hashed = super::super::hashed::Hashed::default();
             hashed.advance(&self.file, at, Vec::new()).expect("read");
-            let place = Place { at, stored: 5, begun: 9, digest: Some(hashed.digest()), ..Place::default() };
-            put(&self.ledger, key, &place).expect("kept");
+            let place = FilePlace { at, stored: 5, begun: 9, digest: Some(hashed.digest()), ..FilePlace::default() };
+            self.ledger.notes.write(&key.note, &place).expect("kept");
         }
     }
 
@@ -181,8 +163,11 @@ mod tests {
     fn a_file_goes_on_where_it_was_also_when_it_has_grown() {
         let mut case = Case::new();
         case.write(&[1; 1000]);
-        assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::TooShort)));
-        assert!(matches!(known(&case.ledger, OWNER, &case.file, true), Ok(Known::Here(..))), "it is all there is");
+        assert!(matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::TooShort)));
+        assert!(
+            matches!(known(&case.ledger.notes, OWNER, &case.file, true), Ok(Known::Here(..))),
+            "it is all there is"
+        );
         case.write(&[2; 9000]);
         let (key, place, is_another) = case.here();
         assert_eq!((place.stored, is_another, key.tag.len()), (0, false, 16));
@@ -205,7 +190,27 @@ mod tests {
         case.file.write_all_at(&[1], 7999).expect("as it was");
         assert_eq!(case.here().0, key);
         case.file.set_len(7000).expect("shorter");
-        assert!(matches!(known(&case.ledger, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000));
+        assert!(
+            matches!(known(&case.ledger.notes, OWNER, &case.file, false), Ok(Known::Shrank(place)) if place.at == 8000)
+        );
+    }
+
+    #[test]
+    fn what_was_sealed_to_its_end_is_another_file_once_its_length_differs() {
+        let mut case = Case::new();
+        case.write(&[1; 5_000]);
+        let (key, ..) = case.here();
+        case.keep(&key, 5_000);
+        let place = FilePlace { standing: FileStanding::Proven, ..*case.here().1 };
+        case.ledger.notes.write(&key.note, &place).expect("kept");
+        assert_eq!(case.here().0, key);
+        for length in [5_001, 4_999] {
+            case.file.set_len(length).expect("changed");
+            let Ok(Known::Here(other, place, Some(former))) = known(&case.ledger.notes, OWNER, &case.file, true) else {
+                panic!("{length}")
+            };
+            assert!(other != key && place.begun == 0 && former.0 == key && former.1.stored == 5, "{length}");
+        }
     }
 
     #[test]

@@ -10,7 +10,8 @@ use authros_evidence::recorded::TAG;
 use super::super::Recordings;
 use super::super::import::RECORDING;
 use super::Follower;
-use super::place::{self, FileKey, Place, Standing};
+use super::folder::is_database;
+use super::place::FileKey;
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
@@ -23,6 +24,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 use crate::site::blocking;
+use crate::store::notes::{FilePlace, FileStanding};
 use crate::store::{RecordQuery, RecordRow};
 
 /// The end of a proof's name.
@@ -38,7 +40,7 @@ pub(super) struct Due {
     pub name: String,
     path: PathBuf,
     key: FileKey,
-    place: Place,
+    place: FilePlace,
     stated_at: Timestamp,
     statement: Digest,
     attach: bool,
@@ -55,7 +57,7 @@ pub(super) struct Proven {
 
 impl Due {
     /// Of a file that is stated.
-    pub fn of(follower: &Follower<'_>, key: &FileKey, place: &Place, path: &Path) -> Option<Self> {
+    pub fn of(follower: &Follower<'_>, key: &FileKey, place: &FilePlace, path: &Path) -> Option<Self> {
         let (Some(stated_at), Some(statement)) = (place.stated_at, place.statement) else { return None };
         Some(Self {
             name: follower.name_of(path),
@@ -64,7 +66,7 @@ impl Due {
             place: place.clone(),
             stated_at,
             statement,
-            attach: follower.wishes.attach && place.closed,
+            attach: follower.wishes.attach && place.closed && !is_database(path),
         })
     }
 }
@@ -142,13 +144,14 @@ impl Recordings {
             Bundle::read(target, self.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
         if !is_its_own {
             return Err(input(format!(
-                "{} is there and is not the proof of this file; move it away and follow the folder again",
+                "{} is there and proves something else: another file, this one as it was before, or what another profile \
+                 sealed of it; move it away and follow the folder again",
                 target.display()
             )));
         }
         let attached = due.attach.then(|| attach(&due.path, target, due.stated_at)).transpose()?;
-        let done = Place { standing: Standing::Proven, ..due.place.clone() };
-        place::put(&self.plant.ledger, &due.key, &done)?;
+        let done = FilePlace { standing: FileStanding::Proven, ..due.place.clone() };
+        self.plant.ledger.notes.write(&due.key.note, &done)?;
         Ok(attached)
     }
 }

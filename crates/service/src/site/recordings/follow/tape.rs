@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeSet, VecDeque};
 use std::fs::File;
-use std::io::BufReader;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,32 +10,31 @@ use std::time::{Duration, Instant};
 use authros_evidence::recorded::{RecordedFile, TAG};
 
 use super::super::choosing::Choosing;
+use super::super::claims::{Claim, Holder};
 use super::super::import::RECORDING;
 use super::super::sealed_before::SealedBefore;
-use super::super::standings::{Standing as Imported, Standings};
 use super::hashed::Hashed;
-use super::place::{self, FileKey, Known, Place, Standing};
-use super::{Due, Follower, folder, proof};
+use super::place::{self, FileKey, Known};
+use super::source::Source;
+use super::{Due, Follower, closing, folder, proof};
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, Timestamp, clean};
 use crate::pipeline::importer::Importer;
-use crate::ros::mcap::McapReader;
+use crate::ros::mcap::MAGIC;
 use crate::ros::recording::{BESIDE, Beside, RecordedMessage};
 use crate::service::failure::input;
 use crate::service::reply::{Failure, FollowedFile};
+use crate::store::notes::{FilePlace, FileStanding, Standing as Imported, Standings};
 
 /// The most messages, and about the most bytes of them, that are sealed before it is kept that they are.
 const MOST_MESSAGES: usize = 4_000;
 const MOST_BYTES: usize = 32 << 20;
 
-/// Bytes read ahead.
-const BUFFER: usize = 256 * 1024;
-
 /// Between two looks whether records are stored.
 const TICK: Duration = Duration::from_millis(3);
 
-/// Unchanged for so long, a file that nobody is seen to write is no longer written.
-pub(super) const QUIET: Duration = Duration::from_secs(10);
+/// How long the last records of a run that was ended are waited for.
+const LAST: Duration = Duration::from_secs(10);
 
 /// What a look at a file came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,19 +55,36 @@ pub(super) enum Opened<'a> {
     Same,
     /// It goes on, or begins.
     Tape(Box<Tape<'a>>),
+    /// An import seals it now.
+    Imported,
     /// There is nothing to do with it; its proof may still be due.
-    Done(Box<(FollowedFile, Option<Due>)>),
+    Done(Box<Done>),
+}
+
+/// What there is to say of a file with which nothing is to be done.
+#[derive(Default)]
+pub(super) struct Done {
+    pub view: FollowedFile,
+    pub due: Option<Due>,
+    /// How far it is sealed, where that is to its end.
+    pub place: Option<FilePlace>,
+}
+
+impl Opened<'_> {
+    fn done(view: FollowedFile) -> Self {
+        Self::Done(Box::new(Done { view, ..Done::default() }))
+    }
 }
 
 /// A file being followed.
 pub(super) struct Tape<'a> {
     follower: &'a Follower<'a>,
-    pub key: FileKey,
+    key: FileKey,
     path: PathBuf,
     file: File,
-    reader: McapReader<BufReader<File>>,
+    reader: Source,
     hashed: Hashed,
-    place: Place,
+    place: FilePlace,
     is_kept: bool,
     choosing: Choosing,
     importer: Importer<'a>,
@@ -86,55 +101,53 @@ pub(super) struct Tape<'a> {
     length: u64,
     grew: Instant,
     view: FollowedFile,
+    _claim: Claim,
 }
 
 impl<'a> Tape<'a> {
-    /// Opens a file for reading, and finds where it goes on. `is_held` says whether a tape has it already.
-    pub fn open(
-        follower: &'a Follower<'a>,
-        path: &Path,
-        files: &[PathBuf],
-        is_held: &dyn Fn(&FileKey) -> bool,
-    ) -> Result<Opened<'a>, Failure> {
+    /// Opens a file for reading, and finds where it goes on.
+    pub fn open(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf]) -> Result<Opened<'a>, Failure> {
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
         let (file, ledger) = (File::open(path).map_err(unreadable)?, &follower.recordings.plant.ledger);
-        let length = file.metadata().map_err(unreadable)?.len();
-        let name = follower.name_of(path);
+        let (length, name) = (file.metadata().map_err(unreadable)?.len(), follower.name_of(path));
         let mut view = FollowedFile { file: name.clone(), ..FollowedFile::default() };
-        let is_whole = length >= 8 && folder::is_followed_by(path, files);
-        let (key, place) = match place::known(ledger, follower.owner.address, &file, is_whole)? {
+        let (is_database, is_followed) = (folder::is_database(path), closing::is_followed_by(path, files));
+        if !is_database && !begins_as_mcap(&file).map_err(unreadable)? {
+            view.notes.push("it is no MCAP file, whatever its name says: it does not begin as one".to_owned());
+            return Ok(Opened::done(view));
+        }
+        let owner = follower.owner.address;
+        let claim = match follower.recordings.claims.take(owner, &[path.to_owned()], Holder::Follower) {
+            Ok(claim) => claim,
+            Err((_, Holder::Import)) => return Ok(Opened::Imported),
+            Err((_, Holder::Follower)) => return Ok(Opened::Same),
+        };
+        let is_whole = is_database || length >= MAGIC.len() as u64 && is_followed;
+        let (key, place, former) = match place::known(&ledger.notes, owner, &file, is_whole)? {
             Known::TooShort => return Ok(Opened::NotYet),
             Known::Shrank(place) => {
                 view.is_altered = true;
                 view.notes.push(shrank(length, place.at));
-                return Ok(Opened::Done(Box::new((view, None))));
+                return Ok(Opened::done(view));
             }
-            Known::Here(key, ..) if is_held(&key) => return Ok(Opened::Same),
-            Known::Here(key, place, is_another) => {
-                if is_another {
-                    view.is_altered = true;
-                    view.notes.push(
-                        "its place on the disk held what was sealed before and is altered now, or another file that \
-                         began alike: it is sealed from its beginning"
-                            .to_owned(),
-                    );
-                }
-                (key, *place)
-            }
+            Known::Here(key, place, former) => (key, *place, former),
         };
-        if place.standing != Standing::Open {
-            let (proof, copy) = (proof::beside(path), proof::copy_of(path));
-            let is_missing = place.standing == Standing::Stated || follower.wishes.attach && !copy.exists();
-            view.settled(&place, length);
-            if !is_missing {
-                let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
-                view.proof = shown(proof);
-                view.attached = shown(copy).filter(|_| follower.wishes.attach);
-            }
-            let due = Due::of(follower, &key, &place, path).filter(|_| is_missing);
-            return Ok(Opened::Done(Box::new((view, due))));
+        if place.standing != FileStanding::Open {
+            return Ok(settled(follower, path, (key, place), view));
         }
-        let reader = McapReader::follow(BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?))?;
+        let former = former.map(|former| former.1);
+        if place.begun == 0 && changed_before(follower, path, former, &mut view)? {
+            return Ok(Opened::done(view));
+        }
+        let reader = match Source::open(path, length, is_followed) {
+            Ok(reader) => reader,
+            // It is closed, so it will not become better.
+            Err(failure) if is_database => {
+                view.notes.push(failure.message);
+                return Ok(Opened::done(view));
+            }
+            Err(failure) => return Err(failure),
+        };
         let mut tags = follower.wishes.tags.clone();
         tags.push((RECORDING.to_owned(), key.tag.clone()));
         let sealed_before = SealedBefore::new(follower.reader());
@@ -158,8 +171,9 @@ impl<'a> Tape<'a> {
             length,
             grew: Instant::now(),
             view,
-            place: Place { name, chosen: place.chosen || !follower.wishes.topics.is_empty(), ..place },
+            place: FilePlace { name, chosen: place.chosen || !follower.wishes.topics.is_empty(), ..place },
             key,
+            _claim: claim,
         };
         tape.find_import(length)?;
         Ok(Opened::Tape(Box::new(tape)))
@@ -172,7 +186,7 @@ impl<'a> Tape<'a> {
         self.file.read_exact_at(&mut tail, length.saturating_sub(8)).map_err(unreadable)?;
         let metadata = self.file.metadata().map_err(unreadable)?;
         self.imported.tags.insert(self.key.tag.clone());
-        if tail != *crate::ros::mcap::MAGIC && folder::has_writer(metadata.dev(), metadata.ino()) {
+        if tail != *MAGIC && closing::has_writer(metadata.dev(), metadata.ino()) {
             return Ok(());
         }
         let mut hashed = Hashed::default();
@@ -206,7 +220,7 @@ impl<'a> Tape<'a> {
         }
         if self.reader.is_finished() {
             self.state()?;
-            return Ok(if self.place.standing == Standing::Open { Round::Idle } else { Round::Ended });
+            return Ok(if self.place.standing == FileStanding::Open { Round::Idle } else { Round::Ended });
         }
         if self.place.at != self.hashed.at() || !self.is_kept {
             self.keep()?;
@@ -220,10 +234,10 @@ impl<'a> Tape<'a> {
 
     /// Whether nobody writes it any more, although it was not closed.
     fn is_abandoned(&self, files: &[PathBuf]) -> bool {
-        let is_over = self.follower.wishes.until_closed || folder::is_followed_by(&self.path, files);
+        let is_over = self.follower.wishes.until_closed || closing::is_followed_by(&self.path, files);
         let is_written =
-            || self.file.metadata().is_ok_and(|metadata| folder::has_writer(metadata.dev(), metadata.ino()));
-        is_over && self.grew.elapsed() >= QUIET && !is_written()
+            || self.file.metadata().is_ok_and(|metadata| closing::has_writer(metadata.dev(), metadata.ino()));
+        is_over && self.grew.elapsed() >= closing::QUIET && !is_written()
     }
 
     /// Reads the next messages; those that are sealed already are passed over.
@@ -245,7 +259,7 @@ impl<'a> Tape<'a> {
             bytes += message.body.len();
             self.batch.push_back((topic, message));
         }
-        self.hash_to(self.reader.progress().0)
+        self.hash_to(self.reader.at())
     }
 
     fn hash_to(&mut self, at: u64) -> Result<(), Failure> {
@@ -266,7 +280,7 @@ impl<'a> Tape<'a> {
             (self.place.at, self.place.digest) = (self.hashed.at(), Some(self.hashed.digest()));
             self.place.chunks = self.hashed.chunks().len() as u64;
         }
-        place::put(&self.follower.recordings.plant.ledger, &self.key, &self.place)?;
+        self.follower.recordings.plant.ledger.notes.write(&self.key.note, &self.place)?;
         self.is_kept = true;
         Ok(())
     }
@@ -321,8 +335,9 @@ impl<'a> Tape<'a> {
             return Ok(());
         }
         self.hash_to(self.length)?;
-        self.place.closed = self.reader.has_footer();
+        self.place.closed = self.reader.is_complete();
         let time = *self.place.stated_at.get_or_insert_with(|| self.latest.unwrap_or_else(Timestamp::now));
+        self.place.ended_at = self.place.ended_at.or_else(|| Some(Timestamp::now()));
         let stated = RecordedFile {
             name: self.place.name.clone(),
             length: self.hashed.at(),
@@ -347,8 +362,10 @@ impl<'a> Tape<'a> {
             }
         }
         (self.place.stored, self.place.statement) = (self.met + 1, Some(statement));
-        self.place.standing = Standing::Stated;
+        self.place.standing = FileStanding::Stated;
         self.keep()?;
+        let (ledger, owner) = (&self.follower.recordings.plant.ledger, self.follower.owner.address);
+        place::put_name(&ledger.notes, owner, &self.path, &self.key)?;
         self.note_as_imported(stated.digest)
     }
 
@@ -365,13 +382,29 @@ impl<'a> Tape<'a> {
         Due::of(self.follower, &self.key, &self.place, &self.path)
     }
 
+    /// What went wrong so far.
+    pub fn notes(&self) -> &[String] {
+        &self.view.notes
+    }
+
     /// Messages sealed so far.
     pub fn sealed(&self) -> u64 {
         self.view.sealed
     }
 
-    /// Keeps how far it is at the end of a run.
+    /// How far it is sealed.
+    pub fn place(&self) -> &FilePlace {
+        &self.place
+    }
+
+    /// Keeps how far it is at the end of a run. What was given to the sealer is waited for, as long as the site goes on: an
+    /// import that comes next must find it among the records.
     pub fn leave(&mut self) {
+        let since = Instant::now();
+        let may_wait = || !self.follower.recordings.life.is_stopping() && since.elapsed() < LAST;
+        while !self.importer.is_acknowledged() && may_wait() {
+            std::thread::sleep(TICK);
+        }
         if !self.is_kept && self.batch.is_empty() {
             // What is not kept is found among the records by the next run.
             drop(self.keep());
@@ -389,7 +422,7 @@ impl<'a> Tape<'a> {
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;
         view.chunks = self.hashed.chunks().len() as u64;
-        let has_ended = self.place.standing != Standing::Open;
+        let has_ended = self.place.standing != FileStanding::Open;
         view.digest = self.place.digest.filter(|_| has_ended);
         view.is_closed = has_ended && self.place.closed;
         view
@@ -398,15 +431,63 @@ impl<'a> Tape<'a> {
 
 impl FollowedFile {
     /// A file that an earlier run is done with.
-    fn settled(&mut self, place: &Place, length: u64) {
+    fn settled(&mut self, place: &FilePlace) {
         let messages = place.stored.saturating_sub(1);
         (self.bytes, self.found, self.already) = (place.at, messages, messages);
         (self.chunks, self.digest, self.is_closed) = (place.chunks, place.digest, place.closed);
-        if length != place.at {
-            self.is_altered = true;
-            self.notes.push(format!("it has {length} bytes now, and had {} when its digests were stated", place.at));
-        }
     }
+}
+
+/// Notes that another state of a file was sealed; `true` if it is not to be sealed as it is, because its proof is of that one.
+fn changed_before(
+    follower: &Follower<'_>,
+    path: &Path,
+    former: Option<FilePlace>,
+    view: &mut FollowedFile,
+) -> Result<bool, Failure> {
+    view.is_altered = former.is_some();
+    let named = place::sealed_at(&follower.recordings.plant.ledger.notes, follower.owner.address, path)?;
+    let sealed = named.or(former.filter(|place| place.standing != FileStanding::Open));
+    // Without its proof another file may well have its name.
+    let proven = sealed.filter(|_| proof::beside(path).symlink_metadata().is_ok());
+    view.is_altered |= proven.is_some();
+    let note = match &proven {
+        Some(place) => place::changed(place, &view.file),
+        None => "its place on the disk held what was sealed before and is altered now, or another file that began alike: it is \
+                 sealed from its beginning"
+            .to_owned(),
+    };
+    view.notes.extend(Some(note).filter(|_| view.is_altered));
+    Ok(proven.is_some())
+}
+
+/// A file that an earlier run is done with.
+fn settled<'a>(
+    follower: &Follower<'a>,
+    path: &Path,
+    (key, place): (FileKey, FilePlace),
+    mut view: FollowedFile,
+) -> Opened<'a> {
+    view.settled(&place);
+    let (proof, copy) = (proof::beside(path), proof::copy_of(path));
+    let is_copied = follower.wishes.attach && !folder::is_database(path);
+    let is_missing = place.standing == FileStanding::Stated || is_copied && !copy.exists();
+    if !is_missing {
+        let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
+        view.proof = shown(proof);
+        view.attached = shown(copy).filter(|_| is_copied);
+    }
+    let due = Due::of(follower, &key, &place, path).filter(|_| is_missing);
+    Opened::Done(Box::new(Done { view, due, place: Some(place) }))
+}
+
+/// Whether the first bytes are those of MCAP, as far as they are there.
+fn begins_as_mcap(file: &File) -> std::io::Result<bool> {
+    let mut begin = [0; MAGIC.len()];
+    let read = file.read_at(&mut begin, 0)?;
+    let begin = begin.get(..read).unwrap_or_default();
+    // Room that is there before anything is written in it.
+    Ok(MAGIC.starts_with(begin) || begin.iter().all(|byte| *byte == 0))
 }
 
 fn shrank(length: u64, sealed: u64) -> String {

@@ -8,7 +8,7 @@ impl Pair {
             Step::Submit(picked) => {
                 let digests = self.model.digests(&self.model.pick(&picked));
                 let new = self.model.new_transaction(None, Anchors::Digests(digests));
-                let kept = self.ledger().submit(new.clone());
+                let kept = self.ledger().lanes.submit(new.clone());
                 assert_eq!(kept.is_ok(), self.model.submit(&new), "{kept:?}");
             }
             Step::Close { picked, how, block } if !self.model.sent.is_empty() => {
@@ -26,14 +26,14 @@ impl Pair {
                         (TransactionOutcome::Reverted { reason }, TransactionState::Reverted, None)
                     }
                 };
-                assert_eq!(self.ledger().close_transaction(hash, outcome), Ok(()));
+                assert_eq!(self.ledger().lanes.close_transactions(vec![(hash, outcome)]), Ok(()));
                 self.model.close(index, state, block);
             }
             Step::CloseBatch(picked) => self.close_batch(&picked),
             Step::SubmitBatch(picked) if !self.model.batches.is_empty() => {
                 let root = picked.get(&self.model.batches).root;
                 let new = self.model.new_transaction(None, Anchors::Batch(root));
-                let kept = self.ledger().submit(new.clone());
+                let kept = self.ledger().lanes.submit(new.clone());
                 assert_eq!(kept.is_ok(), self.model.submit(&new), "{kept:?}");
             }
             Step::SeeBatch { picked, own, block } if !self.model.batches.is_empty() => {
@@ -83,7 +83,7 @@ impl Pair {
             other => other.clone(),
         };
         let new = self.model.new_transaction(Some(old.new.nonce), anchors);
-        let answer = self.ledger().replace_transaction(old.new.hash, new.clone());
+        let answer = self.ledger().lanes.replace_transaction(old.new.hash, new.clone());
         let before = (self.model.records.clone(), self.model.sent.clone(), self.model.batches.clone());
         let possible = old.state == TransactionState::Open && {
             self.model.close(index, TransactionState::Replaced, None);

@@ -1,7 +1,7 @@
 //! Ciphertext that no rule keeps any longer: named on the chain, then deleted; digest, signature and proof stay.
 
 use authros::model::Digest;
-use authros::store::open_vault;
+use authros::store::{Ciphertext, Ledger};
 use serde_json::Value;
 
 use super::field::{CAMERA, Load, ODOM};
@@ -50,8 +50,8 @@ fn what_no_rule_keeps_is_named_on_the_chain_and_deleted_and_what_is_missing_besi
 
     let kept = pictures.iter().rfind(|record| record["state"] != "deleted").expect("a picture is kept");
     let digest: Digest = text(kept, "digest").parse().expect("a digest");
-    let vault = open_vault(None, &load.home.path().join("vault")).expect("the site's own file");
-    assert_eq!(vault.delete(digest), Ok(true));
+    let store = Ciphertext::of(&Ledger::open(&load.home.path().join("ledger.db")).expect("the site's own file"));
+    assert_eq!(store.discard(&[digest]), Ok(()));
     load.authros.run(&["shared", "check", &text(kept, "id")]).expect_code(6);
     let alarmed = || load.told().contains("no retention record names it").then_some(());
     wait_until(30, "what is missing without a retention record is an alarm", alarmed);

@@ -19,7 +19,7 @@ pub struct Load {
 }
 
 impl Load {
-    /// Captures these topics into the vault given in `options`.
+    /// Captures these topics with these options.
     pub fn start(options: &[&str], variables: &[(&str, &str)], topics: &[&str]) -> Self {
         Self::start_with("", options, variables, topics)
     }
@@ -67,18 +67,15 @@ impl Load {
         self.until("all is verified", 90, |life| count(life, "pending") == 0 && count(life, "waiting") == 0)
     }
 
-    /// Every record of the profile, of all kinds that a vault holds.
+    /// Every record of the profile, of all kinds that a store holds.
     pub fn records(&self) -> Vec<Value> {
         let kinds = ["data", "definition", "gap", "audit", "retention"];
         kinds.iter().flat_map(|kind| self.authros.records(&["uploads", "list", "--kind", kind])).collect()
     }
 
-    /// All of these records are intact in the vault.
-    pub fn check(&self, records: &[Value]) {
-        for record in records {
-            let id = record["id"].as_str().expect("an id");
-            assert_eq!(self.authros.json(&["shared", "check", id])["verdict"], "verified", "{record}");
-        }
+    /// The id of the site's process.
+    pub fn id(&self) -> u32 {
+        self.site.id()
     }
 
     /// The site's messages to its operator.

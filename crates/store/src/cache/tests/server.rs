@@ -4,6 +4,9 @@ use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use super::super::connection::Connection;
+use crate::model::Digest;
+
 pub(super) struct Server {
     child: Child,
     port: u16,
@@ -16,7 +19,7 @@ impl Server {
     pub(super) fn start(arguments: &[&str]) -> Option<Self> {
         let installed = Command::new("redis-server").arg("--version").stdout(Stdio::null()).status();
         if installed.is_err() {
-            println!("SKIPPED a test of the Redis vault: redis-server is not installed");
+            println!("SKIPPED a test of the cache: redis-server is not installed");
             return None;
         }
         let directory = tempfile::tempdir().expect("temporary directory");
@@ -40,9 +43,18 @@ impl Server {
         format!("redis+unix://{}", self.directory.path().join("redis.sock").display())
     }
 
+    fn ask<T: redis::FromRedisValue>(&self, words: &[&str]) -> T {
+        let info = redis::IntoConnectionInfo::into_connection_info(self.url()).expect("a URL");
+        let mut connection = Connection::open(&info, None).expect("connects");
+        redis::cmd(words[0]).arg(&words[1..]).query(&mut connection).expect("done")
+    }
+
     pub(super) fn command(&self, words: &[&str]) {
-        let mut connection = redis::Client::open(self.url()).and_then(|c| c.get_connection()).expect("connects");
-        redis::cmd(words[0]).arg(&words[1..]).exec(&mut connection).expect("done");
+        let _: String = self.ask(words);
+    }
+
+    pub(super) fn has(&self, digest: Digest) -> bool {
+        self.ask(&["EXISTS", &format!("authros:{digest}")])
     }
 
     pub(super) fn signal(&self, name: &str) {

@@ -4,18 +4,20 @@
 use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Result as IoResult, Write};
 use std::net::{TcpStream, ToSocketAddrs as _};
 use std::os::unix::net::UnixStream;
-use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use redis::{ConnectionAddr, ConnectionInfo, ConnectionLike, RedisError, RedisResult, Value, cmd};
+use redis::{ConnectionAddr, ConnectionInfo, ConnectionLike, Pipeline, RedisError, RedisResult, Value, cmd};
+use tokio_rustls::rustls::pki_types::ServerName;
+use tokio_rustls::rustls::{ClientConfig, ClientConnection, StreamOwned};
 
 use crate::model::header::LARGEST_BODY;
 
-/// How long connecting, and each read or write, may take.
-pub(super) const TIMEOUT: Duration = Duration::from_secs(3);
-/// How long all replies to what is sent at once may take.
-const WHOLE: Duration = Duration::from_secs(30);
-/// The most bytes of these: the largest record, with room for what stands around it.
+/// How long connecting may take, and how long a server may be silent in the middle of anything.
+pub(super) const SILENCE: Duration = Duration::from_millis(300);
+/// How long one request may take altogether: what is sent at once, all replies to it, and the beginning of TLS before it.
+pub(super) const WHOLE: Duration = Duration::from_secs(1);
+/// The most bytes of the replies: the largest record, with room for what stands around it.
 const MOST_BYTES: usize = 72 << 20;
 /// The most values in them, each of which takes more memory than its bytes: the slots of a cluster, one by one.
 const MOST_VALUES: u64 = 1 << 19;
@@ -34,24 +36,45 @@ pub(super) struct Connection {
 }
 
 enum Stream {
+    Plain(Timed),
+    Tls(Box<StreamOwned<ClientConnection, Timed>>),
+}
+
+/// A socket whose every read and write ends at a deadline, however the bytes trickle.
+struct Timed {
+    socket: Socket,
+    deadline: Instant,
+}
+
+enum Socket {
     Tcp(TcpStream),
     Unix(UnixStream),
 }
 
-impl Read for Stream {
+impl Timed {
+    /// What is left until the deadline, at most [`SILENCE`].
+    fn left(&self) -> IoResult<Option<Duration>> {
+        let left = self.deadline.saturating_duration_since(Instant::now()).min(SILENCE);
+        if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(Some(left)) }
+    }
+}
+
+impl Read for Timed {
     fn read(&mut self, buffer: &mut [u8]) -> IoResult<usize> {
-        match self {
-            Self::Tcp(stream) => stream.read(buffer),
-            Self::Unix(stream) => stream.read(buffer),
+        let left = self.left()?;
+        match &mut self.socket {
+            Socket::Tcp(stream) => stream.set_read_timeout(left).and_then(|()| stream.read(buffer)),
+            Socket::Unix(stream) => stream.set_read_timeout(left).and_then(|()| stream.read(buffer)),
         }
     }
 }
 
-impl Write for Stream {
+impl Write for Timed {
     fn write(&mut self, bytes: &[u8]) -> IoResult<usize> {
-        match self {
-            Self::Tcp(stream) => stream.write(bytes),
-            Self::Unix(stream) => stream.write(bytes),
+        let left = self.left()?;
+        match &mut self.socket {
+            Socket::Tcp(stream) => stream.set_write_timeout(left).and_then(|()| stream.write(bytes)),
+            Socket::Unix(stream) => stream.set_write_timeout(left).and_then(|()| stream.write(bytes)),
         }
     }
 
@@ -60,33 +83,66 @@ impl Write for Stream {
     }
 }
 
-impl Stream {
-    fn open(address: &ConnectionAddr) -> IoResult<Self> {
-        match address {
-            ConnectionAddr::Tcp(host, port) => {
-                let stream = tcp(host, *port)?;
-                stream.set_read_timeout(Some(TIMEOUT))?;
-                stream.set_write_timeout(Some(TIMEOUT))?;
-                stream.set_nodelay(true)?;
-                Ok(Self::Tcp(stream))
-            }
-            ConnectionAddr::Unix(path) => unix(path).map(Self::Unix),
-            _ => Err(Error::new(ErrorKind::Unsupported, "no TLS to Redis")),
+impl Read for Stream {
+    fn read(&mut self, buffer: &mut [u8]) -> IoResult<usize> {
+        match self {
+            Self::Plain(stream) => stream.read(buffer),
+            Self::Tls(stream) => stream.read(buffer),
         }
     }
 }
 
-fn unix(path: &Path) -> IoResult<UnixStream> {
-    let stream = UnixStream::connect(path)?;
-    stream.set_read_timeout(Some(TIMEOUT))?;
-    stream.set_write_timeout(Some(TIMEOUT))?;
-    Ok(stream)
+impl Write for Stream {
+    fn write(&mut self, bytes: &[u8]) -> IoResult<usize> {
+        match self {
+            Self::Plain(stream) => stream.write(bytes),
+            Self::Tls(stream) => stream.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> IoResult<()> {
+        match self {
+            Self::Plain(stream) => stream.flush(),
+            Self::Tls(stream) => stream.flush(),
+        }
+    }
+}
+
+impl Stream {
+    fn open(address: &ConnectionAddr, tls: Option<&Arc<ClientConfig>>) -> IoResult<Self> {
+        let deadline = Instant::now() + WHOLE;
+        match address {
+            ConnectionAddr::Tcp(host, port) => {
+                let stream = tcp(host, *port)?;
+                stream.set_nodelay(true)?;
+                let timed = Timed { socket: Socket::Tcp(stream), deadline };
+                let Some(tls) = tls else { return Ok(Self::Plain(timed)) };
+                let name = ServerName::try_from(host.clone()).map_err(Error::other)?;
+                let session = ClientConnection::new(Arc::clone(tls), name).map_err(Error::other)?;
+                Ok(Self::Tls(Box::new(StreamOwned::new(session, timed))))
+            }
+            ConnectionAddr::Unix(path) => {
+                let socket = Socket::Unix(UnixStream::connect(path)?);
+                Ok(Self::Plain(Timed { socket, deadline }))
+            }
+            _ => Err(Error::new(ErrorKind::Unsupported, "its address is of an unknown kind")),
+        }
+    }
+
+    /// A new request begins.
+    fn begin(&mut self) {
+        let timed = match self {
+            Self::Plain(stream) => stream,
+            Self::Tls(stream) => &mut stream.sock,
+        };
+        timed.deadline = Instant::now() + WHOLE;
+    }
 }
 
 /// Each address of the name gets its share of the time.
 fn tcp(host: &str, port: u16) -> IoResult<TcpStream> {
     let addresses: Vec<_> = (host, port).to_socket_addrs()?.collect();
-    let share = TIMEOUT / u32::try_from(addresses.len().max(1)).unwrap_or(u32::MAX);
+    let share = SILENCE / u32::try_from(addresses.len().max(1)).unwrap_or(u32::MAX);
     let mut failure = Error::other("its name has no address");
     for address in addresses {
         match TcpStream::connect_timeout(&address, share) {
@@ -99,8 +155,8 @@ fn tcp(host: &str, port: u16) -> IoResult<TcpStream> {
 
 impl Connection {
     /// Connects, and signs in as the address says.
-    pub(super) fn open(server: &ConnectionInfo) -> RedisResult<Self> {
-        let stream = BufReader::new(Stream::open(server.addr())?);
+    pub(super) fn open(server: &ConnectionInfo, tls: Option<&Arc<ClientConfig>>) -> RedisResult<Self> {
+        let stream = BufReader::new(Stream::open(server.addr(), tls)?);
         let settings = server.redis_settings();
         let mut connection = Self { stream, database: settings.db() };
         if let Some(password) = settings.password() {
@@ -123,13 +179,37 @@ impl Connection {
     }
 
     /// Sends packed commands.
-    pub(super) fn send(&mut self, commands: &[u8]) -> RedisResult<()> {
-        Ok(self.stream.get_mut().write_all(commands)?)
+    fn send(&mut self, commands: &[u8]) -> RedisResult<()> {
+        let stream = self.stream.get_mut();
+        stream.begin();
+        stream.write_all(commands)?;
+        Ok(stream.flush()?)
+    }
+
+    /// The bytes under a key.
+    pub(super) fn get(&mut self, key: &str) -> RedisResult<Option<Vec<u8>>> {
+        self.send(&cmd("GET").arg(key).get_packed_command())?;
+        let mut reply = reply(&mut self.stream, &mut Left::default())?;
+        let is_value = reply.starts_with(b"$") && !reply.starts_with(b"$-");
+        // A value is moved to the front, where the library would make a second one.
+        if let Some(end) = reply.iter().position(|byte| *byte == b'\n').filter(|_| is_value) {
+            reply.drain(..=end);
+            reply.truncate(reply.len().saturating_sub(2));
+            return Ok(Some(reply));
+        }
+        Ok(redis::from_redis_value(redis::parse_redis_value(&reply)?.extract_error()?)?)
+    }
+
+    /// Sends several commands at once and reads a reply for each, also after one that was refused. The library's own
+    /// pipeline goes on reading after a silence, and waits once for every reply that does not come.
+    pub(super) fn ask(&mut self, commands: &Pipeline) -> RedisResult<Vec<Value>> {
+        self.send(&commands.get_packed_pipeline())?;
+        self.replies(commands.len())
     }
 
     /// The next `count` replies.
-    pub(super) fn replies(&mut self, count: usize) -> RedisResult<Vec<Value>> {
-        let mut left = Left { bytes: MOST_BYTES, values: MOST_VALUES, deadline: Instant::now() + WHOLE };
+    fn replies(&mut self, count: usize) -> RedisResult<Vec<Value>> {
+        let mut left = Left::default();
         (0..count).map(|_| redis::parse_redis_value(&reply(&mut self.stream, &mut left)?)).collect()
     }
 }
@@ -164,24 +244,34 @@ impl ConnectionLike for Connection {
 struct Left {
     bytes: usize,
     values: u64,
-    deadline: Instant,
+}
+
+impl Default for Left {
+    fn default() -> Self {
+        Self { bytes: MOST_BYTES, values: MOST_VALUES }
+    }
 }
 
 impl Left {
     fn take(&mut self, bytes: u64) -> IoResult<()> {
         let rest = usize::try_from(bytes).ok().and_then(|bytes| self.bytes.checked_sub(bytes));
         self.bytes = rest.ok_or_else(|| {
-            Error::other(format!("it sends more than {} MiB, which no reply of Redis to us has", MOST_BYTES >> 20))
+            nonsense(&format!("it sends more than {} MiB, which no reply of Redis to us has", MOST_BYTES >> 20))
         })?;
-        if Instant::now() < self.deadline { Ok(()) } else { Err(Error::from(ErrorKind::TimedOut)) }
+        Ok(())
     }
 
     fn take_values(&mut self, values: u64) -> IoResult<()> {
         let rest = self.values.checked_sub(values);
         self.values =
-            rest.ok_or_else(|| Error::other(format!("it sends a list of {values} values, which no reply has")))?;
+            rest.ok_or_else(|| nonsense(&format!("it sends a list of {values} values, which no reply has")))?;
         Ok(())
     }
+}
+
+/// No reply that a Redis gives to us.
+fn nonsense(why: &str) -> Error {
+    Error::new(ErrorKind::InvalidData, why)
 }
 
 /// The bytes of one reply.
@@ -205,13 +295,13 @@ fn reply(stream: &mut impl BufRead, left: &mut Left) -> IoResult<Vec<u8>> {
                 left.take_values(length)?;
                 if length > 0 {
                     if arrays.len() == DEEPEST {
-                        return Err(Error::other("it sends lists in lists, deeper than any reply has"));
+                        return Err(nonsense("it sends lists in lists, deeper than any reply has"));
                     }
                     arrays.push(length);
                     continue;
                 }
             }
-            _ => return Err(Error::new(ErrorKind::InvalidData, "it does not speak Redis' protocol")),
+            _ => return Err(nonsense("it does not speak Redis' protocol")),
         }
         // That value ended, and perhaps arrays with it.
         loop {
@@ -236,7 +326,7 @@ fn line(stream: &mut impl BufRead, left: &mut Left) -> IoResult<Vec<u8>> {
     match (line.ends_with(b"\r\n"), line.len()) {
         (true, _) => Ok(line),
         (false, 0) => Err(Error::from(ErrorKind::UnexpectedEof)),
-        (false, _) => Err(Error::new(ErrorKind::InvalidData, "it does not speak Redis' protocol")),
+        (false, _) => Err(nonsense("it does not speak Redis' protocol")),
     }
 }
 
@@ -263,8 +353,8 @@ fn number(line: &[u8]) -> IoResult<Option<u64>> {
     let text = std::str::from_utf8(line.trim_ascii_end()).ok();
     match text {
         Some("-1") => Ok(None),
-        Some(text) => text.parse().map(Some).map_err(|_| Error::new(ErrorKind::InvalidData, "a length is no number")),
-        None => Err(Error::new(ErrorKind::InvalidData, "a length is no number")),
+        Some(text) => text.parse().map(Some).map_err(|_| nonsense("a length is no number")),
+        None => Err(nonsense("a length is no number")),
     }
 }
 
@@ -274,7 +364,7 @@ mod tests {
 
     fn cut(bytes: &[u8]) -> IoResult<(Vec<u8>, usize)> {
         let mut stream = bytes;
-        let mut left = Left { bytes: 1 << 20, values: 1000, deadline: Instant::now() + WHOLE };
+        let mut left = Left { bytes: 1 << 20, values: 1000 };
         reply(&mut stream, &mut left).map(|reply| (reply, stream.len()))
     }
 
@@ -345,7 +435,7 @@ mod tests {
             server(b"+", &[b'0'; 4096]),
         ];
         for info in endless {
-            let mut connection = Connection::open(&info).expect("connects");
+            let mut connection = Connection::open(&info, None).expect("connects");
             let error = cmd("GET").arg("x").query::<Vec<u8>>(&mut connection).expect_err("no end");
             assert!(error.is_io_error(), "{error}");
         }
@@ -358,10 +448,10 @@ mod tests {
             let url = info.addr().to_string();
             redis::IntoConnectionInfo::into_connection_info(format!("redis://me:word@{url}/")).expect("a URL")
         };
-        assert!(Connection::open(&asked(b"+OK\r\n")).is_ok());
-        let Err(error) = Connection::open(&asked(b"-WRONGPASS no\r\n")) else { panic!("signed in") };
+        assert!(Connection::open(&asked(b"+OK\r\n"), None).is_ok());
+        let Err(error) = Connection::open(&asked(b"-WRONGPASS no\r\n"), None) else { panic!("signed in") };
         assert_eq!(error.kind(), redis::ErrorKind::AuthenticationFailed);
         let both = b"-ERR wrong number of arguments for 'auth' command\r\n+OK\r\n";
-        assert!(Connection::open(&asked(both)).is_ok());
+        assert!(Connection::open(&asked(both), None).is_ok());
     }
 }

@@ -1,0 +1,472 @@
+//! The servers of a cache: one, the master that sentinels name, or the nodes of a cluster. One that fails is left alone
+//! until the writing thread, which alone asks it then, finds it back: so a reader waits for a silence once.
+
+use std::collections::{BTreeMap, HashMap};
+use std::error::Error;
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+use redis::{
+    ConnectionInfo, ErrorKind, Pipeline, RedisError, RedisResult, ServerErrorKind, Value, cmd, from_redis_value, pipe,
+};
+use tokio_rustls::rustls::ClientConfig;
+
+use super::address::{Address, Place};
+use super::connection::Connection;
+use super::{Away, CacheSettings, KEPT};
+use crate::StoreError;
+use crate::chain::web;
+use crate::model::{Digest, Timestamp, clean};
+
+/// Connections kept open to a server.
+const MOST_IDLE: usize = 4;
+/// The most nodes of a cluster.
+const MOST_NODES: usize = 1_000;
+/// The slots of a cluster.
+const SLOTS: u16 = 16_384;
+
+/// What was said to a request for a record.
+pub(super) enum Answer {
+    /// Bytes, whatever they are.
+    Bytes(Vec<u8>),
+    /// It does not have the record, or does not answer.
+    Nothing,
+    /// No reply that a Redis gives.
+    Nonsense,
+}
+
+/// Servers of a cache.
+pub(super) struct Servers {
+    address: Address,
+    tls: Option<Arc<ClientConfig>>,
+    /// The only server; `None` for a cluster.
+    one: Option<Arc<Node>>,
+    cluster: RwLock<Slots>,
+}
+
+/// Which node of a cluster has which slots.
+#[derive(Default)]
+struct Slots {
+    /// Index among the nodes, by slot.
+    owners: Vec<Option<u16>>,
+    nodes: Vec<Arc<Node>>,
+}
+
+impl Servers {
+    /// The servers at a URL; none is asked yet.
+    ///
+    /// # Errors
+    /// [`StoreError::CacheUrl`].
+    pub(super) fn new(settings: &CacheSettings) -> Result<Self, StoreError> {
+        let address = Address::parse(&settings.url)?;
+        let wrong = |detail| StoreError::CacheUrl { url: address.shown.clone(), detail };
+        let tls =
+            address.is_tls.then(|| web::tls(settings.roots.as_deref()).map(Arc::new)).transpose().map_err(wrong)?;
+        let one = match &address.place {
+            Place::Server(info) => Some(Source::Fixed((**info).clone())),
+            Place::Sentinels(hosts, master, database) => Some(Source::Sentinels {
+                address: Box::new(address.clone()),
+                hosts: hosts.clone(),
+                master: master.clone(),
+                database: database.clone(),
+            }),
+            Place::Cluster(_) => None,
+        };
+        let one = one.map(|source| Arc::new(Node::new(&address.shown, source, tls.clone())));
+        Ok(Self { address, tls, one, cluster: RwLock::default() })
+    }
+
+    /// The URL without secrets.
+    pub(super) fn shown(&self) -> &str {
+        &self.address.shown
+    }
+
+    fn nodes(&self) -> Vec<Arc<Node>> {
+        match &self.one {
+            Some(node) => vec![Arc::clone(node)],
+            None => self.cluster.read().unwrap_or_else(PoisonError::into_inner).nodes.clone(),
+        }
+    }
+
+    /// The node that has a key, as far as known.
+    fn node_of(&self, key: &str) -> Option<Arc<Node>> {
+        if let Some(node) = &self.one {
+            return Some(Arc::clone(node));
+        }
+        let slots = self.cluster.read().unwrap_or_else(PoisonError::into_inner);
+        let index = slots.owners.get(usize::from(slot(key))).copied().flatten()?;
+        slots.nodes.get(usize::from(index)).cloned()
+    }
+
+    /// Since when all of it, or a part, does not answer.
+    pub(super) fn away(&self) -> Option<Away> {
+        let nodes = self.nodes();
+        let mut away: Vec<Away> = nodes.iter().filter_map(|node| node.away().clone()).collect();
+        let number = away.len();
+        away.sort_by_key(|away| away.since);
+        let first = away.into_iter().next()?;
+        let why = match nodes.len() {
+            1 => first.why,
+            all => format!("{number} of {all} nodes, {}", first.why),
+        };
+        Some(Away { since: first.since, why })
+    }
+
+    /// Whether nothing of it answers.
+    pub(super) fn is_gone(&self) -> bool {
+        self.nodes().iter().all(|node| node.away().is_some())
+    }
+
+    /// Asks those that are away, and a cluster for its slots.
+    pub(super) fn probe(&self) {
+        if self.one.is_none() {
+            self.learn();
+        }
+        self.nodes().iter().for_each(|node| node.probe());
+    }
+
+    /// The bytes under a digest.
+    pub(super) fn get(&self, digest: Digest) -> Answer {
+        let key = key(digest);
+        let Some(node) = self.node_of(&key) else { return Answer::Nothing };
+        match node.with(|connection| connection.get(&key)) {
+            Ok(Some(bytes)) => Answer::Bytes(bytes),
+            Ok(None) | Err(Failure::Other) => Answer::Nothing,
+            Err(Failure::Nonsense) => Answer::Nonsense,
+        }
+    }
+
+    /// Writes records; returns how many were taken.
+    pub(super) fn put(&self, entries: &[(Digest, Vec<u8>)]) -> usize {
+        let mut pipelines = Pipelines::default();
+        for (digest, bytes) in entries {
+            let key = key(*digest);
+            if let Some(node) = self.node_of(&key) {
+                pipelines.of(node).cmd("SET").arg(key).arg(bytes).arg("EX").arg(KEPT);
+            }
+        }
+        let taken = pipelines.sent().filter(|(_, reply)| matches!(reply, Some(Value::Okay))).count();
+        if taken < entries.len() && self.one.is_none() {
+            // Its slots may have moved.
+            self.learn();
+        }
+        taken
+    }
+
+    /// Deletes records; returns those that servers may still have.
+    pub(super) fn delete(&self, digests: &[Digest]) -> Vec<Digest> {
+        let (mut left, mut pipelines, mut asked) = (Vec::new(), Pipelines::default(), Vec::new());
+        for digest in digests {
+            let key = key(*digest);
+            match self.node_of(&key) {
+                Some(node) => {
+                    let name = node.shown.clone();
+                    pipelines.of(node).cmd("DEL").arg(key);
+                    asked.push((name, *digest));
+                }
+                None => left.push(*digest),
+            }
+        }
+        let mut replies: HashMap<String, Vec<Option<Value>>> = HashMap::new();
+        for (name, reply) in pipelines.sent() {
+            replies.entry(name).or_default().push(reply);
+        }
+        replies.values_mut().for_each(|of_node| of_node.reverse());
+        for (name, digest) in asked {
+            let reply = replies.get_mut(&name).and_then(Vec::pop).flatten();
+            if !matches!(reply, Some(Value::Int(_))) {
+                left.push(digest);
+            }
+        }
+        left
+    }
+
+    /// Asks the nodes of a cluster, known ones first, until one says who has which slots.
+    fn learn(&self) {
+        let Place::Cluster(seeds) = &self.address.place else { return };
+        let known = self.nodes();
+        let is_known = |seed: &&String| known.iter().any(|node| node.shown == **seed);
+        let others: Vec<_> = seeds.iter().filter(|seed| !is_known(seed)).filter_map(|seed| self.member(seed)).collect();
+        for node in known.iter().chain(&others) {
+            let ranges = node.with(|connection| cmd("CLUSTER").arg("SLOTS").query::<Vec<Value>>(connection));
+            if let Some(slots) = ranges.ok().and_then(|ranges| self.slots(&node.shown, ranges, &known)) {
+                *self.cluster.write().unwrap_or_else(PoisonError::into_inner) = slots;
+                return;
+            }
+        }
+        if known.is_empty() {
+            // So that something can be said of it; each is asked again with the next probe.
+            let slots = Slots { owners: Vec::new(), nodes: others };
+            *self.cluster.write().unwrap_or_else(PoisonError::into_inner) = slots;
+        }
+    }
+
+    fn member(&self, host: &str) -> Option<Arc<Node>> {
+        let info = self.address.server(host, "0").ok()?;
+        Some(Arc::new(Node::new(&clean(host, 120), Source::Fixed(info), self.tls.clone())))
+    }
+
+    fn slots(&self, asked: &str, ranges: Vec<Value>, known: &[Arc<Node>]) -> Option<Slots> {
+        let mut slots = Slots { owners: vec![None; usize::from(SLOTS)], nodes: Vec::new() };
+        for range in ranges {
+            let (first, last, host) = range_of(asked, range)?;
+            let index = match slots.nodes.iter().position(|node| node.shown == host) {
+                Some(index) => index,
+                None if slots.nodes.len() < MOST_NODES => {
+                    let node = known.iter().find(|node| node.shown == host).cloned();
+                    slots.nodes.push(node.or_else(|| self.member(&host))?);
+                    slots.nodes.len() - 1
+                }
+                None => return None,
+            };
+            let index = u16::try_from(index).ok();
+            let (first, last) = (usize::from(first), usize::from(last));
+            slots.owners.iter_mut().take(last + 1).skip(first).for_each(|owner| *owner = index);
+        }
+        (!slots.nodes.is_empty()).then_some(slots)
+    }
+}
+
+/// First and last slot, and HOST:PORT of the master, from `[first, last, [host, port, …], …]`. A node that does not
+/// know its own name leaves it out: then it is the node that was asked.
+fn range_of(asked: &str, range: Value) -> Option<(u16, u16, String)> {
+    let Value::Array(parts) = range else { return None };
+    let mut parts = parts.into_iter();
+    let first: u16 = from_redis_value(parts.next()?).ok()?;
+    let last: u16 = from_redis_value(parts.next()?).ok()?;
+    let Value::Array(master) = parts.next()? else { return None };
+    let mut master = master.into_iter();
+    let host: Option<String> = from_redis_value(master.next()?).ok()?;
+    let port: u16 = from_redis_value(master.next()?).ok()?;
+    let own = asked.rsplit_once(':').map_or(asked, |(host, _)| host);
+    let host = host.filter(|host| !host.is_empty()).unwrap_or_else(|| own.to_owned());
+    let host = if host.contains(':') && !host.starts_with('[') { format!("[{host}]") } else { host };
+    (first <= last && last < SLOTS).then(|| (first, last, clean(&format!("{host}:{port}"), 120)))
+}
+
+/// Commands for several nodes, by node.
+#[derive(Default)]
+struct Pipelines(BTreeMap<String, (Arc<Node>, Pipeline)>);
+
+impl Pipelines {
+    fn of(&mut self, node: Arc<Node>) -> &mut Pipeline {
+        &mut self.0.entry(node.shown.clone()).or_insert_with(|| (node, pipe())).1
+    }
+
+    /// The reply to each command, with its node's name; `None` where none came.
+    fn sent(self) -> impl Iterator<Item = (String, Option<Value>)> {
+        self.0.into_values().flat_map(|(node, pipeline)| {
+            let asked = node.with(|connection| {
+                let replies = connection.ask(&pipeline)?;
+                replies.iter().try_for_each(demoted)?;
+                Ok(replies)
+            });
+            let replies = asked.unwrap_or_default();
+            let missing = pipeline.len().saturating_sub(replies.len());
+            let name = node.shown.clone();
+            let all = replies.into_iter().map(Some).chain(std::iter::repeat_n(None, missing));
+            all.map(move |reply| (name.clone(), reply)).collect::<Vec<_>>()
+        })
+    }
+}
+
+/// A master that became a replica refuses to write: its sentinels are asked for the new one.
+fn demoted(reply: &Value) -> RedisResult<()> {
+    match reply {
+        Value::ServerError(error) if error.code() == "READONLY" => Err(error.clone().into()),
+        _ => Ok(()),
+    }
+}
+
+/// How a node is found.
+enum Source {
+    Fixed(ConnectionInfo),
+    Sentinels { address: Box<Address>, hosts: Vec<ConnectionInfo>, master: String, database: String },
+}
+
+/// Why a node did not do as asked.
+enum Failure {
+    Nonsense,
+    Other,
+}
+
+/// One server.
+struct Node {
+    source: Source,
+    tls: Option<Arc<ClientConfig>>,
+    /// Without secrets; HOST:PORT of a cluster's node.
+    shown: String,
+    idle: Mutex<Vec<Connection>>,
+    away: Mutex<Option<Away>>,
+}
+
+impl Node {
+    fn new(shown: &str, source: Source, tls: Option<Arc<ClientConfig>>) -> Self {
+        Self { source, tls, shown: shown.to_owned(), idle: Mutex::default(), away: Mutex::default() }
+    }
+
+    fn away(&self) -> MutexGuard<'_, Option<Away>> {
+        self.away.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn idle(&self) -> MutexGuard<'_, Vec<Connection>> {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Does `work`, unless the server is away; if an old connection turns out to be closed, once more on a new one.
+    fn with<T>(&self, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, Failure> {
+        if self.away().is_some() {
+            return Err(Failure::Other);
+        }
+        let kept = self.idle().pop();
+        if let Some(mut connection) = kept {
+            match work(&mut connection) {
+                Err(error) if is_closed(&error) => self.idle().clear(),
+                done => return self.settle(connection, done),
+            }
+        }
+        match self.connect() {
+            Ok(mut connection) => {
+                let done = work(&mut connection);
+                self.settle(connection, done)
+            }
+            Err(error) => Err(self.failed(&error)),
+        }
+    }
+
+    fn settle<T>(&self, connection: Connection, done: RedisResult<T>) -> Result<T, Failure> {
+        match done {
+            Ok(done) => {
+                let mut idle = self.idle();
+                if idle.len() < MOST_IDLE {
+                    idle.push(connection);
+                }
+                Ok(done)
+            }
+            // Another node has the record, now or soon: nothing is wrong with this one.
+            Err(error) if matches!(error.code(), Some("MOVED" | "ASK" | "TRYAGAIN")) => {
+                self.idle().push(connection);
+                Err(Failure::Other)
+            }
+            Err(error) => Err(self.failed(&error)),
+        }
+    }
+
+    /// From now on it is left alone.
+    fn failed(&self, error: &RedisError) -> Failure {
+        self.idle().clear();
+        let fault = self.tls.as_ref().and_then(|_| web::tls_fault(io_error(error)?, "cache.roots"));
+        let is_nonsense = fault.is_none() && is_nonsense(error);
+        let why = match fault {
+            Some(fault) => format!("{} {}; {}", self.shown, fault.reason, fault.advice),
+            None if error.is_timeout() => format!("{} does not answer in time", self.shown),
+            None => clean(&format!("{}: {error}", self.shown), 200),
+        };
+        let mut away = self.away();
+        let since = away.as_ref().map_or_else(Timestamp::now, |away| away.since);
+        *away = Some(Away { since, why });
+        if is_nonsense { Failure::Nonsense } else { Failure::Other }
+    }
+
+    /// Asks it whether it is there, also if it was away.
+    fn probe(&self) {
+        let ping = |connection: &mut Connection| cmd("PING").query::<String>(connection);
+        if self.away().is_none() {
+            drop(self.with(ping));
+            return;
+        }
+        let asked = self.connect().and_then(|mut connection| ping(&mut connection).map(|_| connection));
+        match asked {
+            Ok(connection) => {
+                self.idle().push(connection);
+                *self.away() = None;
+            }
+            Err(error) => drop(self.failed(&error)),
+        }
+    }
+
+    fn connect(&self) -> RedisResult<Connection> {
+        let (address, hosts, master, database) = match &self.source {
+            Source::Fixed(server) => return Connection::open(server, self.tls.as_ref()),
+            Source::Sentinels { address, hosts, master, database } => (address, hosts, master, database),
+        };
+        let host = self.master(hosts, master)?;
+        let server = address.server(&host, database).map_err(io::Error::other)?;
+        let mut connection = Connection::open(&server, self.tls.as_ref())?;
+        let role: Vec<Value> = cmd("ROLE").query(&mut connection)?;
+        let role = role.into_iter().next().map(from_redis_value::<String>);
+        match role {
+            Some(Ok(role)) if role == "master" => Ok(connection),
+            _ => Err(io::Error::other(format!("{} is not the master yet", clean(&host, 80))).into()),
+        }
+    }
+
+    /// HOST:PORT of the master, from the first sentinel that answers.
+    fn master(&self, sentinels: &[ConnectionInfo], name: &str) -> RedisResult<String> {
+        let mut failure = RedisError::from(io::Error::other("there are no sentinels"));
+        for sentinel in sentinels {
+            let asked = Connection::open(sentinel, self.tls.as_ref()).and_then(|mut connection| {
+                let mut question = cmd("SENTINEL");
+                question.arg("GET-MASTER-ADDR-BY-NAME").arg(name);
+                question.query::<Option<(String, u16)>>(&mut connection)
+            });
+            match asked {
+                Ok(Some((host, port))) if host.contains(':') => return Ok(format!("[{host}]:{port}")),
+                Ok(Some((host, port))) => return Ok(format!("{host}:{port}")),
+                Ok(None) => {
+                    let words = format!("its sentinels know no master '{}'", clean(name, 60));
+                    failure = io::Error::other(words).into();
+                }
+                Err(error) => failure = error,
+            }
+        }
+        Err(failure)
+    }
+}
+
+/// Whether a connection that was idle is no longer usable, while the server may well be there. A master that became a
+/// replica takes no more writes: sentinels know the new one.
+fn is_closed(error: &RedisError) -> bool {
+    let demoted = error.kind() == ErrorKind::Server(ServerErrorKind::ReadOnly);
+    demoted || error.is_connection_dropped()
+}
+
+/// Whether no Redis gives such a reply to us.
+fn is_nonsense(error: &RedisError) -> bool {
+    matches!(error.kind(), ErrorKind::Parse | ErrorKind::UnexpectedReturnType)
+        || io_error(error).is_some_and(|error| error.kind() == io::ErrorKind::InvalidData)
+}
+
+/// The library wraps it once.
+fn io_error(error: &RedisError) -> Option<&io::Error> {
+    error.source()?.downcast_ref::<Arc<dyn Error + Send + Sync>>()?.downcast_ref()
+}
+
+fn key(digest: Digest) -> String {
+    format!("authros:{digest}")
+}
+
+/// The slot of a key without a hash tag: CRC-16/XMODEM of it (Redis cluster specification, appendix A).
+fn slot(key: &str) -> u16 {
+    let crc = key.bytes().fold(0u16, |crc, byte| {
+        (0..8).fold(
+            crc ^ (u16::from(byte) << 8),
+            |crc, _| {
+                if crc & 0x8000 == 0 { crc << 1 } else { (crc << 1) ^ 0x1021 }
+            },
+        )
+    });
+    crc % SLOTS
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slots_are_those_of_the_specification() {
+        // The specification's own check value, and slots that `CLUSTER KEYSLOT` of Redis 7.0 gives.
+        assert_eq!((slot("123456789"), 0x31c3 % SLOTS), (12_739, 12_739));
+        assert_eq!((slot("foo"), slot("bar"), slot("")), (12_182, 5_061, 0));
+    }
+}

@@ -1,0 +1,133 @@
+//! Parts of a home that are older than others, or gone: the embedded chain and the ledger of an old backup under a newer
+//! keyring, and a keyring whose ledger is lost. Nothing is sealed for nobody, given to a reader who was revoked, or bound
+//! to a second contract.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::support::{Authros, Home, is_verified, list, text, two_profiles};
+
+const REFUSED: i32 = 5;
+const TAMPERED: i32 = 6;
+/// A secret key in the form that `keys load --sm2` reads.
+const SIGNING_KEY: &str = "3945208f7b2144b13f36e38ac6d39f95889393692860b51a42fb81ef4df7c5b8";
+
+fn copy_keyring(from: &Path, to: &Path, profile: &str) {
+    let at = |home: &Path| home.join("profiles").join(profile).join("keyring");
+    fs::copy(at(from), at(to)).expect("the keyring is copied");
+}
+
+fn health(authros: &Authros, part: &str) -> String {
+    let parts = list(&authros.json(&["status"]), "health");
+    let found = parts.iter().find(|one| one["part"] == part);
+    found.map(|one| text(one, "text")).unwrap_or_default()
+}
+
+fn epochs(authros: &Authros) -> Vec<u64> {
+    list(&authros.json(&["keys", "list"]), "epochs").iter().filter_map(|epoch| epoch["epoch"].as_u64()).collect()
+}
+
+#[test]
+fn a_newer_keyring_brings_an_older_chain_to_its_keys_and_gives_nothing_to_a_revoked_reader() {
+    let two = two_profiles(1);
+    two.alice.capture(&["/robot1/odom"], 2);
+    two.alice.json(&["grant", &two.bob_address]);
+    let secret = two.home.file("secret", "a passphrase of its own\n", 0o600);
+    let backup = two.home.root().join("old.backup").to_str().expect("UTF-8").to_owned();
+    two.alice.json(&["backup", &backup, "--passphrase-file", &secret]);
+
+    two.alice.json(&["revoke", &two.bob_address]);
+    let key = two.home.file("sm2", SIGNING_KEY, 0o600);
+    two.alice.run(&["keys", "load", "--sm2", &key]).expect_code(0);
+    two.alice.json(&["keys", "rotate"]);
+    let newest = two.alice.json(&["keys", "list"]);
+    two.site.stop("TERM", 30).expect_code(0);
+
+    let home = Home::new();
+    let alice = home.profile("alice").with(&["--robots", "1"]);
+    alice.json(&["restore", &backup, "--passphrase-file", &secret]);
+    copy_keyring(&two.home.path(), &home.path(), "alice");
+    copy_keyring(&two.home.path(), &home.path(), "bob");
+    for name in ["alice", "bob"] {
+        let file = format!("profiles/{name}/passphrase");
+        fs::copy(two.home.path().join(&file), home.path().join(&file)).expect("the passphrase is copied");
+    }
+    let site = alice.serve(&home);
+    let bob = home.profile("bob").with(&["--robots", "1"]);
+
+    // What is captured counts: the keyring's key is the registered one again.
+    let captured = alice.capture(&["/robot1/odom"], 2);
+    assert_eq!(captured["verified"], 2, "{captured}");
+    let shown = alice.json(&["identity", "show"]);
+    assert_eq!((&shown["registered"], &shown["signing_key"]), (&Value::from(true), &newest["signing_key"]), "{shown}");
+    alice.json(&["register"]);
+
+    // The revocation is lost with the chain. It is said, and until the owner has decided nobody is given a key.
+    let told = health(&alice, "keys");
+    assert!(told.contains("the chain has epoch 1 of 'alice' and had epoch 3 before"), "{told}");
+    assert!(told.contains("authros grants list") && told.contains("authros keys rotate"), "{told}");
+    let refused = alice.fails(REFUSED, &["grant", &two.bob_address]);
+    assert!(refused.contains("had epoch 3 before"), "{refused}");
+    let readable = |reader: &Authros| {
+        let records = reader.records(&["shared", "list"]);
+        records.iter().filter(|record| reader.run(&["shared", "open", &text(record, "id")]).code == Some(0)).count()
+    };
+    assert_eq!(readable(&bob), 2, "what was sealed before the revocation, and no more");
+
+    alice.json(&["revoke", &two.bob_address]);
+    assert_eq!(epochs(&alice), [1, 2, 3, 4], "no epoch is begun twice");
+    assert_eq!(health(&alice, "keys"), "");
+    alice.capture(&["/robot1/odom"], 2);
+    assert_eq!(readable(&bob), 0, "a reader who was revoked is refused");
+    let own = alice.records(&["uploads", "list"]);
+    assert!(own.len() == 6 && own.iter().all(is_verified), "{own:?}");
+    for record in &own {
+        assert_eq!(alice.json(&["shared", "open", &text(record, "id")])["verdict"], "verified", "{record}");
+    }
+    alice.run(&["audit", "--deep"]).expect_code(0);
+    site.stop("TERM", 30).expect_code(0);
+}
+
+#[test]
+fn keys_that_had_a_contract_on_this_chain_get_no_second_one() {
+    let home = Home::new();
+    let alice = home.profile("alice").with(&["--robots", "1"]);
+    alice.enrol();
+    alice.capture(&["/robot1/odom"], 2);
+    let before = alice.json(&["chain", "status"]);
+    let contract = text(&before, "contract");
+    for name in ["ledger.db", "ledger.db-wal", "ledger.db-shm"] {
+        // The last two are there only after a crash.
+        drop(fs::remove_file(home.path().join(name)));
+    }
+
+    let doctor = alice.run(&["doctor"]);
+    assert!(doctor.code != Some(0) && doctor.stdout.contains("ledger.db is gone"), "{doctor}");
+    for command in [&["register"][..], &["capture", "--topic", "/robot1/odom", "--count", "1"]] {
+        let message = alice.fails(REFUSED, command);
+        assert!(message.contains(&contract) && message.contains("--contract"), "{command:?}: {message}");
+        assert!(message.contains("nothing was deployed"), "{message}");
+    }
+
+    let named = alice.with(&["--contract", &contract]);
+    let shown = named.json(&["register"]);
+    assert_eq!((&shown["registered"], &shown["epoch"]), (&Value::from(true), &Value::from(1)), "{shown}");
+    // From here on the new ledger knows it.
+    assert_eq!(text(&alice.json(&["chain", "status"]), "contract"), contract);
+    alice.capture(&["/robot1/odom"], 2);
+    // The records of the lost ledger are lost, and the audit says so.
+    let audit = alice.run(&["audit"]).expect_code(TAMPERED);
+    assert!(audit.stdout.contains("MISSING: batch") && audit.stdout.contains("does not have it"), "{audit}");
+}
+
+#[test]
+fn a_keyring_that_is_gone_is_named() {
+    let home = Home::new();
+    let alice = home.profile("alice").with(&["--robots", "0"]);
+    alice.enrol();
+    fs::remove_file(home.path().join("profiles/alice/keyring")).expect("removed");
+    let doctor = alice.run(&["doctor"]);
+    assert!(doctor.code != Some(0) && doctor.stdout.contains("keyring of profile 'alice' is gone"), "{doctor}");
+}
