@@ -123,11 +123,63 @@ fn keys_that_had_a_contract_on_this_chain_get_no_second_one() {
 }
 
 #[test]
-fn a_keyring_that_is_gone_is_named() {
+fn a_keyring_that_is_gone_or_another_accounts_is_named_and_nothing_takes_its_place() {
     let home = Home::new();
-    let alice = home.profile("alice").with(&["--robots", "0"]);
+    let alice = home.profile("alice").with(&["--robots", "1"]);
+    let address = alice.enrol();
+    home.profile("bob").with(&["--robots", "1"]).enrol();
+    alice.capture(&["/robot1/odom"], 2);
+    let (folder, kept) = (home.path().join("profiles/alice"), home.root().join("kept"));
+    let refused = |words: &str| {
+        for command in
+            [&["identity", "create"][..], &["capture", "--topic", "/robot1/odom", "--count", "1"], &["serve"]]
+        {
+            let message = alice.fails(REFUSED, command);
+            assert!(message.contains(words) && message.contains(&address), "{command:?}: {message}");
+        }
+        let doctor = alice.run(&["doctor"]);
+        assert!(doctor.code != Some(0) && doctor.stdout.contains(words), "{doctor}");
+        let status = alice.run(&["status"]);
+        assert!(status.code != Some(0) && status.stdout.contains(words), "{status}");
+    };
+    fs::rename(&folder, &kept).expect("moved away");
+    refused("is gone");
+    fs::create_dir(&folder).expect("made");
+    fs::set_permissions(&folder, fs::metadata(&kept).expect("there").permissions()).expect("as it was");
+    for name in ["keyring", "passphrase"] {
+        fs::copy(home.path().join("profiles/bob").join(name), folder.join(name)).expect("copied");
+    }
+    refused("is the keyring of account");
+    fs::remove_dir_all(&folder).expect("removed");
+    fs::rename(&kept, &folder).expect("put back");
+    alice.run(&["doctor"]).expect_code(0);
+    for record in alice.records(&["uploads", "list"]) {
+        assert_eq!(alice.json(&["shared", "open", &text(&record, "id")])["verdict"], "verified", "{record}");
+    }
+}
+
+#[test]
+fn what_a_restored_home_anchored_and_lost_is_missing() {
+    let home = Home::new();
+    let alice = home.profile("alice").with(&["--robots", "1"]);
     alice.enrol();
-    fs::remove_file(home.path().join("profiles/alice/keyring")).expect("removed");
-    let doctor = alice.run(&["doctor"]);
-    assert!(doctor.code != Some(0) && doctor.stdout.contains("keyring of profile 'alice' is gone"), "{doctor}");
+    alice.capture(&["/robot1/odom"], 2);
+    let secret = home.file("secret", "a passphrase of its own\n", 0o600);
+    let backup = home.root().join("a.backup").to_str().expect("UTF-8").to_owned();
+    alice.json(&["backup", &backup, "--passphrase-file", &secret]);
+    let place = Home::new();
+    let restored = place.profile("alice").with(&["--robots", "1"]);
+    restored.json(&["restore", &backup, "--passphrase-file", &secret]);
+    let ledger = place.path().join("ledger.db");
+    let before = fs::read(&ledger).expect("a store");
+    // Blocks of the second in which it was restored may be of the home before.
+    std::thread::sleep(std::time::Duration::from_secs(7));
+    restored.capture(&["/robot1/odom"], 2);
+    restored.run(&["audit"]).expect_code(0);
+    for name in ["ledger.db-wal", "ledger.db-shm"] {
+        drop(fs::remove_file(place.path().join(name)));
+    }
+    fs::write(&ledger, before).expect("an older one");
+    let audit = restored.run(&["audit"]).expect_code(TAMPERED);
+    assert!(audit.stdout.contains("MISSING: batch") && audit.stdout.contains("does not have it"), "{audit}");
 }

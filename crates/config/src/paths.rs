@@ -242,18 +242,9 @@ impl Home {
 
     /// Names of the profiles that have a keyring.
     pub fn profiles(&self) -> Vec<ProfileName> {
-        self.profile_folders(true)
-    }
-
-    /// Names of the profiles whose folder is there and whose keyring is not.
-    pub fn profiles_without_keyring(&self) -> Vec<ProfileName> {
-        self.profile_folders(false)
-    }
-
-    fn profile_folders(&self, with_keyring: bool) -> Vec<ProfileName> {
         let entries = std::fs::read_dir(self.root.join("profiles")).into_iter().flatten().flatten();
         let mut names: Vec<ProfileName> = entries
-            .filter(|entry| entry.path().join("keyring").exists() == with_keyring)
+            .filter(|entry| entry.path().join("keyring").exists())
             .filter_map(|entry| entry.file_name().to_str().and_then(|name| name.parse().ok()))
             .collect();
         names.sort();

@@ -65,7 +65,7 @@ pub fn audit(
             None
         }
         None => {
-            tally.note("this home was never connected to a chain, so nothing was compared with one");
+            tally.note("the store names no chain, so nothing was compared with one");
             None
         }
     };

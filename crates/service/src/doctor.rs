@@ -14,6 +14,8 @@ use crate::pipeline::network_pin_in;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
+use crate::site::keyring_faults;
+use crate::store::notes::ProfileAccounts;
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
@@ -131,6 +133,9 @@ const AHEAD: u64 = 15;
 /// Seconds beyond which things break: grants begin and end by the chain's time.
 const FAR_AHEAD: u64 = 120;
 
+/// The name of the embedded chain.
+const EMBEDDED: &str = "embedded";
+
 /// Checks it.
 async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
     let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
@@ -156,7 +161,7 @@ async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) 
         }
         None => {
             let endpoint = Endpoint::Embedded { directory: home.chain(), consensus: config.consensus };
-            (endpoint, "embedded".to_owned())
+            (endpoint, EMBEDDED.to_owned())
         }
     };
     let has_pin = pinned.is_some();
@@ -183,6 +188,15 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
             sheet.ok("contract", &format!("{contract}, its code matches the pinned hash {hash}"));
         }
         Some(pin) => sheet.ok("contract", &format!("{}, its code matches this program", pin.contract)),
+        None if name == EMBEDDED && head.number > 0 => {
+            let text =
+                format!("the embedded chain has {} blocks, and this home's store names no contract on it", head.number);
+            sheet.fail(
+                "contract",
+                &text,
+                "the store was lost: restore the last backup, or name the contract with --contract",
+            );
+        }
         None => sheet.ok("contract", "none yet; deploy it with `authros register` or `authros chain deploy`"),
     }
     if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
@@ -291,9 +305,13 @@ fn is_secret(path: &Path) -> bool {
 /// Every profile's keyring.
 fn keys(home: &Home, sheet: &mut Sheet) {
     let profiles = home.profiles();
-    for lost in home.profiles_without_keyring() {
-        let text = format!("the keyring of profile '{lost}' is gone, and with it the keys of its account and records");
-        sheet.fail(&format!("keys {lost}"), &text, "restore it: authros restore FILE, or a copy of the file keyring");
+    let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();
+    let faults = keyring_faults(home, &known.unwrap_or_default());
+    for fault in &faults {
+        sheet.fail("keyring", fault, "restore it from a backup: authros restore FILE");
+    }
+    if !faults.is_empty() {
+        return;
     }
     if profiles.is_empty() {
         return sheet.warn("keys", "no profile has keys yet", "authros identity create");

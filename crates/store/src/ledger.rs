@@ -55,8 +55,8 @@ pub use self::transactions::{
 pub(super) use self::writer::Session;
 
 use crate::database::{self, Schema, Statements as _};
-use crate::model::RecorderPrefix;
-use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, Notes};
+use crate::model::{RecorderPrefix, Timestamp};
+use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, Notes, RestoredAt};
 use crate::{AuditLog, StoreError};
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
@@ -323,6 +323,7 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     {
         notes::write_in(&transaction, &CopiedAt {}, &block)?;
     }
+    notes::write_in(&transaction, &RestoredAt {}, &Timestamp::now())?;
     // Its location is new, and what its accounts anchored meanwhile is history.
     notes::forget_in(&transaction, &LastPlace {})?;
     notes::forget_in(&transaction, &ForeignHistory {})?;

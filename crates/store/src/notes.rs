@@ -80,6 +80,8 @@ notes! {
     LastPlace {} = "place": String, "where this home was last opened";
     /// The newest block that a restored ledger's backup knew.
     CopiedAt {} = "copied at": u64, "how far the chain was known to the backup that was restored";
+    /// When this home was restored or copied the last time: what its accounts anchored later, it anchored itself.
+    RestoredAt {} = "restored at": Timestamp, "when this home was restored";
     /// Up to which block a copied ledger's accounts may have anchored without it.
     ForeignHistory {} = "foreign history": u64, "up to which block anchors of other copies are history";
     /// Anchors by this home's accounts that it did not send.
@@ -88,6 +90,9 @@ notes! {
     LossesCounted {} = "losses counted": u64, "up to where losses are counted";
     /// Behind which record verified ones are hashed again.
     ScrubbedUpTo {} = "scrubbed": u64, "up to where records were hashed again";
+
+    /// The account of each profile; two while another one is loaded.
+    ProfileAccounts {} = "profile accounts": BTreeMap<ProfileName, Vec<Address>>, "which account each profile has";
 
     // Following the chain.
 

@@ -10,9 +10,9 @@ use super::report::{FindingKind, Tally};
 use super::{Network, Plant, Scope};
 use crate::chain::{Chain, ChainError, Event, EventAt};
 use crate::chain_proofs::is_root_in;
-use crate::model::{Address, Digest, Hash};
+use crate::model::{Address, Digest, Hash, Timestamp};
 use crate::record_audit;
-use crate::store::notes::CopiedAt;
+use crate::store::notes::{CopiedAt, RestoredAt};
 use crate::store::{AuditedBatch, Ledger, StoreError};
 
 /// Batches requested at once.
@@ -21,6 +21,8 @@ const PAGE: usize = 16;
 const STRIDE: u64 = 2000;
 /// Nodes drop receipts of blocks further below the head than this.
 const RECEIPTS_KEPT: u64 = 100_000;
+/// How far the clocks of a chain and of this machine may be apart, seconds.
+const CLOCKS: u64 = 5;
 
 /// Compares all batches.
 pub(super) fn compare(
@@ -167,6 +169,10 @@ struct Walk {
     previous: HashMap<Address, Hash>,
     /// The last block known to the backup that this ledger was restored from.
     copied_at: Option<u64>,
+    /// When it was restored.
+    restored_at: Timestamp,
+    /// What the ledger lacks of later blocks, each with its block.
+    later: Vec<(String, u64)>,
     elsewhere: u64,
     found: Tally,
 }
@@ -174,7 +180,8 @@ struct Walk {
 impl Walk {
     fn new(ledger: &Ledger, own: HashSet<Address>) -> Result<Self, StoreError> {
         let (previous, copied_at) = (HashMap::new(), ledger.notes.read(&CopiedAt {})?);
-        Ok(Self { own, previous, copied_at, elsewhere: 0, found: Tally::default() })
+        let restored_at = ledger.notes.read(&RestoredAt {})?.unwrap_or(Timestamp(u64::MAX));
+        Ok(Self { own, previous, copied_at, restored_at, later: Vec::new(), elsewhere: 0, found: Tally::default() })
     }
 
     /// From the contract's first block to the newest; `watched` if all events are to be compared with what the watcher read.
@@ -202,6 +209,27 @@ impl Walk {
                 return Ok(Err(error));
             }
             from = to + 1;
+        }
+        self.judge_later(&network.chain).await
+    }
+
+    /// What was anchored between the backup and its restoring may be in the home that went on then. What came after is
+    /// this home's own, and lost.
+    async fn judge_later(&mut self, chain: &Chain) -> Result<Result<(), ChainError>, StoreError> {
+        let mut times: HashMap<u64, u64> = HashMap::new();
+        for (subject, block) in std::mem::take(&mut self.later) {
+            let time = match times.get(&block) {
+                Some(time) => *time,
+                None => match chain.block(block).await {
+                    Ok(found) => *times.entry(block).or_insert(found.map_or(0, |found| found.timestamp)),
+                    Err(error) => return Ok(Err(error)),
+                },
+            };
+            if time <= self.restored_at.seconds().saturating_add(CLOCKS) {
+                self.elsewhere += 1;
+            } else {
+                self.miss(&subject, Some(block));
+            }
         }
         Ok(Ok(()))
     }
@@ -237,10 +265,13 @@ impl Walk {
     }
 
     fn unknown(&mut self, subject: &str, block: Option<u64>) {
-        if self.copied_at.zip(block).is_some_and(|(copied, block)| block > copied) {
-            self.elsewhere += 1;
-            return;
+        match (self.copied_at, block) {
+            (Some(copied), Some(block)) if block > copied => self.later.push((subject.to_owned(), block)),
+            _ => self.miss(subject, block),
         }
+    }
+
+    fn miss(&mut self, subject: &str, block: Option<u64>) {
         let block = block.map_or_else(String::new, |block| format!(" in block {block}"));
         let text = format!("this home's account anchored it{block}, but the ledger does not have it");
         self.found.find(FindingKind::Missing, subject, &text);

@@ -54,6 +54,7 @@ pub use chain::connection::is_bound;
 pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
 pub use evidence::definition_of;
+pub(crate) use identity::keyring_faults;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
 

@@ -67,6 +67,8 @@ impl Site {
         health.extend(self.chain_proofs.health()?);
         health.extend(self.account_health()?);
         health.extend(self.sharing.missing_text().map(|text| part("keys", HealthLevel::Failed, &text)));
+        let faults = self.profiles.keyring_faults()?;
+        health.extend(faults.iter().map(|text| part("keyring", HealthLevel::Failed, text)));
         health.extend(self.standstill.health());
         health.extend(self.devices.untold_text().map(|text| part("robots", HealthLevel::Failed, &text)));
         Ok(health)

@@ -29,10 +29,12 @@ fn samples() -> Vec<(Kind, String)> {
     vec![
         of::<LastPlace>(text()),
         of::<CopiedAt>(12),
+        of::<RestoredAt>(at),
         of::<ForeignHistory>(12),
         of::<SeenForeign>(foreign),
         of::<LossesCounted>(12),
         of::<ScrubbedUpTo>(12),
+        of::<ProfileAccounts>([("lab".parse().expect("a name"), vec![address])].into()),
         of::<MissedFrom>(12),
         of::<UnsureBlocks>(vec![UnsureBlock { block: 12, hash, events: 3, times: 1 }]),
         of::<NodeBehind>(awaited.clone()),

@@ -1,5 +1,6 @@
 //! A profile's keys: shown, loaded, exported, and its SM2 pairs replaced.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,11 +16,12 @@ use crate::crypto::{
 use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
-use crate::model::{RecordState, SignerId};
+use crate::model::{Address, ProfileName, RecordState, SignerId};
 use crate::pipeline::{Network, Owner, PipelineError, recovery};
 use crate::reply::{EpochView, Failure, KeysView};
 use crate::site::blocking;
-use crate::store::{RecordQuery, RecordRow};
+use crate::store::notes::ProfileAccounts;
+use crate::store::{RecordQuery, RecordRow, StoreError};
 
 impl Profiles {
     /// Keys with fingerprints and epochs; no secret.
@@ -146,6 +148,12 @@ impl Profiles {
         }
         let key =
             blocking(self, move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
+        let (profile, address) = (owner.profile.clone(), key.address());
+        let also = |accounts: &mut BTreeMap<ProfileName, Vec<Address>>| {
+            accounts.entry(profile).or_default().push(address);
+            Ok::<(), StoreError>(())
+        };
+        block_in_place(|| self.plant.ledger.notes.change(&ProfileAccounts {}, also))?;
         let loaded = |keys: &mut Keyring| {
             keys.eoa = key;
             keys.networks.clear();
@@ -245,7 +253,9 @@ impl Profiles {
         network: &Network,
     ) -> Result<(), Failure> {
         if recovery::is_ahead(network, owner)? {
-            // No record signed by the registered key is in flight: the keyring signs with a later one.
+            // What the registered key signed is anchored first, as it was before: afterwards it has no right here.
+            let registered = network.directory.identity(owner.address)?.signing;
+            self.drain(owner, signer_id(&registered)).await?;
             let (signing, envelope) = (owner.signing(), owner.envelope());
             let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
                 let text = format!(
@@ -310,7 +320,7 @@ impl Profiles {
         }
         self.nothing_is_captured(owner)?;
         block_in_place(|| self.enrolments.tell_owner_key(owner, network, &signing.public))?;
-        self.drain(owner).await?;
+        self.drain(owner, signer_id(&owner.signing().public)).await?;
         let sealing = owner.sealing();
         owner.author.rest();
         let sent = self.send_pairs(owner, network, signing, envelope).await;
@@ -401,9 +411,8 @@ impl Profiles {
         Err(refused("topics are being captured; stop watching them before changing the signing key"))
     }
 
-    /// Waits until no record signed by the current key is still in flight. Those of lent devices may be.
-    async fn drain(&self, owner: &Owner) -> Result<(), Failure> {
-        let signer = signer_id(&owner.signing().public);
+    /// Waits until no record signed by a key is still in flight. Those of lent devices may be.
+    async fn drain(&self, owner: &Owner, signer: SignerId) -> Result<(), Failure> {
         let deadline = tokio::time::Instant::now() + DRAIN;
         loop {
             let pending = block_in_place(|| self.pending_of(owner, signer))?;
@@ -412,7 +421,7 @@ impl Profiles {
             }
             if tokio::time::Instant::now() > deadline {
                 return Err(refused(format!(
-                    "{pending} records signed with the current key are not verified yet; try again when they are"
+                    "{pending} records signed with the registered key are not verified yet; try again when they are"
                 )));
             }
             tokio::time::sleep(LOOK).await;

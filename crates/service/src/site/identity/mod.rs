@@ -32,6 +32,8 @@ use crate::model::{Address, ProfileName};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, Plant, Recorder, Sender, recovery};
 use crate::reply::{EpochRecords, Failure, IdentityView};
+use crate::store::StoreError;
+use crate::store::notes::ProfileAccounts;
 
 /// The longest wait for the chain to tell of the identity of a locked keyring.
 const LOCKED: Duration = Duration::from_secs(3);
@@ -103,6 +105,7 @@ impl Profiles {
     ) -> Result<IdentityView, Failure> {
         let path = self.home.keyring(&profile);
         let _one_at_a_time = self.owners.opening(&profile).await;
+        self.check_account(&profile)?;
         if path.exists() {
             return Err(refused(format!(
                 "profile '{profile}' already exists; `authros --profile {profile} identity show` shows it"
@@ -127,6 +130,7 @@ impl Profiles {
     ) -> Result<IdentityView, Failure> {
         if self.owners.get(&profile).is_none_or(|owner| owner.is_locked()) {
             let _one_at_a_time = self.owners.opening(&profile).await;
+            self.check_account(&profile)?;
             let path = self.home.keyring(&profile);
             let passphrase = Passphrase::new(secret.expose().to_owned())?;
             let opened = blocking(self, move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
@@ -191,6 +195,13 @@ impl Profiles {
     /// Puts an owner into the site, replacing the profile's previous one, which has the same keyring.
     pub(super) fn put_in_place(self: &Arc<Self>, owner: Owner) -> Arc<Owner> {
         let owner = Arc::new(owner);
+        let known = |accounts: &mut Accounts| {
+            accounts.insert(owner.profile.clone(), vec![owner.address]);
+            Ok::<(), StoreError>(())
+        };
+        if let Err(error) = block_in_place(|| self.plant.ledger.notes.change(&ProfileAccounts {}, known)) {
+            self.hub.notice(NoticeLevel::Warning, &error.to_string());
+        }
         self.pins.introduce(&owner);
         self.owners.insert(&owner);
         self.seal_as_before(&owner);
@@ -200,6 +211,19 @@ impl Profiles {
         }
         self.hub.changed(Part::Identity);
         owner
+    }
+
+    /// Refuses a profile whose keyring is gone or another account's: what it sealed before would be nobody's.
+    fn check_account(&self, profile: &ProfileName) -> Result<(), Failure> {
+        let known = block_in_place(|| self.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default();
+        let fault = known.get(profile).and_then(|accounts| keyring_fault(&self.home, profile, accounts));
+        fault.map_or(Ok(()), |text| Err(refused(text)))
+    }
+
+    /// What is wrong with the keyrings of the profiles that this home knows.
+    pub(in crate::site) fn keyring_faults(&self) -> Result<Vec<String>, Failure> {
+        let known = block_in_place(|| self.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default();
+        Ok(keyring_faults(&self.home, &known))
     }
 
     /// Seals under the newest epoch of the keyring until the chain's state is known, so that a start loses no message
@@ -263,6 +287,38 @@ impl Profiles {
             view.epoch_records = Some(EpochRecords { records, since });
         }
         Ok(view)
+    }
+}
+
+/// The accounts of profiles.
+type Accounts = BTreeMap<ProfileName, Vec<Address>>;
+
+/// What is wrong with the keyrings of these profiles.
+pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<String> {
+    known.iter().filter_map(|(profile, accounts)| keyring_fault(home, profile, accounts)).collect()
+}
+
+/// What is wrong with the keyring of a profile that had one of these accounts.
+fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {
+    let named: Vec<String> = accounts.iter().map(ToString::to_string).collect();
+    let account = named.join(" or ");
+    let path = home.keyring(profile);
+    if !path.exists() {
+        return Some(format!(
+            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: put a \
+             copy of {} back or restore a backup (`authros restore FILE`); for another account use another --profile",
+            path.display()
+        ));
+    }
+    match read_public(&path) {
+        Ok(public) if accounts.contains(&public.address) => None,
+        Ok(public) => Some(format!(
+            "{} is the keyring of account {}, and profile '{profile}' of this home has account {account}: put its own \
+             keyring back, or use another --profile for the other account",
+            path.display(),
+            public.address
+        )),
+        Err(error) => Some(format!("the keyring of profile '{profile}', account {account}: {error}")),
     }
 }
 
