@@ -6,9 +6,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use authros::crypto::{Enrolment, Passphrase, ProviderName, SealedEnrolment, provider};
-use authros::gateway::{Client, Context, Credentials, Endpoint, GatewayError, Query, Selection, Trust};
+use authros::gateway::{Client, Context, Credentials, Endpoint, Feed, GatewayError, Trust};
 use authros::model::head::Compression;
-use authros::model::{Digest, Head, Timestamp};
+use authros::model::{Digest, Head, RecordKind};
 use serde_json::Value;
 
 use crate::support::{Authros, Home, Running, free_port, text};
@@ -128,12 +128,8 @@ pub async fn session(enrolment: &Enrolment) -> Result<Client, GatewayError> {
     Client::connect(&endpoint, &mut trust, &Credentials { name, key, token: enrolment.token }).await
 }
 
-/// The first page of alice's records.
-pub fn all_of(enrolment: &Enrolment) -> Query {
-    of(Selection::all(enrolment.owner))
-}
-
-/// The first page of a selection.
-pub fn of(selection: Selection) -> Query {
-    Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 500 }
+/// The owner's notices to this robot.
+pub fn notices(enrolment: &Enrolment) -> Feed {
+    let (topics, kind) = (vec![enrolment.notice_id], Some(RecordKind::Key));
+    Feed { topics, kind, ..Feed::of(enrolment.owner) }
 }

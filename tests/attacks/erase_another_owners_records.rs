@@ -7,12 +7,12 @@ use authros::chain::AnchorProof;
 use authros::chain::merkle::{Inclusion, Leaf};
 use authros::crypto::{AccountSignature, EoaSecret, ErasedStatement, Provider, SmKeyPair};
 use authros::gateway::{
-    Client, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GatewayError, Standing, Upload,
+    Client, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Feed, Fetched, GatewayError, Upload,
 };
-use authros::model::{Digest, Domain, Hash, Header, Timestamp};
+use authros::model::{Address, Digest, Domain, Hash, Header, Timestamp};
 
 use super::support::gate::Gate;
-use super::support::member::{Member, connect};
+use super::support::member::{Member, connect, until_verified};
 use super::support::{Home, list};
 use super::{Outcome, judge};
 
@@ -36,16 +36,15 @@ fn without_bytes(record: &Fetched) -> Fetched {
 }
 
 /// Carol's own records, verified at the gateway: digest, and all of it.
-async fn stored(client: &mut Client, uploads: Vec<Upload>, provider: &dyn Provider) -> Vec<(Digest, Fetched)> {
+async fn stored(
+    client: &mut Client,
+    carol: Address,
+    uploads: Vec<Upload>,
+    provider: &dyn Provider,
+) -> Vec<(Digest, Fetched)> {
     let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
     client.upload(uploads).await.expect("taken");
-    for _ in 0..600 {
-        let standings = client.check(&digests).await.expect("answered").standings();
-        if standings.iter().all(|standing| *standing == Standing::Verified) {
-            break;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    until_verified(client, Feed::of(carol), &digests).await;
     let mut records = Vec::new();
     for digest in digests {
         records.push((digest, client.fetch(&digest).await.expect("hers")));
@@ -116,7 +115,9 @@ async fn erase_another_owners_records() {
     let own = mallory.allocate(&gate.gateway, "scout-2").await.expect("admitted");
     let (mut as_her, mut as_himself) = (connect(&gate.gateway, &stolen).await, connect(&gate.gateway, &own).await);
     let upload = |seq, body: &[u8]| carol.record(&carol.keyring.signing, "/odom", seq, body);
-    let records = stored(&mut as_her, vec![upload(1, b"a face"), upload(2, b"another one")], carol.provider()).await;
+    let records =
+        stored(&mut as_her, carol.address(), vec![upload(1, b"a face"), upload(2, b"another one")], carol.provider())
+            .await;
 
     // In his own session nothing of hers is heard, whoever signed it.
     let mut wrong = Vec::new();

@@ -1,8 +1,7 @@
 //! To fill the disk through the log that can never be shortened: an account without any right keeps requesting
 //! another's records, and each request costs its keeper a durable line.
 
-use authros::gateway::{Code, Query, Selection};
-use authros::model::Timestamp;
+use authros::gateway::{Code, Feed};
 
 use super::parts::Parts;
 use super::support::gate::Gate;
@@ -22,17 +21,13 @@ async fn questions_that_are_refused_leave_a_line_each() {
     let reader = Member::of(&gate.home, "bob", gate.gateway.domain);
     let credentials = reader.allocate(&gate.gateway, "bob").await.expect("allocates");
     let mut session = connect(&gate.gateway, &credentials).await;
-    let query = Query {
-        selection: Selection::all(alice.address()),
-        from: Timestamp(0),
-        until: Timestamp(u64::MAX),
-        cursor: 0,
-        limit: 500,
-    };
     let mut parts = Parts::default();
     for _ in 0..QUESTIONS {
-        let page = session.query(&query).await.map(|page| format!("a list of {} records", page.entries.len()));
-        parts.answered("Query", page, &[Code::NotAuthorised]);
+        let page = session
+            .feed(&Feed::of(alice.address()))
+            .await
+            .map(|page| format!("a list of {} records", page.entries.len()));
+        parts.answered("Feed", page, &[Code::NotAuthorised]);
     }
     let lines = list(&bob.json(&["audit", "list", "--limit", "1000"]), "audit");
     let lines = lines.iter().filter(|line| line["action"] == "query").count();

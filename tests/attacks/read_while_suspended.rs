@@ -1,16 +1,15 @@
-//! A reader whom the administrator has suspended wants to keep reading: through the subscription opened before, and by
-//! new requests in the same session.
+//! A reader whom the administrator has suspended wants to keep reading: by the request that waited
+//! before, and by new ones in the same session.
 
 use std::time::Duration;
 
-use authros::gateway::{Client, Code, Selection, Standing};
+use authros::gateway::{Client, Code, Feed};
 use authros::model::Digest;
 
-use crate::enrolled_robot::of;
 use crate::judge;
 use crate::parts::Parts;
 use crate::support::gate::Gate;
-use crate::support::member::{Member, connect};
+use crate::support::member::{Live, Member, connect, until_verified};
 
 const TOPIC: &str = "/robot7/log";
 
@@ -19,13 +18,8 @@ pub async fn send(owner: &Member, robot: &mut Client, seq: u64) -> Digest {
     let record = owner.record(&owner.keyring.signing, TOPIC, seq, b"a line");
     let digest = Digest(owner.provider().sm3(&[&record.blob]));
     robot.upload(vec![record]).await.expect("accepted");
-    for _ in 0..300 {
-        if robot.check(&[digest]).await.expect("answers").standings() == [Standing::Verified] {
-            return digest;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-    panic!("not verified in 30 s");
+    until_verified(robot, Feed::of(owner.address()), &[digest]).await;
+    digest
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -40,30 +34,29 @@ async fn read_while_suspended() {
     let credentials = member.allocate(&gate.gateway, "bob-reads").await.expect("allocates");
     let mut listening = connect(&gate.gateway, &credentials).await;
     let mut asking = connect(&gate.gateway, &credentials).await;
-    let all = Selection::all(owner.address());
-    listening.subscribe(&all).await.expect("granted");
+    let all = Feed::of(owner.address());
+    let mut follower = Live::begin(&mut listening, all.clone()).await.expect("granted");
     let known = send(&owner, &mut robot, 1).await;
-    let (_, entry, _) = listening.next_event(Duration::from_secs(20)).await.expect("granted");
+    let (entry, _) = follower.next(&mut listening, Duration::from_secs(20)).await.expect("granted");
     assert_eq!(entry.digest, known, "the line that was sent");
 
     gate.home.profile("gateway").json(&["chain", "suspend", &reader]);
     send(&owner, &mut robot, 2).await;
     let mut live = 0;
     let ended = loop {
-        match listening.next_event(Duration::from_secs(5)).await {
+        match follower.next(&mut listening, Duration::from_secs(5)).await {
             Ok(_) => live += 1,
             Err(error) => break error,
         }
     };
     let mut parts = Parts::default();
-    parts.answered("the open subscription", Err(ended), &[Code::NotAuthorised, Code::Suspended]);
+    parts.answered("the request that waited", Err(ended), &[Code::NotAuthorised, Code::Suspended]);
     if live > 0 {
         parts.reached(format!("{live} live records after it"));
     }
-    let list = asking.query(&of(all.clone())).await.map(|page| format!("a list of {} records", page.entries.len()));
+    let list = asking.feed(&all).await.map(|page| format!("a list of {} records", page.entries.len()));
     let record = asking.fetch(&known).await.map(|record| format!("a record of {} bytes", record.blob.len()));
-    let anew = asking.subscribe(&all).await.map(|_| "live records".to_owned());
-    for (what, answer) in [("Query", list), ("Fetch", record), ("Subscribe", anew)] {
+    for (what, answer) in [("Feed", list), ("Records", record)] {
         parts.answered(what, answer, &[Code::Suspended]);
     }
     judge("read_while_suspended", parts.outcome());

@@ -2,27 +2,24 @@
 
 use std::time::Duration;
 
-use authros::gateway::{Client, Code, GatewayError, Selection};
-use authros::model::{Digest, RecordKind};
+use authros::gateway::{Client, Code, Feed, GatewayError};
+use authros::model::{Digest, RecorderId};
 
-use crate::enrolled_robot::{Robot, Scene, all_of, of, session};
+use crate::enrolled_robot::{Robot, Scene, notices, session};
 use crate::judge;
 use crate::parts::Parts;
+use crate::support::member::Live;
 
 /// Asks for everything there is.
 async fn ask(parts: &mut Parts, client: &mut Client, robot: &authros::crypto::Enrolment, known: Digest) {
-    let notices =
-        Selection { topic_id: Some(robot.notice_id), kind: Some(RecordKind::Key), ..Selection::all(robot.owner) };
-    let list = client.query(&all_of(robot)).await.map(|page| format!("a list of {} records", page.entries.len()));
-    let record = client.fetch(&known).await.map(|record| format!("a record of {} bytes", record.blob.len()));
-    let live = client.subscribe(&Selection::all(robot.owner)).await.map(|_| "live records".to_owned());
-    let told = client.query(&of(notices.clone())).await.map(|page| format!("{} notices", page.entries.len()));
-    let telling = client.subscribe(&notices).await.map(|_| "live notices".to_owned());
-    let answers =
-        [("Query", list), ("Fetch", record), ("Subscribe", live), ("notices", told), ("live notices", telling)];
-    for (what, answer) in answers {
+    let own = Feed { recorders: vec![RecorderId([1; 16])], ..Feed::of(robot.owner) };
+    let asked = [("the owner's feed", Feed::of(robot.owner)), ("notices", notices(robot)), ("its own records", own)];
+    for (what, feed) in asked {
+        let answer = client.feed(&feed).await.map(|page| format!("{} records", page.entries.len()));
         parts.answered(what, answer, &[Code::NotAuthorised]);
     }
+    let record = client.fetch(&known).await.map(|record| format!("a record of {} bytes", record.blob.len()));
+    parts.answered("Records", record, &[Code::NotAuthorised]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -36,12 +33,11 @@ async fn read_with_a_recalled_robot() {
     let known: Digest = crate::support::text(&records[0], "digest").parse().expect("a digest");
     let mut client = session(&stolen).await.expect("it is not recalled yet");
     // Opened before, on everything he may have.
-    let notices =
-        Selection { topic_id: Some(stolen.notice_id), kind: Some(RecordKind::Key), ..Selection::all(stolen.owner) };
     let mut listening = session(&stolen).await.expect("it is not recalled yet");
-    if listening.subscribe(&Selection::all(stolen.owner)).await.is_err() {
-        listening.subscribe(&notices).await.expect("its own notices");
-    }
+    let mut follower = match Live::begin(&mut listening, Feed::of(stolen.owner)).await {
+        Ok(follower) => follower,
+        Err(_) => Live::begin(&mut listening, notices(&stolen)).await.expect("its own notices"),
+    };
     let recalled = scene.alice.json(&["devices", "recall", &lost.device]);
     let begun = std::time::Instant::now();
     let mut parts = Parts::default();
@@ -51,7 +47,7 @@ async fn read_with_a_recalled_robot() {
     scene.alice.json(&["keys", "rotate"]);
     let mut live = 0;
     let ended = loop {
-        match listening.next_event(Duration::from_secs(5)).await {
+        match follower.next(&mut listening, Duration::from_secs(5)).await {
             Ok(_) => live += 1,
             Err(error) => break error,
         }
@@ -59,10 +55,9 @@ async fn read_with_a_recalled_robot() {
     if live > 0 {
         parts.reached(format!("{live} live records, ended by {ended}"));
     }
-    // A subscription that only has nothing to tell is open still.
     match ended {
-        GatewayError::TimedOut => parts.reached("a subscription that is open still".to_owned()),
-        ended => parts.answered("the open subscription", Err(ended), &[Code::NotAuthorised]),
+        GatewayError::TimedOut => parts.reached("a request that waits still".to_owned()),
+        ended => parts.answered("the request that waited", Err(ended), &[Code::NotAuthorised]),
     }
     // The name belongs to nobody any more: its key cannot be told from a wrong one, and the refusal is in clear,
     // because there is no session.

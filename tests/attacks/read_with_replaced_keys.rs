@@ -1,16 +1,15 @@
-//! A thief of a reader's transport key keeps reading after the reader has replaced the stolen keys: through the
-//! subscription that was open before, and by new queries in the same session.
+//! A thief of a reader's transport key keeps reading after the reader has replaced the stolen keys: by the request that waited
+//! before, and by new ones in the same session.
 
 use std::time::Duration;
 
-use authros::gateway::{Code, GatewayError, Selection};
+use authros::gateway::{Code, Feed, GatewayError};
 
-use crate::enrolled_robot::of;
 use crate::judge;
 use crate::parts::Parts;
 use crate::read_while_suspended::send;
 use crate::support::gate::Gate;
-use crate::support::member::{Member, connect};
+use crate::support::member::{Live, Member, connect};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn read_with_replaced_keys() {
@@ -24,14 +23,14 @@ async fn read_with_replaced_keys() {
     let stolen = member.allocate(&gate.gateway, "bob-reads").await.expect("allocates");
     let (mut listening, mut idle) = (connect(&gate.gateway, &stolen).await, connect(&gate.gateway, &stolen).await);
     let mut asking = connect(&gate.gateway, &stolen).await;
-    let all = Selection::all(owner.address());
-    listening.subscribe(&all).await.expect("granted");
+    let all = Feed::of(owner.address());
+    let mut follower = Live::begin(&mut listening, all.clone()).await.expect("granted");
     let known = send(&owner, &mut robot, 1).await;
-    let (_, entry, _) = listening.next_event(Duration::from_secs(20)).await.expect("granted");
+    let (entry, _) = follower.next(&mut listening, Duration::from_secs(20)).await.expect("granted");
     assert_eq!(entry.digest, known, "the line that was sent");
-    // A subscription with nothing to deliver: no record of this kind ever comes.
-    let nothing = Selection { topic_id: Some(owner.topic("/never").0), ..all.clone() };
-    idle.subscribe(&nothing).await.expect("granted");
+    // One who has nothing to be told: no record of this topic ever comes.
+    let nothing = Feed { topics: vec![owner.topic("/never").0], ..all.clone() };
+    let mut idler = Live::begin(&mut idle, nothing).await.expect("granted");
 
     let key = gate.home.file("sm2", "7".repeat(64), 0o600);
     bob.run(&["keys", "load", "--sm2", &key]).expect_code(0);
@@ -39,7 +38,7 @@ async fn read_with_replaced_keys() {
     let (mut parts, cut) = (Parts::default(), [Code::NotAuthorised, Code::NotRegistered]);
     let mut live = 0;
     let ended = loop {
-        match listening.next_event(Duration::from_secs(5)).await {
+        match follower.next(&mut listening, Duration::from_secs(5)).await {
             Ok(_) => live += 1,
             Err(error) => break error,
         }
@@ -48,18 +47,17 @@ async fn read_with_replaced_keys() {
         parts.reached(format!("{live} live records after the change of keys"));
     }
     for (what, ended) in [
-        ("the open subscription", ended),
-        ("the idle one", idle.next_event(Duration::from_secs(5)).await.expect_err("no record")),
+        ("the request that waited", ended),
+        ("the idle one", idler.next(&mut idle, Duration::from_secs(5)).await.expect_err("no record")),
     ] {
         match ended {
             GatewayError::TimedOut => parts.reached(format!("{what} is open still")),
             ended => parts.answered(what, Err(ended), &cut),
         }
     }
-    let list = asking.query(&of(all.clone())).await.map(|page| format!("a list of {} records", page.entries.len()));
+    let list = asking.feed(&all).await.map(|page| format!("a list of {} records", page.entries.len()));
     let record = asking.fetch(&known).await.map(|record| format!("a record of {} bytes", record.blob.len()));
-    let anew = asking.subscribe(&all).await.map(|_| "live records".to_owned());
-    for (what, answer) in [("Query", list), ("Fetch", record), ("Subscribe", anew)] {
+    for (what, answer) in [("Feed", list), ("Records", record)] {
         parts.answered(what, answer, &[Code::NotRegistered]);
     }
     judge("read_with_replaced_keys", parts.outcome());

@@ -1,21 +1,20 @@
 //! A lying gateway takes records over, reports them as verified, proves nothing, and has the robot delete them.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
 use async_trait::async_trait;
 use authros::chain::RelayError;
 use authros::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use authros::gateway::{
-    Account, Binding, Cabinet, Caller, Code, Context, Desk, DeviceNotice, Entry, Fetched, GrantNotice, Limits,
-    NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Schedule, Selection, Server, Standing,
-    Stood,
+    Account, Binding, Cabinet, Caller, Code, Context, Desk, Feed, FeedEntry, FeedPage, Found, Limits, NetworkName,
+    Notice, Received, Refusal, Registration, Schedule, Server,
 };
-use authros::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use authros::model::{Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use authros::store::{Ciphertext, Ledger};
 use serde_json::Value;
-use tokio::sync::mpsc;
+use tokio::sync::watch;
 
 use crate::enrolled_robot::{Robot, Scene};
 use crate::support::member::Member;
@@ -27,6 +26,8 @@ struct Liar {
     binding: Binding,
     device: SmKeyPair,
     asked: AtomicU64,
+    /// What it took, and says that it has.
+    taken: Mutex<Vec<(Digest, Header)>>,
 }
 
 fn no<T>() -> Result<T, Refusal> {
@@ -35,20 +36,12 @@ fn no<T>() -> Result<T, Refusal> {
 
 #[async_trait]
 impl Desk for Liar {
-    async fn account(&self, _: &Address) -> Result<Account, Refusal> {
+    async fn account(&self, _: &Address, _: Option<&SignerId>) -> Result<Account, Refusal> {
         Ok(Account { signing: self.binding.signing, envelope: self.binding.envelope })
     }
 
-    async fn admits(&self, _: &Address) -> Result<(), Refusal> {
+    async fn admits(&self, _: &Address, _: Option<&Token>) -> Result<(), Refusal> {
         Ok(())
-    }
-
-    async fn is_token(&self, _: &Address, _: &Token) -> Result<bool, Refusal> {
-        Ok(true)
-    }
-
-    async fn is_lent(&self, _: &Address, _: &SignerId) -> Result<bool, Refusal> {
-        Ok(true)
     }
 
     async fn signer(&self, _: &Address, _: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -71,35 +64,43 @@ impl Desk for Liar {
         no()
     }
 
-    async fn store(&self, _: &Caller, _: Vec<Received>) -> Result<Timestamp, Refusal> {
+    async fn store(&self, _: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+        let mut taken = self.taken.lock().expect("not poisoned");
+        taken.extend(records.into_iter().map(|record| (record.digest, record.header)));
         Ok(Timestamp::now())
     }
 
-    async fn query(&self, _: &Caller, _: &Query) -> Result<Page, Refusal> {
-        Ok(Page { entries: Vec::new(), next: None })
-    }
-
-    async fn check(&self, _: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+    async fn feed(&self, _: &Caller, asked: &Feed, _: bool) -> Result<FeedPage, Refusal> {
         self.asked.fetch_add(1, Ordering::AcqRel);
-        Ok(vec![Stood { standing: Standing::Verified, proof: Vec::new() }; digests.len()])
+        let taken = self.taken.lock().expect("not poisoned").clone();
+        let told = (1..).zip(taken).map(|(number, (digest, header))| FeedEntry {
+            number,
+            fact: Fact::Verified,
+            digest,
+            owner: header.owner,
+            recorder: header.recorder,
+            seq: header.seq,
+            topic_id: header.topic_id,
+            epoch: header.epoch,
+            captured_at: header.captured_at,
+            length: 1,
+            kind: header.kind,
+            proof: Vec::new(),
+        });
+        let told: Vec<FeedEntry> = told.filter(|_| !asked.recorders.is_empty()).take(256).collect();
+        let upto = told.last().map_or(0, |last| last.number);
+        Ok(FeedPage::new([7; 16], (upto, upto), Vec::new(), told))
     }
 
-    async fn fetch(&self, _: &Caller, _: &Digest) -> Result<Fetched, Refusal> {
-        no()
+    fn changes(&self) -> watch::Receiver<u64> {
+        watch::channel(0).1
     }
 
-    async fn subscribe(&self, _: &Caller, _: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        let (sender, receiver) = mpsc::channel(1);
-        // Open for as long as the test runs.
-        std::mem::forget(sender);
-        Ok(receiver)
+    async fn records(&self, _: &Caller, digests: &[Digest], _: bool) -> Result<Vec<Found>, Refusal> {
+        Ok(vec![Found::Here; digests.len()])
     }
 
-    async fn grant(&self, _: &Caller, _: &GrantNotice) -> Result<(), Refusal> {
-        no()
-    }
-
-    async fn revoke(&self, _: &Caller, _: &RevokeNotice) -> Result<(), Refusal> {
+    async fn notice(&self, _: &Caller, _: &Notice) -> Result<(), Refusal> {
         no()
     }
 
@@ -109,10 +110,6 @@ impl Desk for Liar {
 
     async fn relay(&self, _: Option<&Caller>, _: &str, _: &Value) -> Result<Value, RelayError> {
         Err(RelayError::Silent("a liar's gateway".to_owned()))
-    }
-
-    async fn device(&self, _: &Caller, _: &DeviceNotice) -> Result<(), Refusal> {
-        no()
     }
 
     fn refused(&self, _: SocketAddr, _: &Refusal) {}
@@ -141,7 +138,8 @@ async fn take_the_robots_only_copy() {
     let (signing, envelope) = (alice.keyring.signing.public, alice.keyring.envelope.public);
     let key = stolen.gateway.transport.clone();
     let binding = Binding { account: stolen.owner, key, signing, envelope, device: None };
-    let liar = Arc::new(Liar { binding, device: stolen.device.clone(), asked: AtomicU64::new(0) });
+    let liar =
+        Arc::new(Liar { binding, device: stolen.device.clone(), asked: AtomicU64::new(0), taken: Mutex::default() });
     assert_eq!(signer_id(&liar.device.public), stolen.device_id());
     let (context, address) =
         (Context { provider, domain: stolen.domain }, SocketAddr::from(([127, 0, 0, 1], scene.port)));

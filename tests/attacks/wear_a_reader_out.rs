@@ -1,12 +1,12 @@
-//! The gateway that a reader joined wants to keep his site busy: it lists for him and never lets him subscribe, or ends each
-//! subscription as it begins, or its list has no end. He opens sessions and asks for pages in vain ever more rarely.
+//! The gateway that a reader joined wants to keep his site busy: it refuses to tell him anything, or its feed has no end and brings
+//! nothing, or is another one each time. He opens sessions and asks for pages in vain ever more rarely.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
-use authros::gateway::{Client, Code, Page, Query, Relayed};
+use authros::gateway::{Client, Feed, FeedPage, Relayed};
 use serde_json::Value;
 use tokio::sync::Mutex;
 
@@ -25,9 +25,10 @@ const WINDOW: Duration = Duration::from_secs(8);
 struct Tease {
     /// What it passes on to the chain goes through the honest gateway.
     honest: Mutex<Client>,
-    ends_them: AtomicBool,
-    subscriptions: AtomicUsize,
-    has_no_end: AtomicBool,
+    /// It has pages; they are empty, and there is always another one.
+    answers: AtomicBool,
+    /// Each is of another feed.
+    is_always_another: AtomicBool,
     pages: AtomicUsize,
 }
 
@@ -40,15 +41,14 @@ impl Tells for Tease {
         }
     }
 
-    fn listed(&self, _: &Query) -> Option<Page> {
-        let page = self.pages.fetch_add(1, Ordering::AcqRel) + 1;
-        let next = self.has_no_end.load(Ordering::Acquire).then_some(page as u128);
-        Some(Page { entries: Vec::new(), next })
-    }
-
-    fn refuses_subscriptions(&self) -> Option<Code> {
-        self.subscriptions.fetch_add(1, Ordering::AcqRel);
-        (!self.ends_them.load(Ordering::Acquire)).then_some(Code::NotAuthorised)
+    fn told(&self, asked: &Feed) -> Option<FeedPage> {
+        let page = self.pages.fetch_add(1, Ordering::AcqRel) as u64 + 1;
+        if !self.answers.load(Ordering::Acquire) {
+            return None;
+        }
+        let id = if self.is_always_another.load(Ordering::Acquire) { [page.to_be_bytes()[7]; 16] } else { [7; 16] };
+        let upto = asked.places.iter().map(|(_, number)| number + 1).max().unwrap_or(1);
+        Some(FeedPage::new(id, (u64::MAX, upto), Vec::new(), Vec::new()))
     }
 }
 
@@ -78,9 +78,8 @@ async fn wear_a_reader_out() {
     let credentials = hostile.allocate(&gate.gateway, "mallory-2").await.expect("admitted");
     let tease = Arc::new(Tease {
         honest: Mutex::new(connect(&gate.gateway, &credentials).await),
-        ends_them: AtomicBool::default(),
-        subscriptions: AtomicUsize::default(),
-        has_no_end: AtomicBool::default(),
+        answers: AtomicBool::default(),
+        is_always_another: AtomicBool::default(),
         pages: AtomicUsize::default(),
     });
     let (context, folder) = (gate.gateway.endpoint().context, his.root().join("hostile"));
@@ -92,18 +91,18 @@ async fn wear_a_reader_out() {
     let address = server.address().to_string();
     let site = his.profile("bob").with(&["--site", &address, "--gateway-key", &key]).serve(&his);
 
-    let refused = tease.asked(&tease.subscriptions).await;
-    tease.ends_them.store(true, Ordering::Release);
-    let ended = tease.asked(&tease.subscriptions).await;
-    tease.has_no_end.store(true, Ordering::Release);
+    let refused = tease.asked(&tease.pages).await;
+    tease.answers.store(true, Ordering::Release);
     let pages = tease.asked(&tease.pages).await;
+    tease.is_always_another.store(true, Ordering::Release);
+    let anew = tease.asked(&tease.pages).await;
     drop(site);
     server.stop(Duration::from_secs(2)).await;
     let seconds = WINDOW.as_secs();
-    let told = format!("asked for {refused} and {ended} subscriptions and {pages} pages in {seconds} s each");
-    let outcome = if refused.max(ended) > FEW || pages > FEW_PAGES {
+    let told = format!("asked {refused} times in vain, and for {pages} and {anew} pages in {seconds} s each");
+    let outcome = if refused > FEW || pages.max(anew) > FEW_PAGES {
         Outcome::Succeeded(told)
-    } else if refused.min(ended).min(pages) == 0 {
+    } else if refused.min(pages).min(anew) == 0 {
         Outcome::Otherwise(format!("it is not asked again at all: {told}"))
     } else {
         Outcome::Refused(told)

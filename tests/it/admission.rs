@@ -36,7 +36,7 @@ async fn who_may_use_a_gateway_is_its_keepers_choice() {
     let left = keeper.json(&["gateway", "dismiss", &owner]);
     assert!(support::list(&left, "admitted").is_empty(), "{left}");
     assert_eq!(refused(robot.upload(vec![record(2)]).await), Code::NotAuthorised, "in the very same session");
-    assert_eq!(refused(robot.check(&[authros::model::Digest([1; 32])]).await), Code::NotAuthorised);
+    assert_eq!(refused(robot.missing(&[authros::model::Digest([1; 32])]).await), Code::NotAuthorised);
     assert_eq!(refused(robot.relay("eth_chainId", &serde_json::json!([])).await), Code::NotAuthorised);
     keeper.json(&["gateway", "admit", &owner]);
     robot.upload(vec![record(2)]).await.expect("accepted again");

@@ -6,16 +6,15 @@ use crate::support;
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use authros::chain::AnchorProof;
 use authros::crypto::{Anchor, Expected, Names, SmKeyPair, notice_topic, open, signer_id, topic_id};
-use authros::gateway::{
-    Client, Code, Credentials, DeviceNotice, GatewayError, Query, Request, Selection, Standing, Upload,
-};
+use authros::gateway::{Client, Code, Credentials, DeviceNotice, Feed, GatewayError, Request, Upload};
+use authros::model::bytes::hex;
 use authros::model::{Digest, Header, RecordKind, Timestamp};
 use support::client_stream::Recorder;
-use support::member::{Gateway, Member, connect};
+use support::member::{Gateway, Live, Member, connect, told, until_verified};
 use support::{Authros, Home, Redis, Running, count, heavy, holds, is_verified, long, poll, skipped, text, wait_until};
 
 const TOPIC: &str = "/robot7/log";
@@ -46,28 +45,6 @@ fn site() -> Site {
 
 fn digest(member: &Member, upload: &Upload) -> Digest {
     Digest(member.provider().sm3(&[&upload.blob]))
-}
-
-fn all_of(owner: &Member) -> Query {
-    Query {
-        selection: Selection::all(owner.address()),
-        from: Timestamp(0),
-        until: Timestamp(u64::MAX),
-        cursor: 0,
-        limit: 500,
-    }
-}
-
-async fn until_verified(client: &mut Client, digests: &[Digest]) {
-    let end = Instant::now() + Duration::from_secs(60);
-    loop {
-        let standings = client.check(digests).await.expect("answers").standings();
-        if standings.iter().all(|standing| *standing == Standing::Verified) {
-            return;
-        }
-        assert!(Instant::now() < end, "not verified in time: {standings:?}");
-        tokio::time::sleep(Duration::from_millis(200)).await;
-    }
 }
 
 fn refused(result: Result<impl std::fmt::Debug, GatewayError>) -> Code {
@@ -109,7 +86,7 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     let receipt = robot.upload(uploads.clone()).await.expect("accepted");
     assert_eq!(receipt.digests, digests, "a receipt, checked by the client, over exactly these");
     robot.upload(uploads.clone()).await.expect("known ones are acknowledged again");
-    until_verified(&mut robot, &digests).await;
+    until_verified(&mut robot, Feed::of(owner.address()), &digests).await;
 
     let own = alice.records(&["uploads", "list"]);
     assert_eq!(own.len(), 120, "each once");
@@ -122,65 +99,55 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     let reader = Member::of(&site.home, "bob", site.gateway.domain);
     let reader_credentials = reader.allocate(&site.gateway, "bob").await.expect("allocates");
     let mut session = connect(&site.gateway, &reader_credentials).await;
-    assert_eq!(refused(session.query(&all_of(&owner)).await), Code::NotAuthorised);
+    assert_eq!(refused(session.feed(&Feed::of(owner.address())).await), Code::NotAuthorised);
     assert_eq!(refused(session.fetch(&digests[0]).await), Code::NotAuthorised);
-    assert_eq!(session.check(&digests[..2]).await.expect("answers").standings(), [Standing::Unknown; 2]);
+    let unknown = [0, 1].map(|index| (digests[index], Code::NotFound));
+    assert_eq!(session.missing(&digests[..2]).await.expect("answers"), unknown);
     expect_status(&site);
 
     alice.json(&["grant", &bob_address]);
     let read = read_all(&mut session, &owner, &reader).await;
-    assert_eq!(read, sent, "in the order of capture, each with its proof");
-    let filtered = Query {
-        selection: Selection {
-            filters: vec![authros::crypto::filter_id(owner.index(), "type", "std_msgs/String")],
-            topic_id: Some(owner.topic(TOPIC).0),
-            kind: Some(RecordKind::Data),
-            ..Selection::all(owner.address())
-        },
-        limit: 7,
-        ..all_of(&owner)
-    };
-    assert_eq!(session.query(&filtered).await.expect("a page").entries.len(), 7);
-    let none =
-        Selection { filters: vec![authros::crypto::filter_id(owner.index(), "type", "a/B")], ..filtered.selection };
-    assert!(session.query(&Query { selection: none, ..all_of(&owner) }).await.expect("a page").entries.is_empty());
+    assert_eq!(read, sent, "each once, with its proof");
+    let (topic, _) = owner.topic(TOPIC);
+    let of_topic = Feed { topics: vec![topic], kind: Some(RecordKind::Data), ..Feed::of(owner.address()) };
+    assert_eq!(told(&mut session, &of_topic).await.expect("told").len(), 120);
+    let of_none = Feed { topics: vec![owner.topic("/never").0], ..of_topic };
+    assert!(told(&mut session, &of_none).await.expect("told").is_empty());
 
     revoked_while_live(&alice, &bob_address, (&owner, &mut robot), &mut session).await;
     site.process.stop("TERM", 20).expect_code(0);
 }
 
-/// Pages through everything and opens it as a second client would: digest, proof, signature, keys.
+/// Follows everything and opens it as a second client would: digest, proof, signature, keys.
 async fn read_all(session: &mut Client, owner: &Member, reader: &Member) -> Vec<Vec<u8>> {
-    let (mut query, mut read) = (Query { limit: 50, ..all_of(owner) }, Vec::new());
-    loop {
-        let page = session.query(&query).await.expect("a page");
-        for entry in &page.entries {
-            let fetched = session.fetch(&entry.digest).await.expect("a record");
-            let (header, _) = Header::parse(&fetched.blob).expect("a record");
-            let proof = AnchorProof::parse(&fetched.proof).expect("a proof");
-            let leaf = authros::chain::merkle::Leaf::of(&header, entry.digest);
-            assert!(proof.inclusion.expect("batched").proves(&leaf));
-            let expected = Expected::any_of(owner.domain, owner.address(), Names::Derived(owner.index().clone()));
-            let (_, key) = owner.topic(TOPIC);
-            let signer = &fetched.signer;
-            let anchor = Anchor::Chain(entry.digest);
-            let opened = open(reader.provider(), &fetched.blob, &fetched.signature, signer, anchor, &key, &expected);
-            read.push(opened.expect("opens").body);
-        }
-        let Some(next) = page.next else { return read };
-        query.cursor = next;
+    let mut read = Vec::new();
+    for entry in told(session, &Feed::of(owner.address())).await.expect("told") {
+        let fetched = session.fetch(&entry.digest).await.expect("a record");
+        let (header, _) = Header::parse(&fetched.blob).expect("a record");
+        assert_eq!(entry.proof, fetched.proof);
+        let proof = AnchorProof::parse(&fetched.proof).expect("a proof");
+        let leaf = authros::chain::merkle::Leaf::of(&header, entry.digest);
+        assert!(proof.inclusion.expect("batched").proves(&leaf));
+        let expected = Expected::any_of(owner.domain, owner.address(), Names::Derived(owner.index().clone()));
+        let (_, key) = owner.topic(TOPIC);
+        let signer = &fetched.signer;
+        let anchor = Anchor::Chain(entry.digest);
+        let opened = open(reader.provider(), &fetched.blob, &fetched.signature, signer, anchor, &key, &expected);
+        read.push((entry.seq, opened.expect("opens").body));
     }
+    read.sort();
+    read.into_iter().map(|(_, body)| body).collect()
 }
 
-/// No further record reaches a live subscriber after the block of the revoke.
+/// No further record reaches a follower after the block of the revoke.
 async fn revoked_while_live(alice: &Authros, bob: &str, (owner, robot): (&Member, &mut Client), session: &mut Client) {
-    session.subscribe(&Selection::all(owner.address())).await.expect("subscribes");
+    let mut live = Live::begin(session, Feed::of(owner.address())).await.expect("granted");
     let send = async |robot: &mut Client, seq: u64| {
         let upload = owner.record(&owner.keyring.signing, TOPIC, seq, b"live");
         robot.upload(vec![upload]).await.expect("accepted");
     };
     send(robot, 121).await;
-    let (_, entry, _) = session.next_event(Duration::from_secs(30)).await.expect("reaches the subscriber");
+    let (entry, _) = live.next(session, Duration::from_secs(30)).await.expect("reaches the follower");
     assert_eq!(entry.seq, 121);
     let revoking = {
         let (alice, bob) = (alice.clone(), bob.to_owned());
@@ -191,7 +158,7 @@ async fn revoked_while_live(alice: &Authros, bob: &str, (owner, robot): (&Member
     while cut.is_none() {
         send(robot, last + 1).await;
         last += 1;
-        match session.next_event(Duration::from_millis(300)).await {
+        match live.next(session, Duration::from_millis(300)).await {
             Ok(_) | Err(GatewayError::TimedOut) => {}
             Err(error) => cut = Some((error, Timestamp::now())),
         }
@@ -207,9 +174,8 @@ async fn revoked_while_live(alice: &Authros, bob: &str, (owner, robot): (&Member
     for seq in last + 1..last + 4 {
         send(robot, seq).await;
     }
-    assert!(session.next_event(Duration::from_secs(3)).await.is_err(), "nothing after the cut");
-    assert_eq!(refused(session.query(&all_of(owner)).await), Code::NotAuthorised);
-    assert_eq!(refused(session.subscribe(&Selection::all(owner.address())).await), Code::NotAuthorised);
+    assert!(live.next(session, Duration::from_secs(3)).await.is_err(), "nothing after the cut");
+    assert_eq!(refused(session.feed(&Feed::of(owner.address())).await), Code::NotAuthorised);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -233,7 +199,8 @@ async fn devices_sign_while_they_are_lent_and_names_belong_to_one_account() {
     assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "lent, but its key is not known");
     robot.device(&owner.keyring.signing, notice).await.expect("noted");
     robot.upload(vec![upload.clone()]).await.expect("accepted");
-    until_verified(&mut robot, &[digest(&owner, &upload)]).await;
+    let signed_by_it = Feed { recorders: vec![owner.recorder.of_signer(&id)], ..Feed::of(owner.address()) };
+    until_verified(&mut robot, signed_by_it, &[digest(&owner, &upload)]).await;
     let opened = alice.json(&["shared", "open", &digest(&owner, &upload).to_string()]);
     assert_eq!(opened["verdict"], "verified", "the owner reads what her device signed: {opened}");
     alice.json(&["devices", "recall", &id.to_string()]);
@@ -272,7 +239,7 @@ async fn keep_one(home: &Home, gateway: &Gateway) -> (Member, Credentials, Uploa
     let upload = owner.record(&owner.keyring.signing, TOPIC, 1, b"the burglar wore a hat");
     let mut robot = connect(gateway, &credentials).await;
     robot.upload(vec![upload.clone()]).await.expect("accepted");
-    until_verified(&mut robot, &[digest(&owner, &upload)]).await;
+    until_verified(&mut robot, Feed::of(owner.address()), &[digest(&owner, &upload)]).await;
     (owner, credentials, upload)
 }
 
@@ -298,6 +265,61 @@ async fn the_gateways_redis_is_blind() {
     wait_until(30, "it is in the cache", || holds(&redis.dump(), &upload.blob).then_some(()));
     expect_blind(&redis.dump(), &owner, &credentials, &upload);
     process.stop("TERM", 20).expect_code(0);
+}
+
+/// Written from PROTOCOL.md alone: it greets, follows the feed and checks what it gets.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_client_written_from_the_document_follows_the_feed() {
+    let Some(python) = support::system_program("python3") else { skipped!("no python3") };
+    let site = site();
+    let (alice, bob) = (site.home.profile("alice"), site.home.profile("bob"));
+    let (_, bob_address) = (alice.enrol(), bob.enrol());
+    let owner = Member::of(&site.home, "alice", site.gateway.domain);
+    let credentials = owner.allocate(&site.gateway, "robot-7").await.expect("allocates");
+    let mut robot = connect(&site.gateway, &credentials).await;
+    let record = |(seq, body): (u64, &Vec<u8>)| owner.record(&owner.keyring.signing, TOPIC, seq, body);
+    let uploads: Vec<Upload> = (1..).zip(&bodies(5)).map(record).collect();
+    let digests: Vec<Digest> = uploads.iter().map(|upload| digest(&owner, upload)).collect();
+    robot.upload(uploads).await.expect("accepted");
+    until_verified(&mut robot, Feed::of(owner.address()), &digests).await;
+    alice.json(&["grant", &bob_address]);
+    let reader = Member::of(&site.home, "bob", site.gateway.domain);
+    let credentials = reader.allocate(&site.gateway, "bob-2").await.expect("allocates");
+    let mut session = connect(&site.gateway, &credentials).await;
+    while session.feed(&Feed::of(owner.address())).await.is_err() {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let read = |key: &[u8]| {
+        let mut command = std::process::Command::new(&python);
+        command.args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/second_client.py")]);
+        let Gateway { address, id, domain, .. } = &site.gateway;
+        command.arg(address).args([hex(&domain.0), hex(&id.0), "bob-2".to_owned(), hex(key)]);
+        command.args([hex(&reader.token().0), hex(&owner.address().0)]);
+        Running::start(command).wait(120)
+    };
+    let told = read(credentials.key.expose()).expect_code(0).document();
+    let records = support::list(&told, "records");
+    let mut seen: Vec<(u64, String)> = records.iter().map(|one| (count(one, "seq"), text(one, "digest"))).collect();
+    assert!(records.iter().all(|one| one["fact"] == "verified" && one["bytes"].as_u64() > Some(300)), "{told}");
+    assert!(records.is_sorted_by_key(|one| count(one, "number")) && count(&told, "head") >= 5, "{told}");
+    seen.sort();
+    assert_eq!(seen, (1..).zip(digests.iter().map(ToString::to_string)).collect::<Vec<_>>());
+
+    let id = text(&alice.records(&["uploads", "list"])[1], "id");
+    alice.json(&["retention", "erase", "--record", &id, "--reason", "a face", "--yes"]);
+    let erased = poll(60, || {
+        let told = read(credentials.key.expose()).expect_code(0).document();
+        let last = support::list(&told, "records").pop().expect("five of them");
+        (last["fact"] == "erased").then_some(last)
+    });
+    let erased = erased.expect("its row is the last one now");
+    assert_eq!(
+        (&erased["header"], count(&erased, "number") > 5),
+        (&erased["bytes"], true),
+        "its header is left: {erased}"
+    );
+    assert_ne!(read(&[7; 32]).code, Some(0), "nothing without the transport key");
+    site.process.stop("TERM", 20).expect_code(0);
 }
 
 /// The frames of a stream: length (4), then that many bytes.
@@ -406,7 +428,7 @@ async fn inject(gateway: &Gateway, owner: &Member, credentials: &Credentials, st
         assert!(!replay(&gateway.address, &[&own[..], frame].concat()).is_empty(), "refused in words");
     }
     let mut session = connect(gateway, credentials).await;
-    assert!(session.query(&all_of(owner)).await.is_ok(), "an honest session works");
+    assert!(session.feed(&Feed::of(owner.address())).await.is_ok(), "an honest session works");
 }
 
 #[test]

@@ -9,10 +9,11 @@ use std::time::{Duration, Instant};
 
 use authros::crypto::{Keyring, Passphrase, ProviderName, domain, provider};
 use authros::gateway::{
-    Applicant, Client, Code, Context, Credentials, Endpoint, GatewayError, NetworkName, Relayed, Selection, Trust,
+    Applicant, Client, Code, Context, Credentials, Endpoint, Feed, GatewayError, NetworkName, Relayed, Trust,
 };
 use authros::model::{Digest, ProfileName, SignerId};
 use serde_json::{Value, json};
+use support::member::Live;
 use support::{Authros, Home, Running, count, list, poll, text, wait_until};
 
 const REFUSED: i32 = 5;
@@ -200,28 +201,26 @@ fn a_live_subscriber_is_cut_by_the_revokes_block() {
     let (cut, seen, revoked, received) = runtime.block_on(async {
         let mut bob = Operator::new(&gate, &away, "bob").await;
         let mut live = bob.connect("bob-live").await;
-        live.subscribe(&Selection::all(owner)).await.expect("subscribes");
+        let mut follower = Live::begin(&mut live, Feed::of(owner)).await.expect("granted");
         let (end, ended) = tokio::sync::oneshot::channel();
         let heights = tokio::spawn(heights(bob.connect("bob-blocks").await, ended));
         let mut received: Vec<(Digest, Instant)> = Vec::new();
         for _ in 0..5 {
-            let (_, entry, _) = live.next_event(PATIENCE).await.expect("a record");
+            let (entry, _) = follower.next(&mut live, PATIENCE).await.expect("a record");
             received.push((entry.digest, Instant::now()));
         }
         let alice = gate.alice.clone();
         let revoking = tokio::task::spawn_blocking(move || alice.json(&["revoke", &address]));
         let cut = loop {
-            match live.next_event(PATIENCE).await {
-                Ok((_, entry, _)) => received.push((entry.digest, Instant::now())),
+            match follower.next(&mut live, PATIENCE).await {
+                Ok((entry, _)) => received.push((entry.digest, Instant::now())),
                 Err(GatewayError::Refused(Code::NotAuthorised)) => break Instant::now(),
                 Err(error) => panic!("{error}"),
             }
         };
         let revoked = revoking.await.expect("revokes");
         tokio::time::sleep(Duration::from_secs(2)).await;
-        let quiet = live.next_event(Duration::from_secs(2)).await;
-        assert!(matches!(quiet, Err(GatewayError::TimedOut)), "nothing after the end");
-        let again = live.subscribe(&Selection::all(owner)).await;
+        let again = follower.next(&mut live, Duration::from_secs(2)).await;
         assert!(matches!(again, Err(GatewayError::Refused(Code::NotAuthorised))));
         let fetched = live.fetch(&received[0].0).await;
         assert!(matches!(fetched, Err(GatewayError::Refused(_))), "not even what it had");

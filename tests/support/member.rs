@@ -1,13 +1,16 @@
 //! A profile's keys in the test's own hands, as a second client of the gateway's protocol would have them.
 
-use std::collections::BTreeMap;
-use std::time::Duration;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
 
 use authros::crypto::{
     EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, filter_id,
     provider, random_bytes, seal, token, topic_id, topic_key,
 };
-use authros::gateway::{Applicant, Client, Context, Credentials, Endpoint, GatewayError, Trust, Upload};
+use authros::gateway::{
+    Applicant, Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, Fetched, Follow, GatewayError, Trust,
+    Upload,
+};
 use authros::model::head::Compression;
 use authros::model::{
     Address, Digest, Domain, Head, ProfileName, RecordKind, RecorderPrefix, SignerId, Timestamp, Token, TopicId,
@@ -142,4 +145,95 @@ impl Member {
 /// A session; a gateway that was just started gets a moment.
 pub async fn connect(gateway: &Gateway, credentials: &Credentials) -> Client {
     Client::connect(&gateway.endpoint(), &mut gateway.trust(), credentials).await.expect("connects")
+}
+
+/// How long a gateway may take to know its newest block.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Everything that a gateway tells of this, from the beginning.
+///
+/// # Errors
+/// The gateway's refusal.
+pub async fn told(client: &mut Client, feed: &Feed) -> Result<Vec<FeedEntry>, GatewayError> {
+    let (mut follow, mut told) = (Follow::new(feed.clone()), Vec::new());
+    // A busy gateway may not know its newest block in this very moment.
+    while let Some(page) = follow.next(client, PATIENCE).await? {
+        if let (Some((_, code)), true) = (page.refused.first(), page.entries.is_empty()) {
+            return Err(GatewayError::Refused(*code));
+        }
+        follow.took(&page, page.upto);
+        told.extend(page.entries.iter().cloned());
+        if page.upto == page.head {
+            break;
+        }
+    }
+    Ok(told)
+}
+
+/// Waits until all of these are told of there.
+pub async fn until_verified(client: &mut Client, feed: Feed, digests: &[Digest]) {
+    let (mut follow, end) = (Follow::new(feed), Instant::now() + Duration::from_secs(60));
+    let mut left: Vec<Digest> = digests.to_vec();
+    while !left.is_empty() {
+        assert!(Instant::now() < end, "not verified in time: {left:?}");
+        if let Some(page) = follow.next(client, Duration::from_secs(1)).await.expect("her own") {
+            follow.took(&page, page.upto);
+            left.retain(|digest| !page.entries.iter().any(|entry| entry.digest == *digest));
+        }
+    }
+}
+
+/// A follower who is told of one record after the other, as they come.
+pub struct Live {
+    follow: Follow,
+    told: VecDeque<FeedEntry>,
+}
+
+impl Live {
+    /// From now on.
+    ///
+    /// # Errors
+    /// The gateway's refusal.
+    pub async fn begin(client: &mut Client, feed: Feed) -> Result<Self, GatewayError> {
+        let mut follow = Follow::new(feed);
+        while let Some(page) = follow.next(client, PATIENCE).await? {
+            follow.took(&page, page.upto);
+            if page.upto == page.head {
+                break;
+            }
+        }
+        Ok(Self { follow, told: VecDeque::new() })
+    }
+
+    /// The next record.
+    ///
+    /// # Errors
+    /// [`GatewayError::TimedOut`] if none comes within this time, or the gateway's refusal.
+    pub async fn next(
+        &mut self,
+        client: &mut Client,
+        patience: Duration,
+    ) -> Result<(FeedEntry, Fetched), GatewayError> {
+        let end = Instant::now() + patience;
+        loop {
+            if let Some(entry) = self.told.pop_front() {
+                match client.fetch(&entry.digest).await {
+                    Err(GatewayError::Refused(Code::Stale)) if Instant::now() < end => {
+                        self.told.push_front(entry);
+                        tokio::time::sleep(Duration::from_millis(100)).await;
+                        continue;
+                    }
+                    record => return Ok((entry, record?)),
+                }
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(GatewayError::TimedOut);
+            }
+            if let Some(page) = self.follow.next(client, left.min(Duration::from_secs(20))).await? {
+                self.follow.took(&page, page.upto);
+                self.told.extend(page.entries);
+            }
+        }
+    }
 }

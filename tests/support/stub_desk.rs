@@ -10,12 +10,12 @@ use async_trait::async_trait;
 use authros::chain::RelayError;
 use authros::crypto::{SmKeyPair, signer_id};
 use authros::gateway::{
-    Account, Binding, Cabinet, Caller, Code, Context, Desk, DeviceNotice, Entry, Fetched, GrantNotice, Limits,
-    NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Schedule, Selection, Server, Stood,
+    Account, Binding, Cabinet, Caller, Code, Context, Desk, Feed, FeedPage, Found, Limits, NetworkName, Notice,
+    Received, Refusal, Registration, Schedule, Server,
 };
 use authros::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use serde_json::Value;
-use tokio::sync::mpsc;
+use tokio::sync::watch;
 
 use super::member::Member;
 
@@ -27,14 +27,9 @@ pub trait Tells: Send + Sync {
         None
     }
 
-    /// What it lists for a reader; `None` = it refuses.
-    fn listed(&self, _: &Query) -> Option<Page> {
+    /// What it tells a reader; `None` = it refuses.
+    fn told(&self, _: &Feed) -> Option<FeedPage> {
         None
-    }
-
-    /// Why it gives a reader no subscription; `None` = it gives one, which ends at once.
-    fn refuses_subscriptions(&self) -> Option<Code> {
-        Some(Code::NotHere)
     }
 }
 
@@ -68,20 +63,12 @@ fn not_here<Done>() -> Result<Done, Refusal> {
 
 #[async_trait]
 impl Desk for StubDesk {
-    async fn account(&self, _: &Address) -> Result<Account, Refusal> {
+    async fn account(&self, _: &Address, _: Option<&SignerId>) -> Result<Account, Refusal> {
         Ok(self.caller)
     }
 
-    async fn admits(&self, _: &Address) -> Result<(), Refusal> {
+    async fn admits(&self, _: &Address, _: Option<&Token>) -> Result<(), Refusal> {
         Ok(())
-    }
-
-    async fn is_token(&self, _: &Address, _: &Token) -> Result<bool, Refusal> {
-        Ok(true)
-    }
-
-    async fn is_lent(&self, _: &Address, _: &SignerId) -> Result<bool, Refusal> {
-        Ok(false)
     }
 
     async fn signer(&self, _: &Address, _: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -109,30 +96,19 @@ impl Desk for StubDesk {
         not_here()
     }
 
-    async fn query(&self, _: &Caller, query: &Query) -> Result<Page, Refusal> {
-        self.tells.listed(query).map_or_else(not_here, Ok)
+    async fn feed(&self, _: &Caller, asked: &Feed, _: bool) -> Result<FeedPage, Refusal> {
+        self.tells.told(asked).map_or_else(not_here, Ok)
     }
 
-    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+    fn changes(&self) -> watch::Receiver<u64> {
+        watch::channel(0).1
+    }
+
+    async fn records(&self, _: &Caller, _: &[Digest], _: bool) -> Result<Vec<Found>, Refusal> {
         not_here()
     }
 
-    async fn fetch(&self, _: &Caller, _: &Digest) -> Result<Fetched, Refusal> {
-        not_here()
-    }
-
-    async fn subscribe(&self, _: &Caller, _: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        match self.tells.refuses_subscriptions() {
-            Some(code) => Err(Refusal::new(code, "a gateway that gives nothing")),
-            None => Ok(mpsc::channel(1).1),
-        }
-    }
-
-    async fn grant(&self, _: &Caller, _: &GrantNotice) -> Result<(), Refusal> {
-        not_here()
-    }
-
-    async fn revoke(&self, _: &Caller, _: &RevokeNotice) -> Result<(), Refusal> {
+    async fn notice(&self, _: &Caller, _: &Notice) -> Result<(), Refusal> {
         not_here()
     }
 
@@ -142,10 +118,6 @@ impl Desk for StubDesk {
 
     async fn relay(&self, _: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
         self.tells.relayed(method, parameters).await.ok_or(RelayError::NotAllowed)
-    }
-
-    async fn device(&self, _: &Caller, _: &DeviceNotice) -> Result<(), Refusal> {
-        not_here()
     }
 
     fn refused(&self, _: SocketAddr, _: &Refusal) {}

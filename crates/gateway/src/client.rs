@@ -1,7 +1,6 @@
 //! The client's end over TCP: connects, judges the gateway, proves itself with K_T, sends commands, verifies receipts
 //! and records. One request after the other, or several in flight with `send` and `receive`.
 
-use std::collections::VecDeque;
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
@@ -12,21 +11,21 @@ use tokio::time::timeout;
 use crate::allocation::{AllocationRequest, Applicant, apply};
 use crate::command::answer::read_code;
 use crate::command::relay::LONGEST_PARAMETERS;
+use crate::command::request::MOST_DIGESTS;
 use crate::command::{
-    Answer, Command, DeviceNotice, Entry, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Inner, LARGEST_MESSAGE,
-    Page, Part, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Speaker, Upload,
-    signed_bytes, split,
+    Answer, DeviceNotice, ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Inner, LARGEST_MESSAGE, Notice,
+    Part, Registration, RelayCall, Relayed, Request, RevokeNotice, Speaker, Upload, signed_bytes, split,
 };
 use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
 use crate::error::{Code, GatewayError, Refusal};
+use crate::feed::{Feed, FeedPage};
 use crate::frame::{Assembler, FrameKind, Line, LineError, Message};
 use crate::hello::{Agreed, ClientHello, Context, NetworkName};
 use crate::model::wire::Reader;
 use crate::model::{Digest, Hash, ProfileName, Timestamp, Token, clean};
 use crate::receipt::Receipt;
 use crate::session::Session;
-use crate::standings::SignedStandings;
 use crate::system_keys::SystemKeyList;
 use crate::trust::Trust;
 
@@ -63,8 +62,6 @@ pub struct Client {
     token: Token,
     requests: u32,
     assembler: Assembler<()>,
-    /// Events that arrived while something else was awaited.
-    waiting: VecDeque<(u32, Answer)>,
 }
 
 impl Client {
@@ -114,7 +111,6 @@ impl Client {
                         token,
                         requests: 0,
                         assembler: Assembler::new(),
-                        waiting: VecDeque::new(),
                     });
                 }
                 Err(error) => failed.push((clean(address, 240), error)),
@@ -276,33 +272,6 @@ impl Client {
         self.acknowledged(&request, &digests).await
     }
 
-    /// A page of records.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn query(&mut self, query: &Query) -> Result<Page, GatewayError> {
-        match self.ask(&Request::Query(query.clone())).await? {
-            Answer::Page(page) => Ok(page),
-            _ => Err(GatewayError::Unexpected("no page")),
-        }
-    }
-
-    /// The standings of digests, in order, signed by the gateway, with the proofs of their anchors. The signature is
-    /// checked here; checking the proofs is up to the caller.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn check(&mut self, digests: &[Digest]) -> Result<SignedStandings, GatewayError> {
-        let context = self.endpoint.context;
-        match self.ask(&Request::Check(digests.to_vec())).await? {
-            Answer::Standings(signed) => {
-                signed.verify(context.provider, &context.domain, &self.agreed.gateway_key, digests)?;
-                Ok(*signed)
-            }
-            _ => Err(GatewayError::Unexpected("no signed standings")),
-        }
-    }
-
     /// Has the gateway erase its copies of records that the session's owner had erased, at most 64; returns what becomes of
     /// each, as the gateway states it.
     ///
@@ -322,10 +291,66 @@ impl Client {
     /// # Errors
     /// [`GatewayError`]; `Erased`, with nothing of it checked, if its owner had it erased.
     pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched, GatewayError> {
-        match self.ask(&Request::Fetch(*digest)).await? {
-            Answer::Record(record) => self.checked(*record, digest),
-            Answer::Erased(erased) => Err(GatewayError::Erased(erased)),
-            _ => Err(GatewayError::Unexpected("no record")),
+        let found = self.records(std::slice::from_ref(digest)).await?.pop();
+        found.unwrap_or(Err(GatewayError::Unexpected("no record")))
+    }
+
+    /// The next page of the gateway's feed, its signature checked. Checking the proofs is up to the caller.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn feed(&mut self, asked: &Feed) -> Result<FeedPage, GatewayError> {
+        let (number, context) = (self.send(&Request::Feed(asked.clone())).await?, self.endpoint.context);
+        match self.answer_within(number, self.endpoint.patience + asked.wait).await? {
+            Answer::Feed(page) => {
+                page.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
+                Ok(*page)
+            }
+            _ => Err(GatewayError::Unexpected("no page of the feed")),
+        }
+    }
+
+    /// The first of these records, at least one: their bytes match the digests, and their signatures are by the keys that came
+    /// with them. The reader must check on the chain whether a key may sign for the owner and whether the anchor holds. Of each
+    /// why it is not given: `Refused`, `Erased` with nothing of it checked, or `Crypto`.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn records(&mut self, digests: &[Digest]) -> Result<Vec<Result<Fetched, GatewayError>>, GatewayError> {
+        let found = self.found(digests, true).await?;
+        let each = found.into_iter().zip(digests).map(|(found, digest)| match found {
+            Found::Held(record) => self.checked(record, digest),
+            Found::Erased(erased) => Err(GatewayError::Erased(Box::new(erased))),
+            Found::Missing(code) => Err(GatewayError::Refused(code)),
+            Found::Here => Err(GatewayError::Unexpected("a record without its bytes")),
+        });
+        Ok(each.collect())
+    }
+
+    /// Which of these records the gateway does not have for this session, and why.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn missing(&mut self, digests: &[Digest]) -> Result<Vec<(Digest, Code)>, GatewayError> {
+        let mut missing = Vec::new();
+        let mut left = digests;
+        while !left.is_empty() {
+            let found = self.found(left, false).await?;
+            let (asked, rest) = left.split_at(found.len());
+            missing.extend(asked.iter().zip(found).filter_map(|(digest, found)| match found {
+                Found::Missing(code) => Some((*digest, code)),
+                Found::Here | Found::Held(_) | Found::Erased(_) => None,
+            }));
+            left = rest;
+        }
+        Ok(missing)
+    }
+
+    async fn found(&mut self, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, GatewayError> {
+        let digests = &digests[..digests.len().min(MOST_DIGESTS)];
+        match self.ask(&Request::Records(bytes, digests.to_vec())).await? {
+            Answer::Records(found) if (1..=digests.len()).contains(&found.len()) => Ok(found),
+            _ => Err(GatewayError::Unexpected("no records")),
         }
     }
 
@@ -335,55 +360,12 @@ impl Client {
         Ok(record)
     }
 
-    /// Subscribes; returns the number of the subscription.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn subscribe(&mut self, selection: &Selection) -> Result<u32, GatewayError> {
-        let request = self.send(&Request::Subscribe(selection.clone())).await?;
-        match self.answer_to(request).await? {
-            Answer::Done(Command::Subscribe) => Ok(request),
-            _ => Err(GatewayError::Unexpected("no subscription")),
-        }
-    }
-
-    /// The next record of any subscription, checked like [`Self::fetch`]; `Err(Refused)` if one ended.
-    ///
-    /// # Errors
-    /// [`GatewayError::TimedOut`] if none came within `patience`; nothing is lost then.
-    pub async fn next_event(&mut self, patience: Duration) -> Result<(u32, Entry, Fetched), GatewayError> {
-        let found = self.waiting.iter().position(|(_, answer)| matches!(answer, Answer::Event(_) | Answer::End(_)));
-        let next = match found.and_then(|index| self.waiting.remove(index)) {
-            Some(next) => next,
-            None => self.receive(patience).await?,
-        };
-        match next {
-            (request, Answer::Event(event)) => {
-                let (entry, record) = *event;
-                Ok((request, entry, self.checked(record, &entry.digest)?))
-            }
-            (_, Answer::End(code)) => Err(GatewayError::Refused(code)),
-            _ => Err(GatewayError::Unexpected("an answer instead of a record")),
-        }
-    }
-
-    /// Ends a subscription; records already in flight may still arrive.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn unsubscribe(&mut self, subscription: u32) -> Result<(), GatewayError> {
-        match self.ask(&Request::Unsubscribe(subscription)).await? {
-            Answer::Done(Command::Unsubscribe) => Ok(()),
-            _ => Err(GatewayError::Unexpected("no end of the subscription")),
-        }
-    }
-
     /// Tells the gateway of a grant, signed by d_C.
     ///
     /// # Errors
     /// [`GatewayError`].
     pub async fn grant(&mut self, signing: &SmKeyPair, notice: GrantNotice) -> Result<Receipt, GatewayError> {
-        self.signed(signing, &Request::GrantNotice(notice)).await
+        self.signed(signing, &Request::Notice(Notice::Grant(notice))).await
     }
 
     /// Tells the gateway of a revoke, signed by d_C: it applies at once.
@@ -391,7 +373,7 @@ impl Client {
     /// # Errors
     /// [`GatewayError`].
     pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
-        self.signed(signing, &Request::RevokeNotice(notice)).await
+        self.signed(signing, &Request::Notice(Notice::Revoke(notice))).await
     }
 
     /// Tells the gateway, signed by d_C, that this session's name belongs to a device that is lent on the chain.
@@ -399,12 +381,9 @@ impl Client {
     /// # Errors
     /// [`GatewayError`].
     pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt, GatewayError> {
-        self.signed(signing, &Request::DeviceNotice(notice)).await
+        self.signed(signing, &Request::Notice(Notice::Device(notice))).await
     }
 }
-
-/// The most events that wait for a reader while an answer is awaited.
-const MOST_WAITING: usize = 64;
 
 /// Who connects: from which of this machine's addresses (`None` = whichever fits), N, and K_T if there is one.
 type Who<'a> = (Option<IpAddr>, &'a ProfileName, Option<&'a TransportKey>);
@@ -521,7 +500,7 @@ impl Client {
         }
     }
 
-    /// The next answer or event, for any request. Can be cancelled at any point.
+    /// The next answer, to any request. Can be cancelled at any point.
     ///
     /// # Errors
     /// [`GatewayError::TimedOut`] if nothing came within `patience`; nothing is lost then.
@@ -543,20 +522,16 @@ impl Client {
         }
     }
 
-    /// The answer to a request; events that arrive before it are queued.
+    /// The answer to a request.
     async fn answer_to(&mut self, request: u32) -> Result<Answer, GatewayError> {
-        loop {
-            match self.receive(self.endpoint.patience).await? {
-                event @ (_, Answer::Event(_) | Answer::End(_)) => {
-                    if self.waiting.len() >= MOST_WAITING {
-                        return Err(GatewayError::Unexpected("an endless stream of events"));
-                    }
-                    self.waiting.push_back(event);
-                }
-                (number, _) if number != request => return Err(GatewayError::Unexpected("an answer out of order")),
-                (_, Answer::Refused(code)) => return Err(GatewayError::Refused(code)),
-                (_, answer) => return Ok(answer),
-            }
+        self.answer_within(request, self.endpoint.patience).await
+    }
+
+    async fn answer_within(&mut self, request: u32, patience: Duration) -> Result<Answer, GatewayError> {
+        match self.receive(patience).await? {
+            (number, _) if number != request => Err(GatewayError::Unexpected("an answer out of order")),
+            (_, Answer::Refused(code)) => Err(GatewayError::Refused(code)),
+            (_, answer) => Ok(answer),
         }
     }
 

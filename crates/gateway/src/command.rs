@@ -3,14 +3,12 @@
 //! body. Later parts of a message carry no token and no signature.
 
 pub mod answer;
-pub mod query;
 pub mod relay;
 pub mod request;
 
-pub use answer::{Answer, Fetched, Standing};
-pub use query::{Entry, Page, Query, Selection};
+pub use answer::{Answer, Fetched, Found};
 pub use relay::{RelayCall, Relayed};
-pub use request::{DeviceNotice, GrantNotice, Registration, Request, RevokeNotice, Upload};
+pub use request::{DeviceNotice, GrantNotice, Notice, Registration, Request, RevokeNotice, Upload};
 
 use crate::crypto::{AccountSignature, ErasedStatement};
 use crate::model::wire::{Reader, WireError};
@@ -51,26 +49,16 @@ commands! {
     Upload = 4;
     /// Several records.
     UploadMany = 5;
-    /// List records by owner, topic, type, time, tag.
-    Query = 6;
-    /// The standings of records.
-    Check = 7;
-    /// One record with signature and proof.
-    Fetch = 8;
-    /// Records as they arrive.
-    Subscribe = 9;
-    /// End a subscription.
-    Unsubscribe = 10;
+    /// What the gateway holds, in the order of its own numbers.
+    Feed = 6;
+    /// Records by their digests.
+    Records = 7;
     /// A grant was sent to the chain.
     GrantNotice = 11;
     /// A revoke was sent to the chain; it applies at once.
     RevokeNotice = 12;
     /// Nothing; the gateway answers with its time.
     Ping = 13;
-    /// Only from the gateway: a record of a subscription.
-    Event = 14;
-    /// Only from the gateway: a subscription has ended.
-    End = 15;
     /// Only from the gateway: a refusal.
     Refuse = 16;
     /// The public key of a device that its owner has lent on the chain, which knows only its hash: from now on the
@@ -95,7 +83,7 @@ impl Command {
 
     /// Whether a client may send it.
     pub fn is_request(self) -> bool {
-        !matches!(self, Self::Event | Self::End | Self::Refuse)
+        !matches!(self, Self::Refuse)
     }
 
     /// Whether it changes state and is signed by d_C. Uploads carry their records' signatures, an allocation has its
@@ -276,8 +264,7 @@ pub const MOST_ERASURES: usize = 64;
 /// The longest of them, bytes: header, statement and proof are far shorter.
 const LONGEST_ERASURE: usize = 4096;
 
-/// A record that its owner had erased: digest (32) || account's signature (65) || what is left of it, as an answer to
-/// Fetch.
+/// A record that its owner had erased: digest (32) || account's signature (65) || what is left of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ErasureNotice {
     /// D, which nobody can compute any more.

@@ -4,18 +4,16 @@
 mod arrivals;
 mod commands;
 
-use std::collections::HashMap;
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 use arrivals::Next;
-use commands::Commands;
-use tokio::sync::{mpsc, watch};
-use tokio::task::AbortHandle;
-use tokio::time::{Instant, sleep_until};
+use commands::{Commands, Waiting};
+use tokio::sync::watch;
+use tokio::time::Instant;
 
-use crate::command::{Answer, Command, Entry, Inner, Part, Speaker, split};
+use crate::command::{Answer, Command, Inner, Part, Speaker, split};
 use crate::crypto::{Provider, SmKeyPair, TransportKey};
 use crate::desk::{Binding, Caller, Desk};
 use crate::error::{Code, Refusal};
@@ -300,7 +298,7 @@ impl Connection {
         let present = name.clone();
         let Binding { account, signing, device, .. } = binding;
         let caller = Caller { name, account, signing, device, peer: self.peer };
-        let mut desk = Commands { agreed, caller, binding, feeds: None };
+        let mut desk = Commands { agreed, caller, binding, waiting: None, followed: BTreeSet::new() };
         let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;
         let first = session.open(&payload)?;
         // The sender of this frame holds K_T.
@@ -312,7 +310,7 @@ impl Connection {
         self.frame(&mut session, &mut desk, &mut assembler, first.0, &first.1).await?;
         let end = Instant::now() + LONGEST_LIFE;
         loop {
-            let next = self.next(end, desk.feeds.as_mut()).await;
+            let next = self.next(end, desk.waiting.as_mut()).await;
             if session.is_spent(std::time::Instant::now()) {
                 return Err(Refusal::new(Code::Session, "the session has used up its frames or its hour").into());
             }
@@ -326,12 +324,20 @@ impl Connection {
                 Next::Frame(kind, _) => {
                     return Err(Refusal::new(Code::Malformed, format_args!("a frame of kind {kind:?}")).into());
                 }
-                Next::Fed(fed) => self.feed(&mut session, &mut desk, fed).await?,
+                Next::Due => self.due(&mut session, &mut desk).await?,
             }
-            // A sender that never pauses must not starve its own subscriptions.
-            if let Some(fed) = desk.feeds.as_mut().and_then(Feeds::waiting) {
-                self.feed(&mut session, &mut desk, fed).await?;
+            // A sender that never pauses must not starve its own request for the feed.
+            if desk.waiting.as_ref().is_some_and(Waiting::is_due) {
+                self.due(&mut session, &mut desk).await?;
             }
+        }
+    }
+
+    /// Looks again whether a request for the feed that waits has an answer.
+    async fn due(&mut self, session: &mut Session, commands: &mut Commands) -> Result<(), End> {
+        match commands.due(&self.shared).await {
+            Some((request, outcome)) => self.reply(session, request, outcome).await,
+            None => Ok(()),
         }
     }
 
@@ -366,142 +372,9 @@ impl Connection {
         let outcome = commands.answer(&self.shared, &message).await;
         let request = message.request;
         drop(message);
-        self.reply(session, request, outcome).await
-    }
-
-    /// Sends a record of a subscription, if the caller may read it at this very moment.
-    async fn feed(&mut self, session: &mut Session, commands: &mut Commands, fed: Fed) -> Result<(), End> {
-        let request = fed.request;
-        if !commands.feeds.as_ref().is_some_and(|feeds| feeds.has(request)) {
-            return Ok(());
+        match outcome.transpose() {
+            Some(outcome) => self.reply(session, request, outcome).await,
+            None => Ok(()),
         }
-        let Some(entry) = fed.entry else {
-            commands.end_feed(request);
-            return self.send(session, request, &Answer::End(Code::NotAuthorised)).await;
-        };
-        let desk = self.shared.desk.as_ref();
-        let fetched = match commands.check_fed(desk).await {
-            Ok(()) => desk.fetch(&commands.caller, &entry.digest).await,
-            Err(refusal) => Err(refusal),
-        };
-        match fetched {
-            Ok(record) => self.send(session, request, &Answer::Event(Box::new((entry, record)))).await,
-            Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => {
-                self.shared.refused(self.peer, &refusal);
-                Ok(())
-            }
-            // Its right is not known now. Nothing is lost by waiting, and an end would be no answer to a reader with a grant.
-            Err(refusal) if refusal.code == Code::Stale => {
-                if let Some(feeds) = &mut commands.feeds {
-                    feeds.pause(Fed { request, entry: Some(entry) });
-                }
-                Ok(())
-            }
-            Err(refusal) => {
-                commands.end_feed(request);
-                self.shared.refused(self.peer, &refusal);
-                self.send(session, request, &Answer::End(refusal.code)).await
-            }
-        }
-    }
-}
-
-/// The most entries that wait; beyond that the desk waits.
-const WAITING: usize = 8;
-
-/// How soon to check again whether an entry may be sent, while the chain is not fresh.
-const AGAIN: Duration = Duration::from_millis(500);
-
-/// An entry of a subscription, or its end.
-struct Fed {
-    /// The request that subscribed.
-    pub request: u32,
-    /// `None` at the end.
-    pub entry: Option<Entry>,
-}
-
-struct Feeds {
-    sender: mpsc::Sender<Fed>,
-    receiver: mpsc::Receiver<Fed>,
-    running: HashMap<u32, AbortHandle>,
-    /// An entry that waits for the chain, and when it is tried again. Those behind it wait too: it is one chain for all.
-    paused: Option<(Fed, Instant)>,
-}
-
-impl Feeds {
-    pub fn new() -> Self {
-        let (sender, receiver) = mpsc::channel(WAITING);
-        Self { sender, receiver, running: HashMap::new(), paused: None }
-    }
-
-    pub fn has(&self, request: u32) -> bool {
-        self.running.contains_key(&request)
-    }
-
-    /// Whether another subscription may be added.
-    pub fn check_room(&self, request: u32, most: usize) -> Result<(), Refusal> {
-        if self.has(request) {
-            return Err(Refusal::new(Code::Malformed, "a subscription of the same number"));
-        }
-        if self.running.len() >= most {
-            return Err(Refusal::new(Code::Quota, "too many subscriptions"));
-        }
-        Ok(())
-    }
-
-    pub fn add(&mut self, request: u32, mut entries: mpsc::Receiver<Entry>) {
-        let sender = self.sender.clone();
-        let task = tokio::spawn(async move {
-            while let Some(entry) = entries.recv().await {
-                if sender.send(Fed { request, entry: Some(entry) }).await.is_err() {
-                    return;
-                }
-            }
-            // If nobody is listening any more, there is nobody to notify.
-            let _ = sender.send(Fed { request, entry: None }).await;
-        });
-        self.running.insert(request, task.abort_handle());
-    }
-
-    pub fn remove(&mut self, request: u32) {
-        if let Some(task) = self.running.remove(&request) {
-            task.abort();
-        }
-        self.paused.take_if(|(fed, _)| fed.request == request);
-    }
-
-    /// Keeps an entry until the chain is known again; nothing is sent before it.
-    pub fn pause(&mut self, fed: Fed) {
-        self.paused = Some((fed, Instant::now() + AGAIN));
-    }
-
-    /// Waits for an entry. Can be cancelled at any point.
-    pub async fn next(&mut self) -> Fed {
-        if let Some((_, again)) = &self.paused {
-            sleep_until(*again).await;
-        }
-        if let Some((fed, _)) = self.paused.take() {
-            return fed;
-        }
-        match self.receiver.recv().await {
-            Some(fed) => fed,
-            // The sender beside it lives as long.
-            None => std::future::pending().await,
-        }
-    }
-
-    /// An entry that is already there.
-    pub fn waiting(&mut self) -> Option<Fed> {
-        match &self.paused {
-            Some((_, again)) if *again > Instant::now() => None,
-            Some(_) => self.paused.take().map(|(fed, _)| fed),
-            None => self.receiver.try_recv().ok(),
-        }
-    }
-}
-
-impl Drop for Feeds {
-    fn drop(&mut self) {
-        self.running.values().for_each(AbortHandle::abort);
     }
 }

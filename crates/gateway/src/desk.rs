@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 
 use async_trait::async_trait;
 use serde_json::Value;
-use tokio::sync::mpsc;
+use tokio::sync::watch;
 
 use crate::chain::RelayError;
 use crate::crypto::{SealedRecord, TransportKey};
@@ -13,13 +13,10 @@ use crate::model::{
     Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
-use super::command::{
-    DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
-    RevokeNotice, Selection,
-};
+use super::command::{ErasureNotice, ErasureOutcome, Found, Notice, Registration};
 use super::error::{Code, Refusal};
+use super::feed::{Feed, FeedPage};
 use super::hello::NetworkName;
-use super::standings::Stood;
 
 /// The chain's view of an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,10 +37,10 @@ pub struct BoundDevice {
 }
 
 impl BoundDevice {
-    /// Whether a selection covers nothing but `owner`'s notices to this device.
-    pub fn hears(&self, owner: &Address, selection: &Selection) -> bool {
-        let Selection { owner: asked, topic_id, kind, .. } = selection;
-        asked == owner && *topic_id == Some(self.notices) && *kind == Some(RecordKind::Key)
+    /// Whether a request for the feed is for nothing but `owner`'s notices to this device.
+    pub fn asks_for_notices(&self, owner: &Address, feed: &Feed) -> bool {
+        let is_owners = feed.places.iter().all(|(asked, _)| asked == owner);
+        is_owners && feed.topics == [self.notices] && feed.kind == Some(RecordKind::Key)
     }
 
     /// Whether a record is one of its owner's notices to this device.
@@ -107,17 +104,13 @@ impl From<Received> for SealedRecord {
 /// The work of a gateway. Refusals go to the peer as their code.
 #[async_trait]
 pub trait Desk: Send + Sync + 'static {
-    /// The chain's view of an account: `NotRegistered`, `Suspended` or `Stale` if it does not allow it.
-    async fn account(&self, account: &Address) -> Result<Account, Refusal>;
+    /// The chain's view of an account: `NotRegistered`, `Suspended` or `Stale` if it does not allow it, `NotAuthorised` if it is
+    /// not lending this device now.
+    async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account, Refusal>;
 
-    /// Whether the account may use this gateway now: `NotAuthorised` if its keeper did not admit it.
-    async fn admits(&self, account: &Address) -> Result<(), Refusal>;
-
-    /// Whether the account ever registered the token.
-    async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal>;
-
-    /// Whether `owner` is lending this device now: `Stale` if the chain cannot tell.
-    async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal>;
+    /// Whether the account may use this gateway now: `Token` if it never registered this token, `NotAuthorised` if its keeper did
+    /// not admit it.
+    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal>;
 
     /// The public key of a signer id, if it is the owner's or lent by the owner now.
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
@@ -139,30 +132,21 @@ pub trait Desk: Send + Sync + 'static {
     /// Stores records, on disk before it returns; known ones are acknowledged again. Returns the time for the receipt.
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal>;
 
-    /// A page of what the caller may see now.
-    async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal>;
+    /// The next page of the feed for the caller, from what is there now; `is_new` if this session did not ask for these owners
+    /// before. Not signed yet.
+    async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal>;
 
-    /// The standings of digests, each with the proof of its anchor if there is one; `Unknown` for those the caller may not
-    /// see.
-    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal>;
+    /// Changes when [`Self::feed`] may have something else to say: there is more, or somebody's right changed.
+    fn changes(&self) -> watch::Receiver<u64>;
 
-    /// A record that the caller may read now, its bytes compared with the chain.
-    async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal>;
+    /// What there is for the caller of the first of these records, as many as fit into one answer and at least one: with
+    /// their bytes, compared with the chain, or only whether they are there.
+    async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal>;
 
-    /// What is left of a record that its owner had erased, for those who may read it: `NotFound` unless the owner states it.
-    async fn fetch_erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
-        Err(Refusal::new(Code::NotFound, format_args!("nothing of record {digest} for {}", caller.account)))
-    }
-
-    /// Entries as they arrive. The server fetches each one when it sends it, so that [`Self::fetch`] decides; closing
-    /// the channel ends the subscription.
-    async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal>;
-
-    /// The caller's grant, signed by d_C.
-    async fn grant(&self, caller: &Caller, notice: &GrantNotice) -> Result<(), Refusal>;
-
-    /// The caller's revoke, signed by d_C: from now on the grantee is refused.
-    async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal>;
+    /// What the caller tells, signed by d_C. From a revoke on the grantee is refused. From a device's key on, a point of the curve,
+    /// the caller's name belongs to that device: both are stored durably, so that [`Self::signer`] can return the key as long as
+    /// the device is lent, and the name ends with the loan; `Signature` if the chain has no such loan.
+    async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<(), Refusal>;
 
     /// The network it is on, which anyone may ask: `Stale` before it is known.
     async fn network_name(&self) -> Result<NetworkName, Refusal>;
@@ -170,11 +154,6 @@ pub trait Desk: Send + Sync + 'static {
     /// Passes a JSON-RPC request on to the chain, for an authenticated caller or (`None`) for a visitor without a
     /// transport key. What may pass is decided by [`crate::chain::relay::examine`].
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
-
-    /// Notes that the caller's name belongs to a device whose public key, a point of the curve, was signed by d_C:
-    /// both are stored durably, so that [`Self::signer`] can return the key as long as the device is lent, and the name
-    /// ends with the loan. `Signature` if the chain has no such loan.
-    async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal>;
 
     /// Erases here what the caller had erased at home; returns what becomes of each record, in order. `NotAuthorised` if one
     /// of them is somebody else's.

@@ -3,10 +3,10 @@
 
 use crate::crypto::record::Checked;
 use crate::crypto::{Anchor, SmSecret, Unchecked, check_identity, check_many};
-use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind, Token};
+use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind};
 
 use super::allocation::{AllocationRequest, examine};
-use super::command::{Registration, Request, Upload, signed_bytes};
+use super::command::{Notice, Registration, Request, Upload, signed_bytes};
 use super::desk::{Account, Binding, Caller, Desk, Received};
 use super::error::{Code, Refusal};
 use super::frame::Message;
@@ -15,45 +15,32 @@ use super::hello::{Agreed, Context};
 /// Above this many records or bytes, checking moves off the network threads.
 const AT_ONCE: (usize, usize) = (8, 256 * 1024);
 
-/// The token is one that the caller registered.
-///
-/// # Errors
-/// [`Refusal`] with `Token`, or the desk's.
-pub async fn check_token(desk: &dyn Desk, caller: &Caller, token: Option<Token>) -> Result<(), Refusal> {
-    let token = token.ok_or_else(|| Refusal::new(Code::Token, "no token"))?;
-    if desk.is_token(&caller.account, &token).await? {
-        return Ok(());
-    }
-    Err(Refusal::new(Code::Token, format_args!("{} does not have token {token}", caller.account)))
-}
-
 /// The account is registered and not suspended, with the keys the session was allocated under; a device's session needs
 /// its loan instead of these keys.
 ///
 /// # Errors
 /// [`Refusal`] with `NotRegistered`, `NotAuthorised` for a device that is not lent, or the desk's.
 pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Refusal> {
-    let account = desk.account(&binding.account).await?;
+    let device = binding.device.as_ref().map(|device| &device.id);
+    let account = desk.account(&binding.account, device).await?;
     // A device is valid as long as its loan, whatever keys its owner has by now.
-    let Some(device) = &binding.device else { return same_keys(&account, &binding.signing, &binding.envelope) };
-    if desk.is_lent(&binding.account, &device.id).await? {
-        return Ok(());
-    }
-    let text = format_args!("device {} of {} is no longer on loan", device.id, binding.account);
-    Err(Refusal::new(Code::NotAuthorised, text))
+    if device.is_some() { Ok(()) } else { same_keys(&account, &binding.signing, &binding.envelope) }
 }
 
-/// What a device may ask: to store its records, their standings, and its owner's notices to it; nothing else of its
-/// owner's. For single records ([`Request::Check`], [`Request::Fetch`]) the desk decides.
+/// What a device may ask: to store its records, what became of them, and its owner's notices to it; nothing else of its
+/// owner's. For single records ([`Request::Records`]) the desk decides.
 ///
 /// # Errors
 /// [`Refusal`] with `NotAuthorised`.
 pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
     let Some(device) = &caller.device else { return Ok(()) };
     let may = match request {
-        Request::Query(query) => device.hears(&caller.account, &query.selection),
-        Request::Subscribe(selection) => device.hears(&caller.account, selection),
-        Request::GrantNotice(_) | Request::RevokeNotice(_) | Request::Relay(_) => false,
+        // Its own records, or notices to it; whether devices of its owner signed them the desk decides.
+        Request::Feed(feed) => {
+            let own = !feed.recorders.is_empty() && feed.places.iter().all(|(owner, _)| *owner == caller.account);
+            own || device.asks_for_notices(&caller.account, feed)
+        }
+        Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) => false,
         // Its owner alone has anything erased.
         Request::Erase(_) => false,
         _ => true,
@@ -184,9 +171,9 @@ pub async fn allocate(
     secret: Option<&SmSecret>,
 ) -> Result<Digest, Refusal> {
     let allocation = examine(context, agreed, name, request, secret)?;
-    let account = desk.account(&allocation.account).await?;
+    let account = desk.account(&allocation.account, None).await?;
     same_keys(&account, &allocation.signing, &allocation.envelope)?;
-    desk.admits(&allocation.account).await?;
+    desk.admits(&allocation.account, None).await?;
     if let Some(bound) = desk.binding(name).await?
         && bound.account != allocation.account
         && desk.successor(&bound.account).await? != Some(allocation.account)

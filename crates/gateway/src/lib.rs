@@ -11,11 +11,13 @@ use authros_model as model;
 extern crate self as authros_gateway;
 
 pub mod allocation;
+mod chain_line;
 pub mod client;
 pub mod command;
 mod connection;
 pub mod desk;
 pub mod error;
+pub mod feed;
 pub mod frame;
 pub mod hello;
 pub mod identity_check;
@@ -23,26 +25,25 @@ pub mod limits;
 pub mod receipt;
 pub mod server;
 pub mod session;
-pub mod standings;
 pub mod system_keys;
 pub mod trust;
 
+pub use self::chain_line::ChainLine;
 pub use self::error::{Code, Refusal};
-pub use self::standings::ChainLine;
 pub use self::system_keys::{Cabinet, Schedule};
 pub use allocation::Applicant;
 pub use client::{Client, Credentials, Endpoint};
 pub use command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page,
-    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
+    Answer, Command, DeviceNotice, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Notice,
+    Registration, RelayCall, Relayed, Request, RevokeNotice, Upload,
 };
 pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 pub use error::GatewayError;
+pub use feed::{Feed, FeedEntry, FeedPage, Follow};
 pub use hello::{Context, NetworkName};
 pub use limits::Limits;
 pub use receipt::Receipt;
 pub use server::{Server, ServerWatch};
-pub use standings::{SignedStandings, Stood};
 pub use trust::{KeptTrust, Trust};
 
 #[cfg(test)]

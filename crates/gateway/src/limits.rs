@@ -51,8 +51,6 @@ pub struct Limits {
     pub idle_time: Duration,
     /// Until the peer accepts what is sent to it.
     pub write_time: Duration,
-    /// Subscriptions of one connection.
-    pub subscriptions: usize,
     /// Total connections that read the chain without a transport key. When all places are taken, the oldest of those who
     /// hold the most is dropped.
     pub visits: usize,
@@ -82,7 +80,6 @@ impl Default for Limits {
             frame_time: Duration::from_secs(30),
             idle_time: Duration::from_secs(600),
             write_time: Duration::from_secs(30),
-            subscriptions: 16,
             visits: 64,
             visits_of_peer: 8,
             visit_time: Duration::from_secs(600),

@@ -85,6 +85,30 @@ impl RecordState {
     }
 }
 
+/// What a feed says of a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Fact {
+    /// It is here and waits for the chain: an owner's notice.
+    Stored = 1,
+    /// It is verified.
+    Verified = 2,
+    /// It is verified, and its ciphertext was deleted.
+    Erased = 3,
+}
+
+impl Fact {
+    /// The number in the ledger and on the wire.
+    pub fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// From that number.
+    pub fn from_code(code: u8) -> Option<Self> {
+        [Self::Stored, Self::Verified, Self::Erased].into_iter().find(|fact| fact.code() == code)
+    }
+}
+
 /// The result of checking a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -134,25 +134,6 @@ pub enum PipelineError {
         /// The newest block, as the node says.
         head: u64,
     },
-    /// The anchor of a record from a gateway is in a block that the chain here may get yet.
-    #[error(
-        "the node here does not have block {block} with the anchor of record {digest} yet; it is asked again; if it stays \
-         behind, check the node"
-    )]
-    NotSeen {
-        /// The record.
-        digest: Digest,
-        /// The block that the gateway named.
-        block: u64,
-    },
-    /// A record from a gateway with an invalid claim.
-    #[error("record {digest} from the gateway was rejected: {why}; tell its owner and the gateway's operator")]
-    NotTakenIn {
-        /// The record.
-        digest: Digest,
-        /// The invalid claim.
-        why: String,
-    },
     /// A record whose signer had no right at the block that anchors it.
     #[error("record {id} is not verified: {why}; ask its owner whether it has been anchored again since")]
     NoRight {
@@ -201,14 +182,10 @@ impl PipelineError {
                 ErrorKind::Refused
             }
             Self::NoRecord(_) => ErrorKind::Input,
-            Self::Missing(_) | Self::RowDiffers { .. } | Self::NotTakenIn { .. } | Self::NoRight { .. } => {
-                ErrorKind::Tampered
-            }
+            Self::Missing(_) | Self::RowDiffers { .. } | Self::NoRight { .. } => ErrorKind::Tampered,
             Self::Deleted(..) | Self::Erased { .. } => ErrorKind::Refused,
             Self::UnknownEpoch(_) | Self::NoHandover(_) | Self::Uncovered(_) => ErrorKind::Refused,
-            Self::NotMined { .. } | Self::Unsteady | Self::NodeBehind { .. } | Self::NotSeen { .. } => {
-                ErrorKind::Incomplete
-            }
+            Self::NotMined { .. } | Self::Unsteady | Self::NodeBehind { .. } => ErrorKind::Incomplete,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Passes stored records on to a gateway and follows them until they are verified there: the durable outbox of a robot.
+//! Passes stored records on to a gateway and follows its feed until they are verified there: the durable outbox of a robot.
 //! A function of the ledger: `stored` waits to be sent, `submitted` has a gateway's signed receipt, `verified` is
 //! verified there, and only then is the local ciphertext deleted.
 
@@ -7,7 +7,7 @@ mod line;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, watch};
 use tokio::task::block_in_place;
@@ -16,9 +16,12 @@ use self::line::{Line, Outbox};
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
 use crate::crypto::{CryptoError, GatewayAccess};
-use crate::gateway::standings::statement;
-use crate::gateway::{Client, Code, Context, Credentials, Endpoint, GatewayError, SignedStandings, Standing, Trust};
-use crate::model::{Digest, ErrorKind, Header, ProfileName, RecordState, Token};
+use crate::gateway::feed::{FeedId, MOST_NAMED};
+use crate::gateway::{
+    Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, FeedPage, Follow, GatewayError, Trust,
+};
+use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, Token};
+use crate::store::notes::ProofsTaken;
 use crate::store::{KeptStanding, RecordRow};
 use crate::{PipelineError, Plant};
 
@@ -49,7 +52,7 @@ pub struct Pace {
     pub first_pause: Duration,
     /// The longest pause after a failure.
     pub longest_pause: Duration,
-    /// The time between two checks of the records' standings at the gateway.
+    /// The time between two looks at the gateway's feed.
     pub check: Duration,
     /// The time between two searches for copies that may be deleted.
     pub tidy: Duration,
@@ -136,6 +139,8 @@ struct Gate {
 /// A robot, as it presents itself to its gateway.
 #[derive(Clone)]
 pub struct Robot {
+    /// Its owner.
+    pub owner: Address,
     /// The network, and the crypto provider.
     pub context: Context,
     /// N.
@@ -250,7 +255,8 @@ impl Forwarder {
     /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
     pub async fn run(&mut self, stored: &Notify) {
         loop {
-            let mut line = Line::new(self.outbox(), self.gate.clone(), self.link.clone(), &mut self.errand);
+            let mut line =
+                Line::new((self.outbox(), self.robot.owner), self.gate.clone(), self.link.clone(), &mut self.errand);
             tokio::select! {
                 never = line.run(stored) => match never {},
                 () = changed(&mut self.named) => {}
@@ -307,70 +313,163 @@ fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, C
     Err(CryptoError::NotAKey { path: crate::crypto::error::shown(file), wanted: "the note of this gateway", found })
 }
 
-/// Records asked about at once; with their proofs they fit into one message.
+/// Records asked about at once.
 const PAGE: usize = 256;
+/// Pages of the feed taken between two looks at the outbox.
+const MOST_PAGES: usize = 8;
+/// After how many checks of the feed the gateway is asked whether it still has what it signed for.
+const SWEEP: u32 = 60;
+
+/// What a robot is told of its records: the gateway's feed, cut to what was numbered here.
+#[derive(Debug)]
+struct Proofs {
+    follow: Follow,
+    owner: Address,
+    /// The lowest number of an entry that could not be dealt with: its proof does not hold, or its receipt was lost.
+    held: Option<u64>,
+    /// When the feed is read again from there.
+    again: Instant,
+    pause: Duration,
+    /// Where the next look for lost records begins, while one is under way.
+    sweep: Option<i64>,
+    swept: Option<Instant>,
+}
+
+impl Proofs {
+    /// From where it was. A place that cannot be read is told, and is the beginning: nothing is lost by that.
+    fn load(plant: &Plant, owner: Address) -> Self {
+        let kept = plant.ledger.notes.read(&ProofsTaken { owner });
+        let kept = kept.inspect_err(|error| plant.observer.alert(true, error.to_string()));
+        let (id, number) = kept.ok().flatten().unwrap_or_default();
+        let filter = Feed { id, places: vec![(owner, number)], ..Feed::of(owner) };
+        let (follow, again) = (Follow::new(filter), Instant::now());
+        Self { follow, owner, held: None, again, pause: Duration::ZERO, sweep: None, swept: None }
+    }
+
+    fn place(&self) -> u64 {
+        self.follow.places().get(&self.owner).copied().unwrap_or(0)
+    }
+
+    /// The number up to which all is dealt with.
+    fn done(&self) -> u64 {
+        self.held.map_or(self.place(), |held| held.saturating_sub(1))
+    }
+
+    /// Something on a page has to be looked at again.
+    fn hold(&mut self, number: u64, first_pause: Duration) {
+        if self.held.is_none() {
+            self.pause = (self.pause * 2).clamp(first_pause, LONGEST_HOLD);
+            self.again = Instant::now() + self.pause;
+        }
+        self.held = Some(self.held.map_or(number, |held| held.min(number)));
+    }
+
+    /// Goes back to what was held, when it is time.
+    fn go_back(&mut self) {
+        match self.held {
+            Some(held) if self.again <= Instant::now() => {
+                self.follow.remove(&self.owner);
+                self.follow.add(self.owner, held.saturating_sub(1));
+                self.held = None;
+            }
+            Some(_) => {}
+            None => self.pause = Duration::ZERO,
+        }
+    }
+}
+
+/// The longest pause before an entry whose proof does not hold is looked at again.
+const LONGEST_HOLD: Duration = Duration::from_secs(60);
 
 impl Line<'_> {
-    /// Asks for the standings of the next page of records that the gateway signed for, and moves those that it has
-    /// decided. Returns whether there were any.
+    /// Takes what the gateway's feed tells of this robot's records, and asks now and then whether the gateway still has what it
+    /// signed for. Returns whether it was asked anything.
     async fn check(&mut self, client: &mut Client) -> Result<bool, ForwardError> {
-        let after = self.cursor.take();
-        let page = block_in_place(|| self.outbox.plant.ledger.forwarded(after, PAGE))?;
-        if page.rows.is_empty() {
+        let ledger = &self.outbox.plant.ledger;
+        if block_in_place(|| ledger.forwarded(None, 1))?.rows.is_empty() {
             return Ok(false);
         }
-        let stood = self.standings(client, &page.rows).await?;
-        let of = |wanted: Standing| -> Vec<Digest> {
-            page.rows
-                .iter()
-                .zip(&stood.each)
-                .filter(|(_, found)| **found == wanted)
-                .map(|(row, _)| row.digest)
-                .collect()
-        };
-        let (verified, unknown, tampered) = (of(Standing::Verified), of(Standing::Unknown), of(Standing::Tampered));
-        self.cursor = page.next;
-        self.moved |= !verified.is_empty();
-        if let Some(proven) = stood.proven {
-            let ledger = &self.outbox.plant.ledger;
-            // Before its state changes: a verified record without it would be kept forever.
-            block_in_place(|| ledger.keep_proven(proven)).map_err(PipelineError::from)?;
+        let recorders = block_in_place(|| ledger.recorders(MOST_NAMED))?;
+        self.proofs.follow.set_recorders(recorders);
+        self.proofs.go_back();
+        for _ in 0..MOST_PAGES {
+            let Some(page) = self.proofs.follow.next(client, Duration::ZERO).await? else { break };
+            block_in_place(|| self.told(&page))?;
+            if page.upto == page.head {
+                break;
+            }
         }
-        block_in_place(|| self.decide(&verified, &unknown, &tampered))?;
+        self.sweep(client).await?;
         Ok(true)
     }
 
-    /// The standings of these records: signed, and verified only those whose proof is valid.
-    async fn standings(&mut self, client: &mut Client, rows: &[RecordRow]) -> Result<Standings, ForwardError> {
-        let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
-        let signed = client.check(&digests).await?;
-        Ok(block_in_place(|| self.proven(rows, &digests, signed)))
-    }
-
-    fn proven(&self, rows: &[RecordRow], digests: &[Digest], signed: SignedStandings) -> Standings {
-        let (mut proofs, mut doubted) = (Vec::new(), 0usize);
-        let each = rows.iter().zip(&signed.stood).map(|(row, stood)| {
-            if stood.standing != Standing::Verified {
-                return stood.standing;
+    /// A page of the feed.
+    fn told(&mut self, page: &FeedPage) -> Result<(), PipelineError> {
+        let ledger = &self.outbox.plant.ledger;
+        let told: Vec<&FeedEntry> = page.entries.iter().filter(|entry| entry.fact != Fact::Stored).collect();
+        let rows = ledger.records(&told.iter().map(|entry| entry.digest).collect::<Vec<_>>())?;
+        let (mut proofs, mut doubted, mut early) = (Vec::new(), Vec::new(), Vec::new());
+        for (entry, row) in told.into_iter().zip(rows) {
+            match row {
+                Some(row) if row.state == RecordState::Submitted => match self.holds(&row, &entry.proof) {
+                    true => proofs.push((row.digest, entry.proof.clone())),
+                    false => doubted.push(entry.number),
+                },
+                // Its receipt was lost: it is sent again, and then this counts.
+                Some(row) if row.state == RecordState::Stored => early.push(entry.number),
+                _ => {}
             }
-            if self.holds(row, &stood.proof) {
-                proofs.push((row.digest, stood.proof.clone()));
-                return Standing::Verified;
-            }
-            doubted += 1;
-            Standing::Anchored
-        });
-        let each = each.collect();
-        if doubted > 0 {
+        }
+        if !doubted.is_empty() {
             let text = format!(
-                "the gateway claims that {doubted} records are verified, but its proofs do not show them in an \
-                 anchored batch; they are kept here as unverified"
+                "the gateway claims that {} records are verified, but its proofs do not show them in an anchored batch; they \
+                 are kept here as unverified",
+                doubted.len()
             );
             self.outbox.plant.observer.alert(true, text);
         }
-        let statement = statement(self.outbox.plant.provider, signed.time, digests, &signed.stood);
-        let proven = KeptStanding { time: signed.time, statement, signature: signed.signature, proofs };
-        Standings { each, proven: (!proven.proofs.is_empty()).then_some(proven) }
+        let verified: Vec<Digest> = proofs.iter().map(|(digest, _)| *digest).collect();
+        if !proofs.is_empty() {
+            let statement = page.statement(self.outbox.plant.provider);
+            // Before its state changes: a verified record without it would be kept forever.
+            ledger.keep_proven(KeptStanding { time: page.time, statement, signature: page.signature, proofs })?;
+            self.moved = true;
+        }
+        self.decide(&verified, &[], &[])?;
+        let before = (self.proofs.follow.id(), self.proofs.done());
+        if self.proofs.follow.took(page, page.upto) && before.0 != FeedId::default() {
+            // It was restored from a backup: what it signed for since may be gone.
+            (self.proofs.held, self.proofs.sweep) = (None, Some(0));
+        }
+        let first_pause = self.outbox.pace.check;
+        doubted.into_iter().chain(early).for_each(|number| self.proofs.hold(number, first_pause));
+        let (id, done) = (self.proofs.follow.id(), self.proofs.done());
+        if (id, done) != before && (!page.entries.is_empty() || id != before.0) {
+            ledger.notes.write(&ProofsTaken { owner: self.proofs.owner }, &(id, done))?;
+        }
+        Ok(())
+    }
+
+    /// Asks which of the next page of records that the gateway signed for it does not have any more, or only altered.
+    async fn sweep(&mut self, client: &mut Client) -> Result<(), ForwardError> {
+        if self.proofs.swept.is_none_or(|at| at.elapsed() >= self.outbox.pace.check * SWEEP) {
+            let is_first = self.proofs.swept.replace(Instant::now()).is_none();
+            if !is_first && self.proofs.sweep.is_none() {
+                self.proofs.sweep = Some(0);
+            }
+        }
+        let Some(after) = self.proofs.sweep else { return Ok(()) };
+        let page = block_in_place(|| self.outbox.plant.ledger.forwarded(Some(after), PAGE))?;
+        self.proofs.sweep = page.next;
+        let digests: Vec<Digest> = page.rows.iter().map(|row| row.digest).collect();
+        if digests.is_empty() {
+            return Ok(());
+        }
+        let missing = client.missing(&digests).await?;
+        let of = |wanted: Code| -> Vec<Digest> {
+            missing.iter().filter(|(_, code)| *code == wanted).map(|(digest, _)| *digest).collect()
+        };
+        Ok(block_in_place(|| self.decide(&[], &of(Code::NotFound), &of(Code::Tampered)))?)
     }
 
     /// Whether a proof leads from the very bytes stored here to the root of an anchored batch.
@@ -413,12 +512,6 @@ impl Line<'_> {
         }
         Ok(())
     }
-}
-
-/// Standings, in order, with the evidence for the verified ones.
-struct Standings {
-    each: Vec<Standing>,
-    proven: Option<KeptStanding>,
 }
 
 #[cfg(test)]

@@ -31,10 +31,11 @@ pub mod forwarder;
 #[cfg(test)]
 mod gateway_stage;
 pub mod importer;
+pub mod intake;
 mod keep;
 pub mod losses;
 pub mod meter;
-pub mod mirror;
+
 pub mod notices;
 pub mod owner;
 pub mod pace;
@@ -89,6 +90,8 @@ pub trait Observer: Send + Sync {
     fn tampered(&self, digests: &[Digest]);
     /// Registrations or grants changed on the chain.
     fn directory_changed(&self);
+    /// Ciphertext of some records was deleted.
+    fn erased(&self) {}
     /// A publisher of a watched topic is doubted.
     fn publishers_doubted(&self) {}
     /// Where times are counted, if they are.

@@ -1,6 +1,6 @@
 //! Notices of an owner to its robots: keys of a new epoch or of more topics, other addresses of their gateway, sealed for one device,
-//! signed by d_C and numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
-//! and applies them.
+//! signed by d_C and numbered. This is the robot's side: it follows its gateway's feed, takes notices newer than those it has, saves
+//! them and applies them.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,19 +15,15 @@ use crate::crypto::{
     Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, LastNotice, Names, Notice, Provider,
     SealedEnrolment, SignedPolicy, notice_topic, open,
 };
-use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection};
+use crate::gateway::{Client, Code, Feed, FeedEntry, Fetched, Follow, GatewayError};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
 use crate::store::Ledger;
 
 use super::forwarder::{Errand, ForwardError};
 use super::{Author, Observer, PipelineError, disk_ring};
 
-/// The time between two checks of the whole list, in case a subscription missed something.
-const LOOK: Duration = Duration::from_secs(300);
 /// How long to wait after a gateway could not tell who may read, or a notice could not be stored.
 const AGAIN: Duration = Duration::from_secs(2);
-/// Entries of one page.
-const PAGE: u16 = 100;
 
 /// Takes the policies that an owner sets for a robot, after their signer was checked with the record.
 pub trait PolicyTaker: Send + Sync {
@@ -53,9 +49,8 @@ pub struct Notices {
     /// Whether it has one now.
     has_ring: Arc<AtomicBool>,
     policies: Arc<dyn PolicyTaker>,
-    subscribed: bool,
-    /// When the list was read. Until it is, what a subscription brings is left to it: notices are taken in order.
-    looked: Option<Instant>,
+    /// Where it is in the gateway's feed; it begins anew with each start.
+    follow: Follow,
     /// Nothing is asked before.
     rests_until: Option<Instant>,
 }
@@ -71,6 +66,7 @@ impl Notices {
         policies: Arc<dyn PolicyTaker>,
     ) -> Self {
         let gateway = watch::channel(sealed.enrolment.gateway.clone()).0;
+        let follow = from_the_beginning(&sealed.enrolment);
         Self {
             provider,
             observer,
@@ -81,8 +77,7 @@ impl Notices {
             ring: None,
             has_ring: Arc::new(AtomicBool::new(true)),
             policies,
-            subscribed: false,
-            looked: None,
+            follow,
             rests_until: None,
         }
     }
@@ -104,21 +99,10 @@ impl Notices {
         Self { has_ring: Arc::clone(has_ring), ..self.with_ring(ledger) }
     }
 
-    fn selection(&self) -> Selection {
-        let enrolment = &self.sealed.enrolment;
-        Selection {
-            owner: enrolment.owner,
-            topic_id: Some(enrolment.notice_id),
-            kind: Some(RecordKind::Key),
-            filters: Vec::new(),
-        }
-    }
-
     /// Whether an entry says that it is a notice to this device and newer than the newest one taken.
-    fn may_be_newer(&self, entry: &Entry) -> bool {
-        let selection = self.selection();
-        (Some(entry.kind), Some(entry.topic_id)) == (selection.kind, selection.topic_id)
-            && self.is_newer((entry.recorder, entry.seq, entry.epoch), entry.captured_at)
+    fn may_be_newer(&self, entry: &FeedEntry) -> bool {
+        let is_notice = (entry.kind, entry.topic_id) == (RecordKind::Key, self.sealed.enrolment.notice_id);
+        is_notice && self.is_newer((entry.recorder, entry.seq, entry.epoch), entry.captured_at)
     }
 
     /// Whether a notice of this recorder, number and epoch, sealed at `at`, is newer than the newest one taken. A restored home
@@ -133,16 +117,15 @@ impl Notices {
         }
     }
 
-    /// Searches the list for newer notices, and takes them in order: they may be of several kinds.
+    /// Reads the feed to its end, and takes newer notices in order: they may be of several kinds.
     async fn look(&mut self, client: &mut Client) -> Result<(), ForwardError> {
-        let (until, selection) = (Timestamp(u64::MAX), self.selection());
-        let mut query = Query { selection, from: Timestamp(0), until, cursor: 0, limit: PAGE };
-        let mut newer: Vec<Entry> = Vec::new();
-        loop {
-            let page = client.query(&query).await?;
+        let mut newer: Vec<FeedEntry> = Vec::new();
+        while let Some(page) = self.follow.next(client, Duration::ZERO).await? {
+            self.follow.took(&page, page.upto);
             newer.extend(page.entries.into_iter().filter(|entry| self.may_be_newer(entry)));
-            let Some(next) = page.next else { break };
-            query.cursor = next;
+            if page.upto == page.head {
+                break;
+            }
         }
         let last = self.sealed.enrolment.last_notice.map(|last| last.recorder);
         newer.sort_unstable_by_key(|entry| {
@@ -157,18 +140,18 @@ impl Notices {
                 return Ok(());
             }
         }
-        self.looked = Some(Instant::now());
         Ok(())
     }
 
-    /// Nothing is asked for a moment; then the list is read again.
+    /// Nothing is asked for a moment; then the feed is read from its beginning.
     fn rest(&mut self) {
-        (self.looked, self.rests_until) = (None, Some(Instant::now() + AGAIN));
+        self.follow = from_the_beginning(&self.sealed.enrolment);
+        self.rests_until = Some(Instant::now() + AGAIN);
     }
 
     /// Takes a notice if it is the owner's, for this device, and newer; anything else changes nothing. Returns whether it is
     /// dealt with: one that could not be stored has to be heard again before those behind it.
-    pub(super) fn hear(&mut self, entry: &Entry, record: &Fetched) -> bool {
+    pub(super) fn hear(&mut self, entry: &FeedEntry, record: &Fetched) -> bool {
         if !self.may_be_newer(entry) {
             return true;
         }
@@ -317,8 +300,7 @@ fn told(before: &IssuedKeys, after: &IssuedKeys) -> String {
 #[async_trait]
 impl Errand for Notices {
     async fn begin(&mut self, client: &mut Client) -> Result<(), ForwardError> {
-        self.subscribed = false;
-        (self.looked, self.rests_until) = (None, None);
+        self.rests_until = None;
         self.run(client).await
     }
 
@@ -326,46 +308,24 @@ impl Errand for Notices {
         if self.rests_until.is_some_and(|until| Instant::now() < until) {
             return Ok(());
         }
-        match self.attend(client).await {
+        match self.look(client).await {
             // That gateway does not know its chain now and tells nobody anything; it takes records all the same.
             Err(ForwardError::Gateway(GatewayError::Refused(Code::Stale))) => {
                 self.rest();
                 Ok(())
             }
-            done => done,
+            // What was read and not taken is read again.
+            Err(error) => {
+                self.rest();
+                Err(error)
+            }
+            Ok(()) => Ok(()),
         }
     }
 }
 
-impl Notices {
-    async fn attend(&mut self, client: &mut Client) -> Result<(), ForwardError> {
-        if !self.subscribed {
-            client.subscribe(&self.selection()).await?;
-            self.subscribed = true;
-        }
-        if self.looked.is_none_or(|at| at.elapsed() > LOOK) {
-            self.look(client).await?;
-        }
-        if self.looked.is_none() {
-            return Ok(());
-        }
-        loop {
-            match client.next_event(Duration::ZERO).await {
-                Ok((_, entry, record)) => {
-                    if !self.hear(&entry, &record) {
-                        self.rest();
-                        return Ok(());
-                    }
-                }
-                Err(GatewayError::TimedOut) => return Ok(()),
-                // The subscription ended; what it missed is in the list.
-                Err(GatewayError::Refused(code)) if !code.ends_session() => {
-                    self.subscribed = false;
-                    self.looked = None;
-                    return Ok(());
-                }
-                Err(error) => return Err(error.into()),
-            }
-        }
-    }
+/// An owner's notices to the device of this enrolment, from the first on.
+fn from_the_beginning(enrolment: &Enrolment) -> Follow {
+    let (kind, topics) = (Some(RecordKind::Key), vec![enrolment.notice_id]);
+    Follow::new(Feed { kind, topics, ..Feed::of(enrolment.owner) })
 }

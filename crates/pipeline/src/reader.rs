@@ -5,6 +5,7 @@ mod definitions;
 
 pub use definitions::{Definitions, Opening};
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError};
 
 use tokio::task::block_in_place;
@@ -209,6 +210,25 @@ impl Reader<'_> {
             }
         }
         Err(CryptoError::WrongKey.into())
+    }
+
+    /// The epochs of an owner for which this reader has keys.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn epochs_of(&self, owner: Address) -> Result<BTreeSet<u64>, PipelineError> {
+        if owner == self.reader.address {
+            return Ok(self.reader.epochs(self.network.domain).into_iter().collect());
+        }
+        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return Ok(BTreeSet::new()) };
+        let mut epochs = BTreeSet::new();
+        for wrapped in self.envelopes(&grant)? {
+            match &wrapped.keys {
+                GrantedKeys::All { epochs: keys, .. } => epochs.extend(keys.iter().map(|(epoch, _)| *epoch)),
+                GrantedKeys::Topics { keys } => epochs.extend(keys.iter().map(|(epoch, ..)| *epoch)),
+            }
+        }
+        Ok(epochs)
     }
 
     /// The contents of a grant's envelopes that this reader can open, the newest epoch first.

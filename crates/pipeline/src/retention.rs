@@ -225,6 +225,7 @@ pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
     if !digests.is_empty() {
         plant.ciphertext.scour(&digests)?;
         plant.ledger.deleted(&digests)?;
+        plant.observer.erased();
         plant.observer.records_changed();
     }
     Ok(digests.len() as u64)
@@ -243,6 +244,7 @@ pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
     plant.ciphertext.scour(&erased)?;
     plant.ciphertext.discard(&digests)?;
     plant.ledger.deleted(&digests)?;
+    plant.observer.erased();
     plant.observer.records_changed();
     Ok(digests.len() as u64)
 }

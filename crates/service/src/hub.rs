@@ -20,8 +20,6 @@ use crate::store::notes::ForeignAnchors;
 const PACE: Duration = Duration::from_millis(250);
 /// The same alert is repeated only after this time.
 const REPEAT: Duration = Duration::from_secs(30);
-/// Rounds of verified records that a subscription may lag behind.
-const SETTLED_AHEAD: usize = 256;
 /// The most alerts remembered.
 const MOST_ALERTS: usize = 200;
 
@@ -42,12 +40,10 @@ pub struct Hub {
     pub stored: Notify,
     /// Rings when records are deep enough to be verified.
     pub confirmed: Notify,
-    /// Records as they are verified.
-    pub settled: broadcast::Sender<Arc<[Digest]>>,
     /// Times of the line.
     pub stages: Stages,
-    /// Counts changes of who may read what, including those only announced.
-    pub authority: watch::Sender<u64>,
+    /// Counts what may change what readers are told: rows of the feed, and rights, also those only announced.
+    pub feed: watch::Sender<u64>,
 }
 
 impl Hub {
@@ -61,9 +57,8 @@ impl Hub {
             sessions: Arc::default(),
             stored: Notify::new(),
             confirmed: Notify::new(),
-            settled: broadcast::channel(SETTLED_AHEAD).0,
             stages: Stages::default(),
-            authority: watch::channel(0).0,
+            feed: watch::channel(0).0,
         }
     }
 
@@ -78,6 +73,11 @@ impl Hub {
             self.dirty[index].store(true, Ordering::Release);
             self.wake.notify_one();
         }
+    }
+
+    /// What readers are told may have changed.
+    pub fn feed_changed(&self) {
+        self.feed.send_modify(|count| *count += 1);
     }
 
     /// Sends a notice, unless the same text was sent a moment ago.
@@ -129,8 +129,11 @@ impl Observer for Hub {
 
     fn verified(&self, digests: &[Digest]) {
         self.sessions.settle(digests, true);
-        // Having no subscribers is not an error.
-        drop(self.settled.send(digests.into()));
+        self.feed_changed();
+    }
+
+    fn erased(&self) {
+        self.feed_changed();
     }
 
     fn tampered(&self, digests: &[Digest]) {
@@ -138,7 +141,7 @@ impl Observer for Hub {
     }
 
     fn directory_changed(&self) {
-        self.authority.send_modify(|count| *count += 1);
+        self.feed_changed();
         for part in [Part::Grants, Part::Identity, Part::Chain] {
             self.changed(part);
         }

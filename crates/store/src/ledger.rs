@@ -11,6 +11,7 @@ mod chain_proofs;
 mod counts;
 mod directory;
 mod erasures;
+mod feed;
 mod filters;
 mod forwarding;
 mod incidents;
@@ -36,6 +37,7 @@ pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, Proo
 pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
 pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StandingRights, WaitingSigner};
 pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
+pub use self::feed::{Feed, FeedFilter, FeedPage, FeedPlace, FeedRow};
 pub use self::filters::FilterChoice;
 pub use self::forwarding::{Bindings, ForwardedPage, KeptBinding, KeptReceipt};
 pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, Incidents, SpanCoverage};
@@ -82,6 +84,8 @@ pub struct Ledger {
     pub trail: Trail,
     /// Keys of signers, and names at this gateway.
     pub bindings: Bindings,
+    /// What readers may be given, in the order in which it came to be so.
+    pub feed: Feed,
     /// Who did what.
     pub audit: AuditLog,
     /// What an audit compares.
@@ -144,6 +148,7 @@ impl Ledger {
             notes: Notes(database.clone()),
             inspection: Inspection(database.clone()),
             audit: AuditLog(database.clone()),
+            feed: Feed(database.clone()),
             bindings: Bindings(database.clone()),
             trail: Trail(database.clone()),
             proofs: Proofs(database.clone()),
@@ -307,7 +312,11 @@ pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
 fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     database::quick_check(connection, path)?;
     let transaction = connection.unchecked_transaction()?;
-    transaction.execute("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
+    transaction.execute(
+        "UPDATE about SET recorder = ?1, clean = 1, feed = randomblob(16)",
+        [random_prefix(path)?.as_bytes()],
+    )?;
+    // Whoever followed the original reads anew: numbers that it gave since would be given again.
     // The first of several restores counts: anything anchored since may be in another home.
     if let Some((block, _)) = sightings::cursor_in(&transaction)?
         && notes::read_in(&transaction, &CopiedAt {})?.is_none()
@@ -337,6 +346,6 @@ fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
 
 fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderPrefix, StoreError> {
     let prefix = random_prefix(path)?;
-    connection.execute("INSERT INTO about VALUES (1, ?1, 0)", [prefix.as_bytes()])?;
+    connection.execute("INSERT INTO about VALUES (1, ?1, 0, randomblob(16), 0)", [prefix.as_bytes()])?;
     Ok(prefix)
 }

@@ -161,12 +161,14 @@ notes! {
     /// What an owner had erased before this number, the gateway was told. Numbers are the ledger's own.
     ErasuresTold { domain: Domain, ledger: String, keeper: Address, owner: Address } = "erasures told": u64,
         "which erasures the gateway was told of";
-    /// How far a gateway's records of an owner were listed.
-    Listed { domain: Domain, keeper: Address, reader: Address, source: Address } = "listed": ListedUntil,
-        "how far a gateway's records were listed";
+    /// How far a reader took in what a gateway's feed tells.
+    TakenOfFeed { domain: Domain, keeper: Address, reader: Address } = "taken of feed": FeedTaken,
+        "how far a gateway's feed was taken in";
 
     // Robots and their owners.
 
+    /// On a robot: its place in its gateway's feed, the id and the number up to which all is dealt with.
+    ProofsTaken { owner: Address } = "proofs taken": ([u8; 16], u64), "how far a robot's gateway was heard out";
     /// The robots that an owner enrolled.
     EnrolledRobots { owner: Address } = "robots": Vec<Enrolled>, "the enrolled robots";
     /// What an owner wants of a robot.
@@ -348,16 +350,26 @@ pub struct AdmittedOwner {
     pub by: String,
 }
 
-/// How far a gateway's records were listed: capture times in seconds.
+/// How far a gateway's feed was taken in.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FeedTaken {
+    /// The feed; numbers of another one say nothing of this one.
+    pub feed: [u8; 16],
+    /// The owners, each with the number up to which all is dealt with.
+    pub owners: BTreeMap<Address, (FollowedOwner, u64)>,
+}
+
+/// What was known of an owner when their records were followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ListedUntil {
-    /// Of the newest record that was listed.
-    pub newest: u64,
-    /// When a listing that began at the very beginning was done.
-    pub whole: u64,
+pub struct FollowedOwner {
     /// The beginning of the hash of the grant's transaction; 0 for the reader's own records.
     pub grant: u64,
+    /// The newest epoch that the reader had keys for.
+    pub newest: u64,
+    /// How many epochs there were keys for up to it.
+    pub count: u64,
 }
 
 /// An enrolled device, as its owner's ledger stores it: no secret.

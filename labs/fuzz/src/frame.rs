@@ -158,7 +158,8 @@ fn parts(script: &[u8]) -> bool {
         if let Some(first) = body.first_chunk_mut::<4>() {
             *first = claim.to_be_bytes();
         }
-        let (command, request) = (if step & 16 == 0 { Command::Upload } else { Command::Fetch }, u32::from(step >> 5));
+        let (command, request) =
+            (if step & 16 == 0 { Command::Upload } else { Command::Records }, u32::from(step >> 5));
         let inner = Inner { command, part, request, token: Some(Token([0; 32])), signature: None, body: &body };
         match assembler.take(&inner, counter as u64, Ok) {
             Ok(Some(message)) => return whole(&message, length),
@@ -245,12 +246,10 @@ pub fn samples() -> Vec<Sample> {
         "register",
         "upload",
         "upload_many",
-        "query",
-        "query_all",
-        "check",
-        "fetch",
-        "subscribe",
-        "unsubscribe",
+        "feed",
+        "feed_all",
+        "records",
+        "records_here",
         "grant_notice",
         "revoke_notice",
         "device_notice",
@@ -258,21 +257,7 @@ pub fn samples() -> Vec<Sample> {
         "erase",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
-    let names = [
-        "list",
-        "receipt",
-        "registered",
-        "page",
-        "standings",
-        "record",
-        "erased",
-        "done",
-        "time",
-        "erasures",
-        "event",
-        "end",
-        "refused",
-    ];
+    let names = ["list", "receipt", "registered", "feed_page", "found", "time", "erasures", "refused"];
     samples.extend(names.iter().zip(answers()).map(|(name, answer)| sample(name, 2, &gateway_text(&answer))));
     samples
 }

@@ -1,16 +1,17 @@
 //! One valid message of every Command and shape.
 
+use std::time::Duration;
+
 use authros::crypto::{AccountSignature, ErasedStatement};
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice,
-    Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice, Selection, SignedStandings, Standing, Stood,
-    Upload,
+    Answer, Code, Command, DeviceNotice, ErasedRecord, ErasureNotice, ErasureOutcome, Feed, FeedEntry, FeedPage,
+    Fetched, Found, GrantNotice, Notice, Receipt, Registration, RelayCall, Request, RevokeNotice, Upload,
 };
 use authros::model::{
-    Address, Digest, FilterId, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp,
-    Token, TopicId,
+    Address, Digest, Fact, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp, Token,
+    TopicId,
 };
 
 fn erasure() -> ErasureNotice {
@@ -21,12 +22,14 @@ fn erasure() -> ErasureNotice {
     ErasureNotice { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
 }
 
-fn selection() -> Selection {
-    Selection {
-        owner: Address([1; 20]),
-        topic_id: Some(TopicId([2; 16])),
-        kind: Some(RecordKind::Data),
-        filters: vec![FilterId([3; 8]); 2],
+fn feed() -> Feed {
+    Feed {
+        id: [1; 16],
+        wait: Duration::from_millis(1_500),
+        kind: Some(RecordKind::Key),
+        topics: vec![TopicId([2; 16])],
+        recorders: vec![RecorderId([3; 16])],
+        places: vec![(Address([4; 20]), 5)],
     }
 }
 
@@ -48,7 +51,6 @@ fn registration() -> Registration {
 /// A client's request.
 pub fn requests() -> Vec<Request> {
     let upload = |length| Upload { signature: Signature([7; 64]), blob: vec![8; length] };
-    let query = |selection| Query { selection, from: Timestamp(1), until: Timestamp(u64::MAX), cursor: 9, limit: 500 };
     let (grantee, transaction) = (Address([5; 20]), Hash([6; 32]));
     vec![
         Request::Ping,
@@ -57,22 +59,22 @@ pub fn requests() -> Vec<Request> {
         Request::Register(Box::new(registration())),
         Request::Upload(upload(30)),
         Request::UploadMany(vec![upload(0), upload(10), upload(20)]),
-        Request::Query(query(selection())),
-        Request::Query(query(Selection::all(Address([1; 20])))),
-        Request::Check(vec![Digest([1; 32]), Digest([2; 32])]),
-        Request::Fetch(Digest([3; 32])),
-        Request::Subscribe(selection()),
-        Request::Unsubscribe(5),
-        Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
-        Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
-        Request::DeviceNotice(DeviceNotice { key: PublicKey([6; 64]), notices: TopicId([7; 16]) }),
+        Request::Feed(feed()),
+        Request::Feed(Feed::of(Address([1; 20]))),
+        Request::Records(true, vec![Digest([1; 32]), Digest([2; 32])]),
+        Request::Records(false, vec![Digest([3; 32])]),
+        Request::Notice(Notice::Grant(GrantNotice { grantee, epoch: 2, expiry: 3, transaction })),
+        Request::Notice(Notice::Revoke(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction })),
+        Request::Notice(Notice::Device(DeviceNotice { key: PublicKey([6; 64]), notices: TopicId([7; 16]) })),
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
         Request::Erase(vec![erasure(); 2]),
     ]
 }
 
-fn entry() -> Entry {
-    Entry {
+fn page() -> FeedPage {
+    let one = |number, fact, proof| FeedEntry {
+        number,
+        fact,
         digest: Digest([1; 32]),
         owner: Address([2; 20]),
         recorder: RecorderId([3; 16]),
@@ -82,13 +84,10 @@ fn entry() -> Entry {
         captured_at: Timestamp(7),
         length: 8,
         kind: RecordKind::Gap,
-        standing: Standing::Verified,
-    }
-}
-
-fn standings() -> SignedStandings {
-    let stood = vec![Stood { standing: Standing::Verified, proof: vec![3; 10] }];
-    SignedStandings { time: Timestamp(5), stood, signature: Signature([6; 64]) }
+        proof,
+    };
+    let entries = vec![one(3, Fact::Stored, Vec::new()), one(7, Fact::Verified, vec![3; 10])];
+    FeedPage::new([9; 16], (12, 8), vec![(Address([8; 20]), Code::NotAuthorised)], entries)
 }
 
 /// The gateway's answer.
@@ -100,15 +99,15 @@ pub fn answers() -> Vec<Answer> {
         Answer::SystemKeys(vec![1; 30]),
         Answer::Receipt(Command::UploadMany, receipt),
         Answer::Registered(Hash([1; 32])),
-        Answer::Page(Page { entries: vec![entry(); 2], next: Some(4) }),
-        Answer::Standings(Box::new(standings())),
-        Answer::Record(Box::new(record.clone())),
-        Answer::Erased(Box::new(erasure().left)),
-        Answer::Done(Command::Subscribe),
+        Answer::Feed(Box::new(page())),
+        Answer::Records(vec![
+            Found::Missing(Code::NotFound),
+            Found::Here,
+            Found::Held(record),
+            Found::Erased(erasure().left),
+        ]),
         Answer::Time(Timestamp(5)),
         Answer::Erasures(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
-        Answer::Event(Box::new((entry(), record))),
-        Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),
     ]
 }

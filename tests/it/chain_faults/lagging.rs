@@ -5,8 +5,7 @@ use std::fs;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use authros::gateway::{Client, Code, GatewayError, Query, Selection};
-use authros::model::Timestamp;
+use authros::gateway::{Client, Code, Feed, GatewayError};
 use serde_json::Value;
 
 use super::NO_NODE;
@@ -121,8 +120,8 @@ fn answer(result: Result<impl std::fmt::Debug, GatewayError>) -> Result<(), Code
     }
 }
 
-async fn ask(session: &mut Client, query: &Query) -> Result<(), Code> {
-    answer(session.query(query).await)
+async fn ask(session: &mut Client, feed: &Feed) -> Result<(), Code> {
+    answer(session.feed(feed).await)
 }
 
 /// A gateway's node falls a hundred blocks behind what the gateway has read: it refuses until that node has caught up.
@@ -147,10 +146,9 @@ async fn a_gateway_whose_node_is_behind_refuses_instead_of_serving_on() {
     let reader = Member::of(&home, "bob", gateway.domain);
     let credentials = reader.allocate(&gateway, "bob").await.expect("allocates");
     let mut session = connect(&gateway, &credentials).await;
-    let selection = Selection::all(owner.address());
-    let query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 10 };
+    let feed = Feed::of(owner.address());
     let granted = Instant::now();
-    while ask(&mut session, &query).await.is_err() {
+    while ask(&mut session, &feed).await.is_err() {
         assert!(granted.elapsed() < Duration::from_secs(30), "granted, and fresh");
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
@@ -158,17 +156,17 @@ async fn a_gateway_whose_node_is_behind_refuses_instead_of_serving_on() {
     proxy.fall_behind(100);
     // What was known a moment ago may still be served: as long as no new block was due.
     let behind = Instant::now();
-    while ask(&mut session, &query).await.is_ok() {
+    while ask(&mut session, &feed).await.is_ok() {
         assert!(behind.elapsed() < Duration::from_secs(30), "the newest blocks are not known");
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
     for _ in 0..8 {
-        assert_eq!(ask(&mut session, &query).await, Err(Code::Stale), "the newest blocks are not known");
+        assert_eq!(ask(&mut session, &feed).await, Err(Code::Stale), "the newest blocks are not known");
         tokio::time::sleep(Duration::from_millis(500)).await;
     }
     proxy.calm();
     let caught_up = Instant::now();
-    while let Err(code) = ask(&mut session, &query).await {
+    while let Err(code) = ask(&mut session, &feed).await {
         assert_eq!(code, Code::Stale);
         assert!(caught_up.elapsed() < Duration::from_secs(30), "it has caught up");
         tokio::time::sleep(Duration::from_millis(200)).await;

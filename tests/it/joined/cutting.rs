@@ -3,14 +3,14 @@
 use std::time::SystemTime;
 
 use authros::crypto::{SmKeyPair, signer_id};
-use authros::gateway::{Code, DeviceNotice, Selection, Standing};
+use authros::gateway::{Code, DeviceNotice, Feed};
 use authros::model::{Digest, RecordKind};
 use serde_json::json;
 
-use super::sessions::{Asking, first_of, known, runtime, session};
+use super::sessions::{Asking, known, runtime, session};
 use super::*;
 use support::anvil::{call, number};
-use support::member::Member as Keys;
+use support::member::{Member as Keys, until_verified};
 
 /// One block and two seconds are promised; the rest is for a busy machine.
 const HEEDED: Duration = Duration::from_secs(30);
@@ -91,17 +91,14 @@ fn a_revocation_a_recall_and_a_suspension_hold_at_a_gateway_and_at_one_that_is_c
             while robot.device(&keys.keyring.signing, notice).await.is_err() {
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
-            while owner.check(&[digest]).await.expect("answers").standings() != [Standing::Verified] {
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-            let of_robot =
-                Selection { topic_id: Some(notices), kind: Some(RecordKind::Key), ..Selection::all(keys.address()) };
-            asked.push(Asking::begin(&runtime, ("scout", place), (gateway.clone(), credentials), first_of(of_robot)));
+            until_verified(&mut owner, Feed::of(keys.address()), &[digest]).await;
+            let of_robot = Feed { topics: vec![notices], kind: Some(RecordKind::Key), ..Feed::of(keys.address()) };
+            asked.push(Asking::begin(&runtime, ("scout", place), (gateway.clone(), credentials), of_robot));
             for (name, reader) in &readers {
                 let his = Keys::of(&reader.home, name, domain);
                 let (_, credentials) = session(&his, &gateway, &format!("{name}-reads")).await;
-                let query = first_of(Selection::all(keys.address()));
-                asked.push(Asking::begin(&runtime, (*name, place), (gateway.clone(), credentials), query));
+                let feed = Feed::of(keys.address());
+                asked.push(Asking::begin(&runtime, (*name, place), (gateway.clone(), credentials), feed));
             }
         });
     }

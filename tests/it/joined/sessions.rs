@@ -3,8 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, SystemTime};
 
-use authros::gateway::{Client, Code, Credentials, GatewayError, Query, Selection};
-use authros::model::Timestamp;
+use authros::gateway::{Client, Code, Credentials, Feed, GatewayError};
 use tokio::runtime::Runtime;
 
 use super::Gateway;
@@ -20,11 +19,6 @@ pub(super) fn known(gateway: &Gateway) -> member::Gateway {
 pub(super) fn runtime() -> Runtime {
     let built = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
     built.expect("a runtime")
-}
-
-/// The first records of a selection.
-pub(super) fn first_of(selection: Selection) -> Query {
-    Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 100 }
 }
 
 /// What a gateway answered: how many records it listed, or why it refused.
@@ -43,14 +37,14 @@ impl Asking {
         runtime: &Runtime,
         (subject, place): (&'static str, usize),
         (gateway, credentials): (member::Gateway, Credentials),
-        query: Query,
+        feed: Feed,
     ) -> Self {
         let heard: Arc<Mutex<Vec<_>>> = Arc::default();
         let noted = Arc::clone(&heard);
         runtime.spawn(async move {
             let mut client = None;
             loop {
-                let answer = ask(&gateway, &credentials, &mut client, &query).await;
+                let answer = ask(&gateway, &credentials, &mut client, &feed).await;
                 if let Some(answer) = answer {
                     noted.lock().unwrap_or_else(PoisonError::into_inner).push((SystemTime::now(), answer));
                 }
@@ -76,12 +70,12 @@ async fn ask(
     gateway: &member::Gateway,
     credentials: &Credentials,
     client: &mut Option<Client>,
-    query: &Query,
+    feed: &Feed,
 ) -> Option<Answer> {
     if client.as_ref().is_none_or(Client::is_spent) {
         *client = Client::connect(&gateway.endpoint(), &mut gateway.trust(), credentials).await.ok();
     }
-    match client.as_mut()?.query(query).await {
+    match client.as_mut()?.feed(feed).await {
         Ok(page) => Some(Ok(page.entries.len())),
         Err(GatewayError::Refused(code)) => Some(Err(code)),
         Err(_) => {

@@ -1,22 +1,20 @@
 //! Light clients: each a session of the gateway's protocol with a name, a topic and a network address of its own, all in
 //! the test's process. Each goes on with a record until the gateway has signed for it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use authros::gateway::{
-    Applicant, Client, Context, Credentials, Endpoint, GatewayError, Query, Selection, Standing, Trust, Upload,
-};
-use authros::model::{Digest, SignerId, Timestamp};
+use authros::gateway::{Applicant, Client, Context, Credentials, Endpoint, Feed, GatewayError, Trust, Upload};
+use authros::model::{Digest, SignerId};
 use tokio::runtime::Runtime;
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
 use super::Gateway;
-use super::support::member::Member as Keys;
+use super::support::member::{Member as Keys, told};
 use super::support::wait_until;
 
 /// How long the gateway may take to answer.
@@ -64,7 +62,7 @@ pub(super) struct Load {
 }
 
 /// A gateway's list.
-pub(super) type List = BTreeMap<Digest, Standing>;
+pub(super) type List = BTreeSet<Digest>;
 
 /// Clients of one owner that bring records until they are told to end.
 pub(super) struct Swarm {
@@ -133,7 +131,19 @@ impl Swarm {
         all
     }
 
-    /// What the gateway lists to the owner, with its standing, once that passes the test. The same record twice, or two with
+    /// Waits until the gateway has all of these.
+    pub fn holds(&self, seconds: u64, digests: &BTreeSet<Digest>) {
+        let digests: Vec<Digest> = digests.iter().copied().collect();
+        wait_until(seconds, "what has a receipt is held", || {
+            let missing = self.runtime.block_on(missing(&self.scene.place, &self.scene.keys, &digests));
+            if !matches!(missing, Ok(0)) {
+                std::thread::sleep(Duration::from_secs(1));
+            }
+            matches!(missing, Ok(0)).then_some(())
+        });
+    }
+
+    /// What the gateway tells the owner of, once that passes the test. The same record twice, or two with
     /// one number, fail it immediately.
     pub fn listed(&self, seconds: u64, what: &str, test: impl Fn(&List) -> bool) -> List {
         wait_until(seconds, what, || {
@@ -146,6 +156,12 @@ impl Swarm {
             listed
         })
     }
+}
+
+async fn missing(place: &Place, keys: &Keys, digests: &[Digest]) -> Result<usize, GatewayError> {
+    let credentials = place.allocate(keys, "lister", source(u16::MAX)).await?;
+    let mut client = place.connect(&credentials, source(u16::MAX)).await?;
+    Ok(client.missing(digests).await?.len())
 }
 
 async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
@@ -215,17 +231,11 @@ async fn attempt(
 async fn list(place: &Place, keys: &Keys) -> Result<List, GatewayError> {
     let credentials = place.allocate(keys, "lister", source(u16::MAX)).await?;
     let mut client = place.connect(&credentials, source(u16::MAX)).await?;
-    let (selection, limit) = (Selection::all(keys.address()), 500);
-    let mut query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit };
-    let (mut found, mut numbers) = (BTreeMap::new(), BTreeSet::new());
-    loop {
-        let page = client.query(&query).await?;
-        for entry in page.entries {
-            let number = (entry.recorder.0, entry.topic_id.0, entry.seq);
-            assert!(numbers.insert(number), "listed twice, or two records with one number: {entry:?}");
-            assert!(found.insert(entry.digest, entry.standing).is_none(), "listed twice: {entry:?}");
-        }
-        let Some(next) = page.next else { return Ok(found) };
-        query.cursor = next;
+    let (mut found, mut numbers) = (BTreeSet::new(), BTreeSet::new());
+    for entry in told(&mut client, &Feed::of(keys.address())).await? {
+        let number = (entry.recorder.0, entry.topic_id.0, entry.seq);
+        assert!(numbers.insert(number), "told twice, or two records with one number: {entry:?}");
+        assert!(found.insert(entry.digest), "told twice: {entry:?}");
     }
+    Ok(found)
 }

@@ -3,55 +3,17 @@
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Hash, PublicKey, Signature, Timestamp};
 
-use super::query::{Entry, Page};
 use super::relay::Relayed;
+use super::request::MOST_DIGESTS;
 use super::{Command, ErasedRecord, ErasureOutcome};
 use crate::error::Code;
+use crate::feed::{FeedPage, read_proof};
 use crate::gateway::receipt::Receipt;
-use crate::gateway::standings::SignedStandings;
 
 /// The longest proof, bytes.
 pub const LONGEST_PROOF: usize = 64 * 1024;
 /// The longest system-key list, bytes.
 const LONGEST_LIST: usize = 1024;
-/// What was fetched: a record,
-const WHOLE: u8 = 0;
-/// or what is left of one.
-const ERASED: u8 = 1;
-
-/// A record's standing at the gateway.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum Standing {
-    /// Not here, or not for this reader.
-    Unknown = 0,
-    /// On the gateway's disk.
-    Acknowledged = 1,
-    /// Its anchor is on the chain but not confirmed yet.
-    Anchored = 2,
-    /// Anchor confirmed, bytes and signature checked.
-    Verified = 3,
-    /// Its bytes differ from those anchored.
-    Tampered = 4,
-    /// Quarantined: its publisher was not the pinned one.
-    Quarantined = 5,
-}
-
-impl Standing {
-    const ALL: [Self; 6] =
-        [Self::Unknown, Self::Acknowledged, Self::Anchored, Self::Verified, Self::Tampered, Self::Quarantined];
-
-    /// The byte on the wire.
-    pub fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// From the byte on the wire.
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|standing| standing.code() == code)
-    }
-}
-
 /// A record as sent to a reader: signer key (64) || signature (64) || proof length (4) || proof || blob.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fetched {
@@ -76,13 +38,74 @@ impl Fetched {
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         let signer = PublicKey(reader.array("signer")?);
         let signature = Signature(reader.array("signature")?);
-        let length = usize::try_from(reader.u32("proof length")?).unwrap_or(usize::MAX);
-        if length > LONGEST_PROOF {
-            return Err(WireError::Value("proof length"));
-        }
-        let proof = reader.take(length, "proof")?.to_vec();
+        let proof = read_proof(reader)?;
         let blob = reader.take(reader.rest().len(), "record")?.to_vec();
         Ok(Self { signer, signature, proof, blob })
+    }
+}
+
+/// What a gateway has of a record that was asked for: 0 || code (2); 1; 2 || length (4) || record; or 3 || length (4) || record, whose
+/// blob is header and statement.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Found {
+    /// Nothing for this caller.
+    Missing(Code),
+    /// It is there; its bytes were not asked for.
+    Here,
+    /// The record.
+    Held(Fetched),
+    /// What is left of one that its owner had erased.
+    Erased(ErasedRecord),
+}
+
+impl Found {
+    fn encode(&self, out: &mut Vec<u8>) {
+        let record = match self {
+            Self::Missing(code) => {
+                out.push(0);
+                return out.extend_from_slice(&code.number().to_be_bytes());
+            }
+            Self::Here => return out.push(1),
+            Self::Held(record) => {
+                out.push(2);
+                record.encode()
+            }
+            Self::Erased(erased) => {
+                out.push(3);
+                erased.clone().into_fetched().encode()
+            }
+        };
+        out.extend_from_slice(&u32::try_from(record.len()).unwrap_or(u32::MAX).to_be_bytes());
+        out.extend_from_slice(&record);
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let tag = reader.u8("what was found")?;
+        match tag {
+            0 => return Ok(Self::Missing(read_code(reader)?)),
+            1 => return Ok(Self::Here),
+            2 | 3 => {}
+            _ => return Err(WireError::Value("what was found")),
+        }
+        let length = usize::try_from(reader.u32("record length")?).unwrap_or(usize::MAX);
+        let mut one = Reader::new(reader.take(length, "record")?);
+        let record = Fetched::read(&mut one)?;
+        if tag == 2 { Ok(Self::Held(record)) } else { ErasedRecord::from_fetched(record).map(Self::Erased) }
+    }
+
+    fn encode_all(all: &[Self]) -> Vec<u8> {
+        let all = &all[..all.len().min(MOST_DIGESTS)];
+        let mut out = u16::try_from(all.len()).unwrap_or(0).to_be_bytes().to_vec();
+        all.iter().for_each(|found| found.encode(&mut out));
+        out
+    }
+
+    fn read_all(reader: &mut Reader<'_>) -> Result<Vec<Self>, WireError> {
+        let count = usize::from(reader.u16("record count")?);
+        if count > MOST_DIGESTS {
+            return Err(WireError::Value("record count"));
+        }
+        (0..count).map(|_| Self::read(reader)).collect()
     }
 }
 
@@ -95,26 +118,16 @@ pub enum Answer {
     Receipt(Command, Receipt),
     /// The transaction of a registration (32).
     Registered(Hash),
-    /// A page.
-    Page(Page),
-    /// The standings of the digests in the request, in order.
-    Standings(Box<SignedStandings>),
-    /// A record: 0 || record.
-    Record(Box<Fetched>),
-    /// What is left of a record that its owner had erased: 1 || record, whose blob is header and statement.
-    Erased(Box<ErasedRecord>),
-    /// The subscription, or its end, is confirmed.
-    Done(Command),
     /// The gateway's time (8).
     Time(Timestamp),
     /// The chain's answer.
     Relayed(Relayed),
     /// What becomes of each erasure in the request, in order: count (2), a byte each.
     Erasures(Vec<ErasureOutcome>),
-    /// A record of a subscription: entry || record.
-    Event(Box<(Entry, Fetched)>),
-    /// A subscription has ended: code (2).
-    End(Code),
+    /// A page of the feed.
+    Feed(Box<FeedPage>),
+    /// What there is of the first of the records asked for: count (2), then each; at least one.
+    Records(Vec<Found>),
     /// A refusal: code (2).
     Refused(Code),
 }
@@ -124,16 +137,13 @@ impl Answer {
     pub fn command(&self) -> Command {
         match self {
             Self::SystemKeys(_) => Command::SystemKeys,
-            Self::Receipt(command, _) | Self::Done(command) => *command,
+            Self::Receipt(command, _) => *command,
             Self::Registered(_) => Command::Register,
-            Self::Page(_) => Command::Query,
-            Self::Standings(_) => Command::Check,
-            Self::Record(_) | Self::Erased(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
             Self::Erasures(_) => Command::Erase,
-            Self::Event(_) => Command::Event,
-            Self::End(_) => Command::End,
+            Self::Feed(_) => Command::Feed,
+            Self::Records(_) => Command::Records,
             Self::Refused(_) => Command::Refuse,
         }
     }
@@ -149,16 +159,12 @@ impl Answer {
             Self::SystemKeys(list) => list.clone(),
             Self::Receipt(_, receipt) => receipt.encode(),
             Self::Registered(transaction) => transaction.0.to_vec(),
-            Self::Page(page) => page.encode(),
-            Self::Standings(signed) => signed.encode(),
-            Self::Record(record) => [vec![WHOLE], record.encode()].concat(),
-            Self::Erased(erased) => [vec![ERASED], erased.clone().into_fetched().encode()].concat(),
-            Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
             Self::Erasures(outcomes) => ErasureOutcome::encode_all(outcomes),
-            Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
-            Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
+            Self::Feed(page) => page.encode(),
+            Self::Records(found) => Found::encode_all(found),
+            Self::Refused(code) => code.number().to_be_bytes().to_vec(),
         }
     }
 
@@ -180,28 +186,15 @@ impl Answer {
             | Command::RevokeNotice
             | Command::DeviceNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
             Command::Register => Self::Registered(Hash(reader.array("transaction")?)),
-            Command::Query => Self::Page(Page::read(&mut reader)?),
-            Command::Check => Self::Standings(Box::new(SignedStandings::read(&mut reader)?)),
-            Command::Fetch => read_fetched(&mut reader)?,
-            Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Erase => Self::Erasures(ErasureOutcome::read_all(&mut reader)?),
+            Command::Feed => Self::Feed(Box::new(FeedPage::read(&mut reader)?)),
+            Command::Records => Self::Records(Found::read_all(&mut reader)?),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
-            Command::Event => Self::Event(Box::new((Entry::read(&mut reader)?, Fetched::read(&mut reader)?))),
-            Command::End => Self::End(read_code(&mut reader)?),
             Command::Refuse => Self::Refused(read_code(&mut reader)?),
         };
         reader.end()?;
         Ok(answer)
-    }
-}
-
-fn read_fetched(reader: &mut Reader<'_>) -> Result<Answer, WireError> {
-    let (what, record) = (reader.u8("what was fetched")?, Fetched::read(reader)?);
-    match what {
-        WHOLE => Ok(Answer::Record(Box::new(record))),
-        ERASED => Ok(Answer::Erased(Box::new(ErasedRecord::from_fetched(record)?))),
-        _ => Err(WireError::Value("what was fetched")),
     }
 }
 

@@ -4,15 +4,15 @@ use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token, TopicId};
 
-use super::query::{Query, Selection};
 use super::relay::RelayCall;
 use super::{Command, ErasureNotice, encode_erasures, read_erasures};
+use crate::feed::Feed;
 use crate::gateway::allocation::AllocationRequest;
 
 /// The most records in one message.
 pub const MOST_UPLOADS: usize = 1024;
-/// The most digests checked at once.
-pub const MOST_CHECKED: usize = 1024;
+/// The most records asked for at once.
+pub const MOST_DIGESTS: usize = 1024;
 /// The longest signed transaction passed on, bytes.
 pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
@@ -87,6 +87,17 @@ impl DeviceNotice {
     }
 }
 
+/// What an owner tells her gateway, signed by d_C.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Notice {
+    /// She shares.
+    Grant(GrantNotice),
+    /// She shares no longer.
+    Revoke(RevokeNotice),
+    /// This session's name belongs to a lent device.
+    Device(DeviceNotice),
+}
+
 /// A client's message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Request {
@@ -100,31 +111,18 @@ pub enum Request {
     Upload(Upload),
     /// Several: count (2), then length of the blob (4) || signature (64) || blob each.
     UploadMany(Vec<Upload>),
-    /// List.
-    Query(Query),
-    /// Standings: count (2), then 32 bytes each.
-    Check(Vec<Digest>),
-    /// One record, or what is left of one that its owner had erased: digest (32).
-    Fetch(Digest),
-    /// Records as they arrive.
-    Subscribe(Selection),
-    /// End a subscription: the number of the request that began it (4).
-    Unsubscribe(u32),
-    /// A grant.
-    GrantNotice(GrantNotice),
-    /// A revoke.
-    RevokeNotice(RevokeNotice),
-    /// This session's name belongs to a lent device.
-    DeviceNotice(DeviceNotice),
+    /// What its owner tells.
+    Notice(Notice),
     /// Nothing.
     Ping,
     /// A request to the chain.
     Relay(RelayCall),
-    /// What was erased, after a place: place (24) || 1.
-    /// [`Self::Erasures`].
-    /// The records of 2 to 64 ranges, one after the other.
     /// Records that the session's owner had erased: count (2), then length (4) and erasure each.
     Erase(Vec<ErasureNotice>),
+    /// What to tell next.
+    Feed(Feed),
+    /// Records: 1 with their bytes or 0 whether they are there (1) || count (2), then 32 bytes each.
+    Records(bool, Vec<Digest>),
 }
 
 impl Request {
@@ -136,17 +134,14 @@ impl Request {
             Self::Register(_) => Command::Register,
             Self::Upload(_) => Command::Upload,
             Self::UploadMany(_) => Command::UploadMany,
-            Self::Query(_) => Command::Query,
-            Self::Check(_) => Command::Check,
-            Self::Fetch(_) => Command::Fetch,
-            Self::Subscribe(_) => Command::Subscribe,
-            Self::Unsubscribe(_) => Command::Unsubscribe,
-            Self::GrantNotice(_) => Command::GrantNotice,
-            Self::RevokeNotice(_) => Command::RevokeNotice,
-            Self::DeviceNotice(_) => Command::DeviceNotice,
+            Self::Notice(Notice::Grant(_)) => Command::GrantNotice,
+            Self::Notice(Notice::Revoke(_)) => Command::RevokeNotice,
+            Self::Notice(Notice::Device(_)) => Command::DeviceNotice,
             Self::Ping => Command::Ping,
             Self::Relay(_) => Command::Relay,
             Self::Erase(_) => Command::Erase,
+            Self::Feed(_) => Command::Feed,
+            Self::Records(..) => Command::Records,
         }
     }
 
@@ -160,16 +155,13 @@ impl Request {
             }
             Self::Upload(upload) => [&upload.signature.0[..], &upload.blob].concat(),
             Self::UploadMany(uploads) => encode_uploads(uploads),
-            Self::Query(query) => query.encode(),
-            Self::Check(digests) => encode_digests(digests),
-            Self::Fetch(digest) => digest.0.to_vec(),
-            Self::Subscribe(selection) => selection.encode(),
-            Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
-            Self::GrantNotice(notice) => notice.encode(),
-            Self::RevokeNotice(notice) => notice.encode(),
+            Self::Notice(Notice::Grant(notice)) => notice.encode(),
+            Self::Notice(Notice::Revoke(notice)) => notice.encode(),
+            Self::Notice(Notice::Device(notice)) => notice.encode(),
             Self::Relay(call) => call.encode(),
             Self::Erase(erasures) => encode_erasures(erasures),
-            Self::DeviceNotice(notice) => notice.encode(),
+            Self::Feed(feed) => feed.encode(),
+            Self::Records(bytes, digests) => [vec![u8::from(*bytes)], encode_digests(digests)].concat(),
         }
     }
 
@@ -188,18 +180,22 @@ impl Request {
                 blob: reader.take(reader.rest().len(), "record")?.to_vec(),
             }),
             Command::UploadMany => Self::UploadMany(read_uploads(&mut reader)?),
-            Command::Query => Self::Query(Query::read(&mut reader)?),
-            Command::Check => Self::Check(read_digests(&mut reader)?),
-            Command::Fetch => Self::Fetch(Digest(reader.array("digest")?)),
-            Command::Subscribe => Self::Subscribe(Selection::read(&mut reader)?),
-            Command::Unsubscribe => Self::Unsubscribe(reader.u32("subscription")?),
-            Command::GrantNotice => Self::GrantNotice(GrantNotice::read(&mut reader)?),
-            Command::RevokeNotice => Self::RevokeNotice(RevokeNotice::read(&mut reader)?),
-            Command::DeviceNotice => Self::DeviceNotice(DeviceNotice::read(&mut reader)?),
+            Command::GrantNotice => Self::Notice(Notice::Grant(GrantNotice::read(&mut reader)?)),
+            Command::RevokeNotice => Self::Notice(Notice::Revoke(RevokeNotice::read(&mut reader)?)),
+            Command::DeviceNotice => Self::Notice(Notice::Device(DeviceNotice::read(&mut reader)?)),
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Erase => Self::Erase(read_erasures(&mut reader)?),
-            Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
+            Command::Feed => Self::Feed(Feed::read(&mut reader)?),
+            Command::Records => {
+                let bytes = match reader.u8("bytes")? {
+                    0 => false,
+                    1 => true,
+                    _ => return Err(WireError::Value("bytes")),
+                };
+                Self::Records(bytes, read_digests(&mut reader)?)
+            }
+            Command::Refuse => return Err(WireError::Value("command")),
         };
         reader.end()?;
         Ok(request)
@@ -280,12 +276,12 @@ fn read_uploads(reader: &mut Reader<'_>) -> Result<Vec<Upload>, WireError> {
 }
 
 fn encode_digests(digests: &[Digest]) -> Vec<u8> {
-    let mut out = count(digests.len(), MOST_CHECKED).to_vec();
-    digests.iter().take(MOST_CHECKED).for_each(|digest| out.extend_from_slice(&digest.0));
+    let mut out = count(digests.len(), MOST_DIGESTS).to_vec();
+    digests.iter().take(MOST_DIGESTS).for_each(|digest| out.extend_from_slice(&digest.0));
     out
 }
 
 fn read_digests(reader: &mut Reader<'_>) -> Result<Vec<Digest>, WireError> {
-    let count = read_count(reader, MOST_CHECKED, "digest count")?;
+    let count = read_count(reader, MOST_DIGESTS, "digest count")?;
     (0..count).map(|_| reader.array("digest").map(Digest)).collect()
 }

@@ -2,9 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::crypto::TransportKey;
-use crate::error::{Code, Refusal};
 use crate::gateway::tests::{sample_answers, sample_requests, sessions};
-use crate::model::Timestamp;
 
 fn client_text(request: &Request, body: &[u8]) -> Vec<u8> {
     let command = request.command();
@@ -53,39 +51,24 @@ fn what_is_cut_or_longer_is_refused() {
 }
 
 #[test]
-fn a_time_that_no_ledger_can_hold_is_malformed_and_not_our_fault() {
-    let requests = sample_requests();
-    let query = requests.iter().find_map(|request| match request {
-        Request::Query(query) => Some(query.clone()),
-        _ => None,
-    });
-    let query = query.expect("a query");
-    let parsed = |from| {
-        let request = Request::Query(Query { from: Timestamp(from), ..query.clone() });
-        Request::parse(Command::Query, &request.encode())
-    };
-    assert!(parsed(u64::MAX >> 1).is_ok());
-    for from in [1 << 63, u64::MAX] {
-        let error = parsed(from).expect_err("refused");
-        assert_eq!(error, WireError::Value("from"));
-        assert_eq!(Refusal::from(error).code, Code::Malformed);
-    }
-}
-
-#[test]
 fn counts_are_bounded_before_anything_is_kept() {
     let many = |count: u16| [&count.to_be_bytes()[..], &vec![0; 40_000]].concat();
-    for command in [Command::UploadMany, Command::Check] {
-        assert_eq!(Request::parse(command, &many(0)).expect_err("none"), count_error(command));
-        assert_eq!(Request::parse(command, &many(1025)).expect_err("too many"), count_error(command));
+    for count in [0, 1025] {
+        let uploads = Request::parse(Command::UploadMany, &many(count));
+        assert_eq!(uploads.expect_err("a number of records"), WireError::Value("record count"));
+        let digests = Request::parse(Command::Records, &[&[1][..], &many(count)].concat());
+        assert_eq!(digests.expect_err("a number of digests"), WireError::Value("digest count"));
+        let owners = [&[0; 16 + 2 + 1 + 1 + 1][..], &many(count)].concat();
+        assert!(Request::parse(Command::Feed, &owners).is_err(), "{count}");
     }
-    assert!(Answer::parse(Command::Query, &many(501)).is_err());
+    for named in [33, 255] {
+        assert!(Request::parse(Command::Feed, &[&[0; 19][..], &[named], &[0; 9_000]].concat()).is_err());
+    }
+    assert!(Answer::parse(Command::Records, &many(1025)).is_err());
+    assert!(Answer::parse(Command::Feed, &[&[0; 32][..], &many(1025)].concat()).is_err());
+    assert!(Answer::parse(Command::Feed, &[&[0; 34][..], &many(257)].concat()).is_err());
     assert!(Answer::parse(Command::Upload, &[&[0; 8][..], &many(1025)].concat()).is_err());
     assert!(Answer::parse(Command::SystemKeys, &[0; 1025]).is_err());
-}
-
-fn count_error(command: Command) -> WireError {
-    WireError::Value(if command == Command::Check { "digest count" } else { "record count" })
 }
 
 #[test]

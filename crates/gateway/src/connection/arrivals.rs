@@ -1,10 +1,10 @@
-//! Input of a connection: the next frame, in time, charged and paced, or an entry of a subscription.
+//! Input of a connection: the next frame, in time, charged and paced, or news for a request that waits.
 
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep, sleep_until};
 
-use super::{Connection, End, Fed, Feeds};
+use super::{Connection, End, Waiting};
 use crate::chain::relay::weight;
 use crate::error::{Code, Refusal};
 use crate::frame::Message;
@@ -20,7 +20,8 @@ const ROOM: Duration = Duration::from_millis(50);
 /// The next input.
 pub(super) enum Next {
     Frame(FrameKind, Vec<u8>),
-    Fed(Fed),
+    /// A request for the feed may have an answer.
+    Due,
 }
 
 impl Connection {
@@ -31,8 +32,8 @@ impl Connection {
         }
     }
 
-    /// The next frame or subscription entry, until `deadline` or until the limits' patience ends.
-    pub(super) async fn next(&mut self, deadline: Instant, mut feeds: Option<&mut Feeds>) -> Result<Next, End> {
+    /// The next frame, or the moment to look again at a request that waits, until `deadline` or until the limits' patience ends.
+    pub(super) async fn next(&mut self, deadline: Instant, mut waiting: Option<&mut Waiting>) -> Result<Next, End> {
         self.charge = None;
         loop {
             if let Some((kind, payload)) = self.line.arrived()? {
@@ -55,7 +56,7 @@ impl Connection {
                 () = self.seat.evicted() => {
                     return Err(Refusal::new(Code::Busy, "dropped in favour of newer connections without a transport key").into());
                 }
-                fed = next_fed(feeds.as_deref_mut()) => return Ok(Next::Fed(fed)),
+                () = due(waiting.as_deref_mut()) => return Ok(Next::Due),
                 () = sleep_until(deadline) => {
                     return Err(Refusal::new(Code::TooSlow, "no complete message arrived in time").into());
                 }
@@ -110,9 +111,9 @@ impl Connection {
     }
 }
 
-async fn next_fed(feeds: Option<&mut Feeds>) -> Fed {
-    match feeds {
-        Some(feeds) => feeds.next().await,
+async fn due(waiting: Option<&mut Waiting>) {
+    match waiting {
+        Some(waiting) => waiting.due().await,
         None => std::future::pending().await,
     }
 }

@@ -1,20 +1,26 @@
 //! What a session may ask, and the order of its checks: token, then signature, then account, then the desk.
 
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until};
+
 use crate::crypto::signer_id;
 use crate::error::{Code, Refusal};
+use crate::feed::{Feed, FeedPage};
 use crate::frame::Message;
 use crate::gateway::command::relay::{LONGEST_FOR_VISITOR, LONGEST_RESULT};
-use crate::gateway::command::{Answer, Command, RelayCall, Relayed, Request, Upload};
+use crate::gateway::command::{Answer, Command, DeviceNotice, Found, Notice, RelayCall, Relayed, Request, Upload};
 use crate::gateway::desk::{Binding, BoundDevice, Caller, Desk};
 use crate::gateway::hello::Agreed;
 use crate::gateway::identity_check::{
-    allocate, check_account, check_reach, check_records, check_registration, check_signed, check_token,
+    allocate, check_account, check_reach, check_records, check_registration, check_signed,
 };
 use crate::gateway::limits::Charge;
-use crate::gateway::standings::SignedStandings;
-use crate::model::{Digest, ProfileName, Timestamp};
+use crate::model::{Address, Digest, ProfileName, Timestamp};
 
-use super::{Feeds, Shared};
+use super::Shared;
 
 impl Shared {
     pub(super) async fn allocation_answer(
@@ -60,19 +66,65 @@ pub(super) struct Commands {
     pub agreed: Agreed,
     pub caller: Caller,
     pub binding: Binding,
-    pub feeds: Option<Feeds>,
+    /// A request for the feed that waits for something to tell.
+    pub waiting: Option<Waiting>,
+    /// Owners that this session has followed.
+    pub followed: BTreeSet<Address>,
+}
+
+/// How soon a request that waits is looked at again while the chain is not fresh.
+const AGAIN: Duration = Duration::from_millis(500);
+
+/// A request for the feed that had no answer yet.
+pub(super) struct Waiting {
+    request: u32,
+    asked: Feed,
+    until: Instant,
+    again: Instant,
+    changes: watch::Receiver<u64>,
+}
+
+impl Waiting {
+    /// Whether to look again.
+    pub fn is_due(&self) -> bool {
+        self.changes.has_changed().unwrap_or(true) || self.again <= Instant::now()
+    }
+
+    /// Waits until it is. Can be cancelled at any point.
+    pub async fn due(&mut self) {
+        tokio::select! {
+            changed = self.changes.changed() => if changed.is_err() { sleep_until(self.again).await },
+            () = sleep_until(self.again) => {}
+        }
+        // Seen by `changed`, but not looked at yet.
+        self.again = Instant::now();
+    }
 }
 
 impl Commands {
-    pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {
+    /// The answer; none yet if the request waits.
+    pub async fn answer(&mut self, shared: &Shared, message: &Message<Charge>) -> Result<Option<Answer>, Refusal> {
         let desk = shared.desk.as_ref();
-        check_token(desk, &self.caller, message.token).await?;
-        desk.admits(&self.caller.account).await?;
+        let token = message.token.ok_or_else(|| Refusal::new(Code::Token, "no token"))?;
+        desk.admits(&self.caller.account, Some(&token)).await?;
         let request = Request::parse(message.command, &message.body)?;
         if message.command.is_signed() {
             check_signed(&shared.context, &self.agreed, &self.caller, message)?;
         }
         check_reach(&self.caller, &request)?;
+        match request {
+            Request::Feed(asked) => self.follow(shared, message.request, asked).await,
+            request => self.answered(shared, message, request).await.map(Some),
+        }
+    }
+
+    async fn answered(
+        &mut self,
+        shared: &Shared,
+        message: &Message<Charge>,
+        request: Request,
+    ) -> Result<Answer, Refusal> {
+        let desk = shared.desk.as_ref();
         match request {
             Request::Ping => return Ok(Answer::Time(Timestamp::now())),
             Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
@@ -83,38 +135,24 @@ impl Commands {
             _ => check_account(desk, &self.binding).await?,
         }
         match request {
-            Request::Query(query) => desk.query(&self.caller, &query).await.map(Answer::Page),
-            Request::Check(digests) => {
-                let stood = desk.check(&self.caller, &digests).await?;
-                let (domain, identity) = (&shared.context.domain, &shared.identity);
-                let signed = SignedStandings::sign(shared.provider(), domain, identity, &digests, stood);
-                signed.map(|signed| Answer::Standings(Box::new(signed))).map_err(Refusal::because(Code::Internal))
+            Request::Records(bytes, digests) => {
+                let found = desk.records(&self.caller, &digests, bytes).await?;
+                for (digest, found) in digests.iter().zip(&found).filter(|_| bytes) {
+                    if let Found::Missing(code) = found {
+                        shared.refused(self.caller.peer, &Refusal::new(*code, format_args!("record {digest}")));
+                    }
+                }
+                Ok(Answer::Records(found))
             }
-            Request::Fetch(digest) => self.fetch(desk, &digest).await,
-            Request::Subscribe(selection) => {
-                let feeds = self.feeds.get_or_insert_with(Feeds::new);
-                feeds.check_room(message.request, shared.limits().subscriptions)?;
-                let entries = desk.subscribe(&self.caller, &selection).await?;
-                feeds.add(message.request, entries);
-                Ok(Answer::Done(Command::Subscribe))
-            }
-            Request::Unsubscribe(subscription) => {
-                self.end_feed(subscription);
-                Ok(Answer::Done(Command::Unsubscribe))
-            }
-            Request::GrantNotice(notice) => {
-                desk.grant(&self.caller, &notice).await?;
-                self.noted(shared, message)
-            }
-            Request::RevokeNotice(notice) => {
-                desk.revoke(&self.caller, &notice).await?;
-                self.noted(shared, message)
-            }
-            Request::DeviceNotice(notice) => {
-                shared.provider().check_public_key(&notice.key).map_err(Refusal::because(Code::Malformed))?;
-                desk.device(&self.caller, &notice).await?;
-                let device = BoundDevice { id: signer_id(&notice.key), notices: notice.notices };
-                (self.caller.device, self.binding.device) = (Some(device), Some(device));
+            Request::Notice(notice) => {
+                if let Notice::Device(notice) = &notice {
+                    shared.provider().check_public_key(&notice.key).map_err(Refusal::because(Code::Malformed))?;
+                }
+                desk.notice(&self.caller, &notice).await?;
+                if let Notice::Device(DeviceNotice { key, notices }) = notice {
+                    let device = BoundDevice { id: signer_id(&key), notices };
+                    (self.caller.device, self.binding.device) = (Some(device), Some(device));
+                }
                 self.noted(shared, message)
             }
             Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erasures),
@@ -122,29 +160,56 @@ impl Commands {
         }
     }
 
-    /// A record, or what is left of it if its owner had it erased. Notices to a device are not erased.
-    async fn fetch(&self, desk: &dyn Desk, digest: &Digest) -> Result<Answer, Refusal> {
-        match desk.fetch(&self.caller, digest).await {
-            Err(refusal) if refusal.code == Code::NotFound && self.caller.device.is_none() => {
-                desk.fetch_erased(&self.caller, digest).await.map(|erased| Answer::Erased(Box::new(erased)))
-            }
-            record => record.map(|record| Answer::Record(Box::new(record))),
+    /// A page of the feed, or nothing yet: then [`Self::due`] goes on.
+    async fn follow(&mut self, shared: &Shared, request: u32, asked: Feed) -> Result<Option<Answer>, Refusal> {
+        if self.waiting.is_some() {
+            return Err(Refusal::new(Code::Quota, "one request for the feed is waiting already"));
         }
+        // Whoever changes something after the look rings.
+        let (now, changes) = (Instant::now(), shared.desk.changes());
+        let until = now + asked.wait;
+        self.waiting = Some(Waiting { request, asked, until, again: now, changes });
+        self.due(shared).await.map(|(_, outcome)| outcome).transpose()
     }
 
-    /// A subscription delivers under the same conditions as a request: an account that was dismissed, or whose keys
-    /// have changed since the session was allocated, gets nothing more.
-    ///
-    /// # Errors
-    /// [`Refusal`], with which the subscription ends.
-    pub async fn check_fed(&self, desk: &dyn Desk) -> Result<(), Refusal> {
-        desk.admits(&self.caller.account).await?;
-        check_account(desk, &self.binding).await
+    /// Looks whether the request that waits has an answer: something to tell, a refusal, or the end of its time. While the
+    /// chain is not fresh it goes on waiting. It delivers under the same conditions as any request: an account that was
+    /// dismissed, or whose keys have changed since the session was allocated, gets nothing more.
+    pub async fn due(&mut self, shared: &Shared) -> Option<(u32, Result<Answer, Refusal>)> {
+        let mut waiting = self.waiting.take()?;
+        waiting.changes.mark_unchanged();
+        let is_over = Instant::now() >= waiting.until;
+        let page = match self.page(shared, &waiting.asked).await {
+            Ok(page) if is_over || page.tells(&waiting.asked) => page,
+            Ok(page) => {
+                waiting.asked.after(&page);
+                waiting.again = waiting.until;
+                self.waiting = Some(waiting);
+                return None;
+            }
+            Err(refusal) if refusal.code == Code::Stale && !is_over => {
+                waiting.again = (Instant::now() + AGAIN).min(waiting.until);
+                self.waiting = Some(waiting);
+                return None;
+            }
+            Err(refusal) => return Some((waiting.request, Err(refusal))),
+        };
+        for (owner, code) in &page.refused {
+            shared.refused(self.caller.peer, &Refusal::new(*code, format_args!("records of {owner}")));
+        }
+        let signed = page.sign(shared.provider(), &shared.context.domain, &shared.identity);
+        let answer = signed.map(|page| Answer::Feed(Box::new(page))).map_err(Refusal::because(Code::Internal));
+        Some((waiting.request, answer))
     }
 
-    /// Ends a subscription, if there is one with this number.
-    pub fn end_feed(&mut self, request: u32) {
-        self.feeds.iter_mut().for_each(|feeds| feeds.remove(request));
+    async fn page(&mut self, shared: &Shared, asked: &Feed) -> Result<FeedPage, Refusal> {
+        let desk = shared.desk.as_ref();
+        desk.admits(&self.caller.account, None).await?;
+        check_account(desk, &self.binding).await?;
+        let is_new = asked.places.iter().any(|(owner, _)| !self.followed.contains(owner));
+        let page = desk.feed(&self.caller, asked, is_new).await?;
+        self.followed.extend(asked.places.iter().map(|(owner, _)| *owner));
+        Ok(page)
     }
 
     fn noted(&self, shared: &Shared, message: &Message<Charge>) -> Result<Answer, Refusal> {

@@ -1,6 +1,7 @@
 //! Keys, sessions and messages that the gateway's tests share.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use authros_crypto::{
     AccountSignature, EoaSecret, ErasedStatement, IndexKey, ProviderName, SealRequest, SmKeyPair, SmSecret, TopicKey,
@@ -8,15 +9,15 @@ use authros_crypto::{
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page,
-    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
+    Answer, Command, DeviceNotice, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Notice,
+    Registration, RelayCall, Relayed, Request, RevokeNotice, Upload,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
-use authros_gateway::{Code, Receipt, SignedStandings, Stood};
+use authros_gateway::{Code, Feed, FeedEntry, FeedPage, Found, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
-    Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId,
+    Address, Digest, Domain, Fact, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId,
     RecorderPrefix, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
@@ -115,21 +116,6 @@ pub(crate) fn sessions(key: &TransportKey) -> (Session, Session) {
     (client, gateway.identified(&identify).expect("opens").session(Some(key)))
 }
 
-fn entry() -> Entry {
-    Entry {
-        digest: Digest([1; 32]),
-        owner: Address([2; 20]),
-        recorder: RecorderId([3; 16]),
-        seq: 4,
-        topic_id: TopicId([5; 16]),
-        epoch: 6,
-        captured_at: Timestamp(7),
-        length: 8,
-        kind: RecordKind::Gap,
-        standing: Standing::Verified,
-    }
-}
-
 fn receipt() -> Receipt {
     Receipt { time: Timestamp(9), digests: vec![Digest([1; 32]), Digest([2; 32])], signature: Signature([3; 64]) }
 }
@@ -137,13 +123,6 @@ fn receipt() -> Receipt {
 /// One request of each Command and shape.
 pub(crate) fn sample_requests() -> Vec<Request> {
     let upload = |length| Upload { signature: Signature([7; 64]), blob: vec![8; length] };
-    let selection = Selection {
-        owner: Address([1; 20]),
-        topic_id: Some(TopicId([2; 16])),
-        kind: Some(RecordKind::Data),
-        filters: vec![FilterId([3; 8]); 4],
-    };
-    let query = |selection| Query { selection, from: Timestamp(1), until: Timestamp(u64::MAX), cursor: 9, limit: 500 };
     let identity = Identity {
         token: Token([1; 32]),
         signing: PublicKey([2; 64]),
@@ -163,31 +142,55 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::Register(Box::new(Registration { account: grantee, identity, transaction: vec![9; 200] })),
         Request::Upload(upload(300)),
         Request::UploadMany(vec![upload(0), upload(10), upload(200)]),
-        Request::Query(query(selection.clone())),
-        Request::Query(query(Selection::all(Address([1; 20])))),
-        Request::Check(vec![Digest([1; 32]), Digest([2; 32])]),
-        Request::Fetch(Digest([3; 32])),
-        Request::Subscribe(selection),
-        Request::Unsubscribe(5),
-        Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
-        Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
-        Request::DeviceNotice(notice_of(&pair(0x66))),
+        Request::Notice(Notice::Grant(GrantNotice { grantee, epoch: 2, expiry: 3, transaction })),
+        Request::Notice(Notice::Revoke(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction })),
+        Request::Notice(Notice::Device(notice_of(&pair(0x66)))),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
         Request::Erase(vec![erasure(); 2]),
+        Request::Feed(feed()),
+        Request::Feed(Feed::of(Address([1; 20]))),
+        Request::Records(true, vec![Digest([1; 32]), Digest([2; 32])]),
+        Request::Records(false, vec![Digest([3; 32])]),
     ]
+}
+
+/// A request for the feed with everything in it.
+fn feed() -> Feed {
+    Feed {
+        id: [1; 16],
+        wait: Duration::from_millis(1_500),
+        kind: Some(RecordKind::Key),
+        topics: vec![TopicId([2; 16]); 2],
+        recorders: vec![RecorderId([3; 16]); 3],
+        places: vec![(Address([4; 20]), 5), (Address([6; 20]), u64::MAX)],
+    }
+}
+
+fn page() -> FeedPage {
+    let one = |number, fact, proof| FeedEntry {
+        number,
+        fact,
+        digest: Digest([1; 32]),
+        owner: Address([2; 20]),
+        recorder: RecorderId([3; 16]),
+        seq: 4,
+        topic_id: TopicId([5; 16]),
+        epoch: 6,
+        captured_at: Timestamp(7),
+        length: 8,
+        kind: RecordKind::Gap,
+        proof,
+    };
+    let entries = vec![one(3, Fact::Stored, Vec::new()), one(7, Fact::Verified, vec![3; 40])];
+    let refused = vec![(Address([8; 20]), Code::NotAuthorised)];
+    FeedPage::new([9; 16], (12, 8), refused, entries)
 }
 
 /// A notice that names a device.
 pub(crate) fn notice_of(device: &SmKeyPair) -> DeviceNotice {
     let notices = topic_id(&IndexKey::new([3; 32]), &notice_topic(&signer_id(&device.public)));
     DeviceNotice { key: device.public, notices }
-}
-
-fn standings() -> SignedStandings {
-    let stood = [(Standing::Unknown, 0), (Standing::Verified, 40)];
-    let stood = stood.map(|(standing, length)| Stood { standing, proof: vec![3; length] }).to_vec();
-    SignedStandings { time: Timestamp(5), stood, signature: Signature([6; 64]) }
 }
 
 /// A record that was erased.
@@ -209,19 +212,17 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Receipt(Command::UploadMany, receipt()),
         Answer::Receipt(Command::DeviceNotice, receipt()),
         Answer::Registered(Hash([1; 32])),
-        Answer::Page(Page { entries: vec![entry(); 3], next: Some(4) }),
-        Answer::Page(Page { entries: Vec::new(), next: None }),
-        Answer::Standings(Box::new(standings())),
-        Answer::Record(Box::new(record.clone())),
-        Answer::Erased(Box::new(erasure().left)),
-        Answer::Done(Command::Subscribe),
-        Answer::Done(Command::Unsubscribe),
         Answer::Time(Timestamp(5)),
         Answer::Relayed(Relayed::Result("\"0x7\"".into())),
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
+        Answer::Feed(Box::new(page())),
+        Answer::Records(vec![
+            Found::Missing(Code::NotFound),
+            Found::Here,
+            Found::Held(record),
+            Found::Erased(erasure().left),
+        ]),
         Answer::Erasures(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
-        Answer::Event(Box::new((entry(), record))),
-        Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),
     ]
 }

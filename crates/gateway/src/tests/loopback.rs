@@ -1,11 +1,12 @@
 //! Server and client over loopback, with a desk in memory.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::stage::{Stage, refusal};
 use super::*;
 use crate::crypto::{SmKeyPair, prove};
-use crate::model::{Digest, Hash, Timestamp, Token};
+use crate::model::{Address, Digest, Hash, Token};
 
 fn alice() -> Member {
     Member::new("alice", 0x11)
@@ -36,17 +37,17 @@ async fn a_robot_enrols_uploads_and_reads_back() {
     let digest = Digest(context().provider.sm3(&[&image.blob]));
     let fetched = client.fetch(&digest).await.expect("fetches");
     assert_eq!((fetched.blob, fetched.signature), (image.blob, image.signature));
-    let standings = client.check(&[digest, Digest([0; 32])]).await.expect("checks");
-    assert_eq!(standings.standings(), [Standing::Acknowledged, Standing::Unknown]);
+    let missing = client.missing(&[digest, Digest([0; 32])]).await.expect("asked");
+    assert_eq!(missing, [(Digest([0; 32]), Code::NotFound)]);
 
-    let selection = Selection::all(alice.account());
-    let mut query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 15 };
-    let mut seen = Vec::new();
-    loop {
-        let page = client.query(&query).await.expect("page");
+    stage.desk.state().verify();
+    let (mut follow, mut seen) = (Follow::new(Feed::of(alice.account())), Vec::new());
+    while let Some(page) = follow.next(&mut client, Duration::ZERO).await.expect("a page") {
         seen.extend(page.entries.iter().map(|entry| entry.seq));
-        let Some(next) = page.next else { break };
-        query.cursor = next;
+        follow.took(&page, page.upto);
+        if page.upto == page.head {
+            break;
+        }
     }
     assert_eq!(seen, (1..40).collect::<Vec<u64>>());
     assert_eq!(refusal(client.fetch(&Digest([0; 32])).await), Some(Code::NotFound));
@@ -165,7 +166,7 @@ async fn a_suspended_or_rotated_account_is_refused_within_its_session() {
     stage.desk.state().accounts.clear();
     let upload = alice.record(&alice.signing, 1, b"x");
     assert_eq!(refusal(client.upload(vec![upload]).await), Some(Code::NotRegistered));
-    assert_eq!(refusal(client.check(&[Digest([0; 32])]).await), Some(Code::NotRegistered));
+    assert_eq!(refusal(client.missing(&[Digest([0; 32])]).await), Some(Code::NotRegistered));
     assert_eq!(stage.desk.record_count(), 0);
 }
 
@@ -177,36 +178,92 @@ fn revoke_of(reader: &Member) -> RevokeNotice {
     RevokeNotice { grantee: reader.account(), epoch: 2, token: Token([2; 32]), transaction: Hash([2; 32]) }
 }
 
+/// A follower that is told of one record after the other, as they come.
+struct Live {
+    follow: Follow,
+    told: VecDeque<FeedEntry>,
+}
+
+impl Live {
+    fn of(owner: Address) -> Self {
+        Self { follow: Follow::new(Feed::of(owner)), told: VecDeque::new() }
+    }
+
+    /// The next record; nothing if none comes within `patience`.
+    async fn next(&mut self, client: &mut Client, patience: Duration) -> Result<Option<FeedEntry>, GatewayError> {
+        if self.told.is_empty()
+            && let Some(page) = self.follow.next(client, patience).await?
+        {
+            self.follow.took(&page, page.upto);
+            self.told.extend(page.entries);
+        }
+        Ok(self.told.pop_front())
+    }
+}
+
+const LONG: Duration = Duration::from_secs(30);
+
 #[tokio::test]
-async fn a_subscriber_gets_records_until_the_revoke_and_none_after() {
+async fn a_follower_gets_records_until_the_revoke_and_none_after() {
     let stage = Stage::new().await;
+    stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
     let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
     let (mut owner, mut reader) =
         (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
-    let selection = Selection::all(alice.account());
-    assert_eq!(refusal(reader.subscribe(&selection).await), Some(Code::NotAuthorised));
+    let mut live = Live::of(alice.account());
+    assert_eq!(refusal(live.next(&mut reader, LONG).await), Some(Code::NotAuthorised), "at once");
     let receipt = owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     assert_eq!(receipt.digests.len(), 1);
-    let subscription = reader.subscribe(&selection).await.expect("subscribes");
     for seq in 1..4 {
-        owner.upload(vec![alice.record(&alice.signing, seq, b"live")]).await.expect("receipt");
+        let upload = async {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            owner.upload(vec![alice.record(&alice.signing, seq, b"live")]).await.expect("receipt");
+        };
+        let begun = std::time::Instant::now();
+        let (told, ()) = tokio::join!(live.next(&mut reader, LONG), upload);
+        let entry = told.expect("a page").expect("a record");
+        assert_eq!((entry.seq, begun.elapsed() < LONG / 2), (seq, true), "as it comes");
+        assert!(!reader.fetch(&entry.digest).await.expect("a record").blob.is_empty());
     }
-    for seq in 1..4 {
-        let (request, entry, record) = reader.next_event(Duration::from_secs(30)).await.expect("a record");
-        assert_eq!((request, entry.seq), (subscription, seq));
-        assert!(!record.blob.is_empty());
-    }
-    owner.revoke(&alice.signing, revoke_of(&bob)).await.expect("obeyed");
+    // What waits is cut the moment the revocation is seen.
+    let revoke = async {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        owner.revoke(&alice.signing, revoke_of(&bob)).await.expect("obeyed");
+    };
+    let (told, ()) = tokio::join!(live.next(&mut reader, LONG), revoke);
+    assert_eq!(refusal(told), Some(Code::NotAuthorised));
     owner.upload(vec![alice.record(&alice.signing, 4, b"not for bob")]).await.expect("receipt");
-    assert_eq!(refusal(reader.next_event(Duration::from_secs(30)).await.map(|_| ())), Some(Code::NotAuthorised));
-    let quiet = reader.next_event(Duration::from_millis(200)).await;
-    assert!(matches!(quiet, Err(GatewayError::TimedOut)), "nothing after the end");
-    assert_eq!(refusal(reader.subscribe(&selection).await), Some(Code::NotAuthorised));
+    assert_eq!(refusal(live.next(&mut reader, LONG).await), Some(Code::NotAuthorised));
     reader.ping().await.expect("the session goes on");
 }
 
-/// Waits until an entry was asked for twice while the chain is silent.
+#[tokio::test]
+async fn one_owner_who_gives_nothing_keeps_no_other_away() {
+    let stage = Stage::new().await;
+    stage.desk.state().verify();
+    let (alice, bob) = (alice(), bob());
+    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
+    let (mut owner, mut reader) =
+        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    reader.upload(vec![bob.record(&bob.signing, 1, b"his own")]).await.expect("receipt");
+    owner.upload(vec![alice.record(&alice.signing, 1, b"hers")]).await.expect("receipt");
+    let mut live = Live::of(bob.account());
+    live.follow.add(alice.account(), 0);
+    let told = live.next(&mut reader, LONG).await.expect("a page").expect("his own");
+    let resting: Vec<Address> = live.follow.resting().copied().collect();
+    assert_eq!((told.owner, resting), (bob.account(), vec![alice.account()]));
+    owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
+    let told = loop {
+        if let Some(told) = live.next(&mut reader, LONG).await.expect("a page") {
+            break told;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    };
+    assert_eq!(told.owner, alice.account(), "asked about again, from the beginning");
+}
+
+/// Waits until somebody was refused twice because the chain is silent.
 async fn asked_again(stage: &Stage) {
     stage.desk.state().asked_in_vain = 0;
     while stage.desk.state().asked_in_vain < 2 {
@@ -215,52 +272,81 @@ async fn asked_again(stage: &Stage) {
 }
 
 #[tokio::test]
-async fn a_subscription_pauses_while_the_chain_is_silent_and_goes_on_or_ends_by_what_it_says_then() {
+async fn who_follows_waits_while_the_chain_is_silent_and_goes_on_or_ends_by_what_it_says_then() {
     let stage = Stage::new().await;
+    stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
     let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
     let (mut owner, mut reader) =
         (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
-    let subscription = reader.subscribe(&Selection::all(alice.account())).await.expect("subscribes");
+    let mut live = Live::of(alice.account());
     stage.desk.state().silent = true;
+    assert_eq!(refusal(live.next(&mut reader, Duration::ZERO).await), Some(Code::Stale), "who does not wait is told");
     for seq in 1..3 {
         owner.upload(vec![alice.record(&alice.signing, seq, b"live")]).await.expect("receipt");
     }
-    asked_again(&stage).await;
-    reader.ping().await.expect("what needs no right is answered meanwhile");
-    stage.desk.state().silent = false;
-    for seq in 1..3 {
-        let (request, entry, _) = reader.next_event(Duration::from_secs(30)).await.expect("a record");
-        assert_eq!((request, entry.seq), (subscription, seq));
-    }
+    let speak = async {
+        asked_again(&stage).await;
+        stage.desk.state().silent = false;
+    };
+    let (told, ()) = tokio::join!(live.next(&mut reader, LONG), speak);
+    assert_eq!(told.expect("a page").expect("a record").seq, 1);
+    assert_eq!(live.next(&mut reader, LONG).await.expect("a page").expect("a record").seq, 2);
     stage.desk.state().silent = true;
     owner.upload(vec![alice.record(&alice.signing, 3, b"not for bob")]).await.expect("receipt");
-    asked_again(&stage).await;
-    owner.revoke(&alice.signing, revoke_of(&bob)).await.expect("obeyed");
-    stage.desk.state().silent = false;
-    assert_eq!(refusal(reader.next_event(Duration::from_secs(30)).await.map(|_| ())), Some(Code::NotAuthorised));
+    let revoke = async {
+        asked_again(&stage).await;
+        owner.revoke(&alice.signing, revoke_of(&bob)).await.expect("obeyed");
+        stage.desk.state().silent = false;
+    };
+    let (told, ()) = tokio::join!(live.next(&mut reader, LONG), revoke);
+    assert_eq!(refusal(told), Some(Code::NotAuthorised));
 }
 
 #[tokio::test]
-async fn a_subscriber_whose_keys_were_replaced_gets_nothing_more() {
+async fn who_follows_under_replaced_keys_gets_nothing_more() {
     let stage = Stage::new().await;
+    stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
     let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
     let (mut owner, mut reader) =
         (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
-    let selection = Selection::all(alice.account());
-    reader.subscribe(&selection).await.expect("subscribes");
+    let mut live = Live::of(alice.account());
     owner.upload(vec![alice.record(&alice.signing, 1, b"live")]).await.expect("receipt");
-    reader.next_event(Duration::from_secs(30)).await.expect("a record");
-    // The chain has another signing key for the reader; the grant stands.
-    let other = Account { signing: pair(0x44).public, envelope: bob.envelope.public };
-    stage.desk.state().accounts.insert(bob.account(), other);
-    owner.upload(vec![alice.record(&alice.signing, 2, b"not under the old keys")]).await.expect("receipt");
-    let ended = reader.next_event(Duration::from_secs(30)).await.map(|_| ());
-    assert_eq!(refusal(ended), Some(Code::NotRegistered));
-    assert_eq!(refusal(reader.subscribe(&selection).await), Some(Code::NotRegistered));
+    live.next(&mut reader, LONG).await.expect("a page").expect("a record");
+    let replace = async {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        // The chain has another signing key for the reader; the grant stands.
+        let other = Account { signing: pair(0x44).public, envelope: bob.envelope.public };
+        stage.desk.state().accounts.insert(bob.account(), other);
+        owner.upload(vec![alice.record(&alice.signing, 2, b"not under the old keys")]).await.expect("receipt");
+    };
+    let (told, ()) = tokio::join!(live.next(&mut reader, LONG), replace);
+    assert_eq!(refusal(told), Some(Code::NotRegistered));
+    assert_eq!(refusal(live.next(&mut reader, LONG).await), Some(Code::NotRegistered));
+}
+
+#[tokio::test]
+async fn a_request_that_waits_holds_up_no_other_and_ends_with_its_time() {
+    let stage = Stage::new().await;
+    let alice = alice();
+    let mut client = stage.connect(&stage.enrol(&alice).await).await.expect("connects");
+    let first = client.feed(&Feed::of(alice.account())).await.expect("a page");
+    let wait = Duration::from_millis(700);
+    let asked = Feed { id: first.id, wait, ..Feed::of(alice.account()) };
+    let begun = std::time::Instant::now();
+    let waiting = client.send(&Request::Feed(asked.clone())).await.expect("sends");
+    let second = client.send(&Request::Feed(asked)).await.expect("sends");
+    let ping = client.send(&Request::Ping).await.expect("sends");
+    let (number, refused) = client.receive(LONG).await.expect("answers");
+    assert_eq!((number, refused), (second, Answer::Refused(Code::Quota)), "one at a time");
+    let (number, pong) = client.receive(LONG).await.expect("answers");
+    assert!(number == ping && matches!(pong, Answer::Time(_)) && begun.elapsed() < wait, "{pong:?}");
+    let (number, page) = client.receive(LONG).await.expect("answers");
+    assert!(number == waiting && begun.elapsed() >= wait, "{page:?}");
+    assert!(matches!(page, Answer::Feed(page) if page.entries.is_empty() && page.upto == page.head));
 }
 
 #[tokio::test]

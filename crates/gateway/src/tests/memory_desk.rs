@@ -6,21 +6,24 @@ use std::sync::{Mutex, MutexGuard};
 
 use async_trait::async_trait;
 use serde_json::Value;
-use tokio::sync::mpsc;
+use tokio::sync::watch;
 
 use super::fixtures::{Member, network};
 use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{
-    DeviceNotice, Entry, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice,
-    Selection, Standing,
+    ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Notice, Registration, RevokeNotice,
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
-use authros_gateway::{Code, NetworkName, Refusal, Stood};
-use authros_model::{Address, Digest, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use authros_gateway::feed::{FeedEntry, MOST_ENTRIES};
+use authros_gateway::{Code, Feed, FeedPage, NetworkName, Refusal};
+use authros_model::{
+    Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token,
+};
 
 #[derive(Default)]
+#[allow(clippy::struct_excessive_bools, reason = "each is one thing that a test may set")]
 pub(crate) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
@@ -32,15 +35,12 @@ pub(crate) struct State {
     pub successors: HashMap<Address, Address>,
     pub records: BTreeMap<u64, Received>,
     pub readers: HashSet<(Address, Address)>,
-    pub subscribers: Vec<(Caller, Selection, mpsc::Sender<Entry>)>,
     pub refusals: Vec<Code>,
     pub registrations: Vec<Registration>,
     pub grants: Vec<GrantNotice>,
     pub revokes: Vec<RevokeNotice>,
     /// Requests passed on to the chain: the caller and the method.
     pub relayed: Vec<(Option<Address>, String)>,
-    /// The standing of every record; acknowledged unless set otherwise.
-    pub standing: Option<Standing>,
     /// It gives standings without proofs.
     pub proofless: bool,
     /// Accounts that the keeper does not admit.
@@ -51,25 +51,20 @@ pub(crate) struct State {
     pub asked_in_vain: usize,
     /// Every change so far.
     pub changes: usize,
+    /// Its bytes are not what was uploaded any more.
+    pub spoilt: bool,
+    /// Every record is verified, from now on as it is stored.
+    pub verifies: bool,
+    /// The feed: records by their numbers, and what it says of them.
+    pub feed: Vec<(u64, Fact)>,
+    /// The feed's id: a restored gateway has another one.
+    pub feed_id: [u8; 16],
+    /// Rings with every change.
+    pub ring: Option<watch::Sender<u64>>,
 }
 
 #[derive(Default)]
 pub(crate) struct MemoryDesk(Mutex<State>);
-
-fn entry(record: &Received) -> Entry {
-    Entry {
-        digest: record.digest,
-        owner: record.header.owner,
-        recorder: record.header.recorder,
-        seq: record.header.seq,
-        topic_id: record.header.topic_id,
-        epoch: record.header.epoch,
-        captured_at: record.header.captured_at,
-        length: u64::try_from(record.blob.len()).expect("fits"),
-        kind: record.header.kind,
-        standing: Standing::Acknowledged,
-    }
-}
 
 fn anchor_of(record: &Received) -> AnchorProof {
     let Header { owner, .. } = record.header;
@@ -117,35 +112,73 @@ impl State {
         Err(Refusal::new(Code::NotAuthorised, "no grant"))
     }
 
-    fn keep(&mut self, record: Received) -> Option<Entry> {
-        if self.records.values().any(|known| known.digest == record.digest) {
-            return None;
+    fn told(&self, (number, fact): (u64, Fact), record: &Received) -> FeedEntry {
+        let proof = if fact == Fact::Verified && !self.proofless { anchor_of(record).encode() } else { Vec::new() };
+        let header = &record.header;
+        FeedEntry {
+            number,
+            fact,
+            digest: record.digest,
+            owner: header.owner,
+            recorder: header.recorder,
+            seq: header.seq,
+            topic_id: header.topic_id,
+            epoch: header.epoch,
+            captured_at: header.captured_at,
+            length: record.blob.len() as u64,
+            kind: header.kind,
+            proof,
         }
-        let (number, entry) = (self.records.len() as u64 + 1, entry(&record));
-        self.records.insert(number, record);
+    }
+
+    /// Everything that is here and that comes is verified.
+    pub fn verify(&mut self) {
+        self.verifies = true;
+        let waiting = self.records.keys().filter(|number| !self.feed.contains(&(**number, Fact::Verified)));
+        let waiting: Vec<_> = waiting.map(|number| (*number, Fact::Verified)).collect();
+        self.feed.extend(waiting);
+        self.ring();
+    }
+
+    /// What readers are told may have changed.
+    pub fn ring(&mut self) {
         self.changes += 1;
-        Some(entry)
+        if let Some(ring) = &self.ring {
+            ring.send_modify(|count| *count += 1);
+        }
+    }
+
+    fn keep(&mut self, record: Received) {
+        if self.records.values().any(|known| known.digest == record.digest) {
+            return;
+        }
+        let (number, kind) = (self.records.len() as u64 + 1, record.header.kind);
+        if self.verifies {
+            self.feed.push((number, Fact::Verified));
+        } else if kind == RecordKind::Key {
+            self.feed.push((number, Fact::Stored));
+        }
+        self.records.insert(number, record);
+        self.ring();
     }
 }
 
 #[async_trait]
 impl Desk for MemoryDesk {
-    async fn account(&self, account: &Address) -> Result<Account, Refusal> {
+    async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account, Refusal> {
+        if device.is_some_and(|device| !self.state().lent.contains(&(*account, *device))) {
+            return Err(Refusal::new(Code::NotAuthorised, "not lent"));
+        }
         let found = self.state().accounts.get(account).copied();
         found.ok_or_else(|| Refusal::new(Code::NotRegistered, "unknown account"))
     }
 
-    async fn admits(&self, account: &Address) -> Result<(), Refusal> {
+    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal> {
+        if token.is_some_and(|token| !self.state().tokens.contains(&(*account, *token))) {
+            return Err(Refusal::new(Code::Token, "an unknown token"));
+        }
         let dismissed = self.state().dismissed.contains(account);
         if dismissed { Err(Refusal::new(Code::NotAuthorised, "not admitted")) } else { Ok(()) }
-    }
-
-    async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
-        Ok(self.state().tokens.contains(&(*account, *token)))
-    }
-
-    async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
-        Ok(self.state().lent.contains(&(*owner, *device)))
     }
 
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -163,94 +196,110 @@ impl Desk for MemoryDesk {
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
         let mut state = self.state();
         state.bindings.insert(name.clone(), binding);
-        state.changes += 1;
+        state.ring();
         Ok(())
     }
 
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
         let mut state = self.state();
         state.registrations.push(registration.clone());
-        state.changes += 1;
+        state.ring();
         Ok(Hash([0x99; 32]))
     }
 
     async fn store(&self, _: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
-        let new = {
-            let mut state = self.state();
-            let entries: Vec<Entry> = records.into_iter().filter_map(|record| state.keep(record)).collect();
-            let senders = state.subscribers.iter().map(|(_, selection, sender)| (selection.owner, sender.clone()));
-            let senders: Vec<_> = senders.collect();
-            (entries, senders)
-        };
-        for entry in new.0 {
-            for (_, sender) in new.1.iter().filter(|(owner, _)| *owner == entry.owner) {
-                let _ = sender.send(entry).await;
-            }
-        }
+        let mut state = self.state();
+        records.into_iter().for_each(|record| state.keep(record));
         Ok(Timestamp::now())
     }
 
-    async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {
-        let state = self.state();
-        state.may_read(&caller.account, &query.selection.owner)?;
-        let (owner, limit) = (query.selection.owner, usize::from(query.limit));
-        let wanted = state
-            .records
-            .range(u64::try_from(query.cursor).expect("small") + 1..)
-            .filter(|(_, record)| record.header.owner == owner);
-        let found: Vec<(u64, Entry)> =
-            wanted.take(limit + 1).map(|(number, record)| (*number, entry(record))).collect();
-        let next = (found.len() > limit).then(|| u128::from(found[limit - 1].0));
-        Ok(Page { entries: found.into_iter().take(limit).map(|(_, entry)| entry).collect(), next })
-    }
-
-    /// Each record is alone in its batch.
-    async fn check(&self, _: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
-        let state = self.state();
-        let stood = |digest: &Digest| {
-            let found = state.records.values().find(|record| record.digest == *digest);
-            let here = state.standing.unwrap_or(Standing::Acknowledged);
-            let standing = if found.is_some() { here } else { Standing::Unknown };
-            let proof = found.filter(|_| standing == Standing::Verified && !state.proofless).map(anchor_of);
-            Stood { standing, proof: proof.map(|proof| proof.encode()).unwrap_or_default() }
-        };
-        Ok(digests.iter().map(stood).collect())
-    }
-
-    async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
+    async fn feed(&self, caller: &Caller, asked: &Feed, _: bool) -> Result<FeedPage, Refusal> {
         let mut state = self.state();
         if state.silent {
             state.asked_in_vain += 1;
             return Err(Refusal::new(Code::Stale, "the chain is silent"));
         }
-        let found = state.records.values().find(|record| record.digest == *digest);
-        let record = found.ok_or_else(|| Refusal::new(Code::NotFound, "no such record"))?;
-        state.may_read(&caller.account, &record.header.owner)?;
-        let (signer, signature) = (record.signer, record.signature);
-        Ok(Fetched { signer, signature, proof: Vec::new(), blob: record.blob.clone() })
+        let mut refused = Vec::new();
+        for (owner, _) in &asked.places {
+            if let Err(refusal) = state.may_read(&caller.account, owner) {
+                refused.push((*owner, refusal.code));
+            }
+        }
+        if refused.len() == asked.places.len() {
+            return Err(Refusal::new(refused[0].1, "no grant"));
+        }
+        let head = state.feed.len() as u64;
+        let after = |owner: &Address| {
+            let is_told = |place: &&(Address, u64)| place.0 == *owner && !refused.iter().any(|(no, _)| no == owner);
+            let place = asked.places.iter().find(is_told);
+            place.map(|(_, number)| if asked.id == state.feed_id && *number <= head { *number } else { 0 })
+        };
+        let mut entries: Vec<FeedEntry> = Vec::new();
+        for (number, (record, fact)) in (1..).zip(&state.feed) {
+            let Some(record) = state.records.get(record) else { continue };
+            let header = &record.header;
+            if after(&header.owner).is_some_and(|after| number > after)
+                && (asked.topics.is_empty() || asked.topics.contains(&header.topic_id))
+                && (asked.recorders.is_empty() || asked.recorders.contains(&header.recorder))
+                && asked.kind.is_none_or(|kind| kind == header.kind)
+            {
+                entries.push(state.told((number, *fact), record));
+            }
+        }
+        entries.truncate(MOST_ENTRIES);
+        let upto = if entries.len() == MOST_ENTRIES { entries[MOST_ENTRIES - 1].number } else { head };
+        Ok(FeedPage::new(state.feed_id, (head, upto), refused, entries))
     }
 
-    async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
+    fn changes(&self) -> watch::Receiver<u64> {
         let mut state = self.state();
-        state.may_read(&caller.account, &selection.owner)?;
-        let (sender, receiver) = mpsc::channel(64);
-        state.subscribers.push((caller.clone(), selection.clone(), sender));
-        Ok(receiver)
+        state.ring.get_or_insert_with(|| watch::channel(0).0).subscribe()
     }
 
-    async fn grant(&self, caller: &Caller, notice: &GrantNotice) -> Result<(), Refusal> {
-        let mut state = self.state();
-        state.readers.insert((caller.account, notice.grantee));
-        state.grants.push(*notice);
-        state.changes += 1;
-        Ok(())
+    async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
+        let state = self.state();
+        if state.silent {
+            return Err(Refusal::new(Code::Stale, "the chain is silent"));
+        }
+        let found = |digest: &Digest| {
+            let Some(record) = state.records.values().find(|record| record.digest == *digest) else {
+                return Found::Missing(Code::NotFound);
+            };
+            if let Err(refusal) = state.may_read(&caller.account, &record.header.owner) {
+                return Found::Missing(refusal.code);
+            }
+            if state.spoilt {
+                return Found::Missing(Code::Tampered);
+            }
+            let (signer, signature, blob) = (record.signer, record.signature, record.blob.clone());
+            if bytes { Found::Held(Fetched { signer, signature, proof: Vec::new(), blob }) } else { Found::Here }
+        };
+        Ok(digests.iter().map(found).collect())
     }
 
-    async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
+    async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<(), Refusal> {
         let mut state = self.state();
-        state.readers.remove(&(caller.account, notice.grantee));
-        state.revokes.push(*notice);
-        state.changes += 1;
+        match notice {
+            Notice::Grant(notice) => {
+                state.readers.insert((caller.account, notice.grantee));
+                state.grants.push(*notice);
+            }
+            Notice::Revoke(notice) => {
+                state.readers.remove(&(caller.account, notice.grantee));
+                state.revokes.push(*notice);
+            }
+            Notice::Device(notice) => {
+                let device = (caller.account, signer_id(&notice.key));
+                if !state.lent.contains(&device) {
+                    return Err(Refusal::new(Code::Signature, "not lent"));
+                }
+                state.signers.insert(device, notice.key);
+                if let Some(binding) = state.bindings.get_mut(&caller.name) {
+                    binding.device = Some(BoundDevice { id: device.1, notices: notice.notices });
+                }
+            }
+        }
+        state.ring();
         Ok(())
     }
 
@@ -274,22 +323,8 @@ impl Desk for MemoryDesk {
         }
     }
 
-    async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
-        let mut state = self.state();
-        let device = (caller.account, signer_id(&notice.key));
-        if !state.lent.contains(&device) {
-            return Err(Refusal::new(Code::Signature, "not lent"));
-        }
-        state.signers.insert(device, notice.key);
-        if let Some(binding) = state.bindings.get_mut(&caller.name) {
-            binding.device = Some(BoundDevice { id: device.1, notices: notice.notices });
-        }
-        state.changes += 1;
-        Ok(())
-    }
-
     async fn erase(&self, _: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
-        self.state().changes += 1;
+        self.state().ring();
         Ok(vec![ErasureOutcome::Taken; erasures.len()])
     }
 

@@ -207,7 +207,7 @@ async fn hellos_and_frames_are_refused_each_with_its_code() {
 
     // The body of one Command under the number of another.
     let upload = Request::Upload(alice.record(&alice.signing, 1, b"x"));
-    for (command, body) in [(Command::Fetch, upload.encode()), (Command::UploadMany, upload.encode())] {
+    for (command, body) in [(Command::Records, upload.encode()), (Command::UploadMany, upload.encode())] {
         let (mut line, mut sealing) = session(&stage, &credentials).await;
         let (part, token) = (Part::Whole, Some(alice.token));
         let swapped = Inner { command, part, request: 1, token, signature: None, body: &body }.encode(false);
@@ -258,9 +258,10 @@ async fn signed_commands_are_refused_each_with_their_code() {
     stage.enrol(&bob).await;
     let before = stage.desk.state().changes;
     let (grantee, transaction) = (bob.account(), Hash([1; 32]));
-    let grant = Request::GrantNotice(GrantNotice { grantee, epoch: 1, expiry: 0, transaction });
-    let revoke = Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction });
-    let device = Request::DeviceNotice(notice_of(&pair(0x66)));
+    let grant = Request::Notice(Notice::Grant(GrantNotice { grantee, epoch: 1, expiry: 0, transaction }));
+    let revoke =
+        Request::Notice(Notice::Revoke(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction }));
+    let device = Request::Notice(Notice::Device(notice_of(&pair(0x66))));
     let mut cases = Vec::new();
     for sent in [&grant, &revoke, &device] {
         let name = format!("{:?}", sent.command());
@@ -286,7 +287,7 @@ async fn signed_commands_are_refused_each_with_their_code() {
         }
     }
     for (what, point) in no_points() {
-        let sent = Request::DeviceNotice(DeviceNotice { key: point, ..notice_of(&pair(0x66)) });
+        let sent = Request::Notice(Notice::Device(DeviceNotice { key: point, ..notice_of(&pair(0x66)) }));
         let found = signed(&stage, &credentials, &good(&sent, &alice.signing)).await;
         cases.push(case(format!("a device's key {what}"), Code::Malformed, found));
     }
@@ -348,7 +349,7 @@ async fn records_are_refused_each_with_their_code() {
         cases.push(case(name, code, refusal(client.upload(vec![upload]).await)));
     }
     assert_eq!(stage.desk.state().changes, before);
-    let ended = refusal(client.check(&[digest]).await);
+    let ended = refusal(client.missing(&[digest]).await);
     assert_eq!(ended, Some(Code::NotAuthorised), "the name ended with the loan");
     assert_eq!(refusal(client.upload(vec![record.clone()]).await), Some(Code::NotYours));
     stage.desk.lend(&alice, &device);

@@ -43,7 +43,7 @@ async fn a_visitor_reads_the_chain_for_longer_than_it_may_allocate() {
     assert_eq!(code.len(), (3 << 20) + 2);
     assert!(stage.desk.state().relayed.iter().all(|(caller, _)| caller.is_none()));
     // Everything else is for sessions under a transport key.
-    assert_eq!(refusal(visitor.check(&[crate::model::Digest([1; 32])]).await), Some(Code::NotHere));
+    assert_eq!(refusal(visitor.missing(&[crate::model::Digest([1; 32])]).await), Some(Code::NotHere));
     assert_eq!(stage.desk.state().changes, 0);
 }
 

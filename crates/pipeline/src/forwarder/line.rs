@@ -1,5 +1,5 @@
-//! The outbox, and the line to the gateway: connects at the first address that answers, sends, and asks how the
-//! records stand that the gateway signed for. At another address than the first it goes back as soon as the gateway
+//! The outbox, and the line to the gateway: connects at the first address that answers, sends, and follows the feed for what the
+//! gateway signed for. At another address than the first it goes back as soon as the gateway
 //! answers there again.
 
 use std::collections::HashSet;
@@ -12,10 +12,10 @@ use tokio::sync::{Notify, watch};
 use tokio::task::{JoinSet, block_in_place};
 use tokio::time::sleep;
 
-use super::{CopyKeeping, Errand, ForwardError, Gate, LONGEST_RETRY, Link, Pace, is_about_a_record};
+use super::{CopyKeeping, Errand, ForwardError, Gate, LONGEST_RETRY, Link, Pace, Proofs, is_about_a_record};
 use crate::crypto::random_bytes;
 use crate::gateway::{Client, GatewayError, Upload};
-use crate::model::{Digest, RecordState, Timestamp, clean};
+use crate::model::{Address, Digest, RecordState, Timestamp, clean};
 use crate::store::files::free_bytes;
 use crate::store::{KeptReceipt, RecordQuery};
 use crate::{PipelineError, Plant};
@@ -30,8 +30,8 @@ pub(super) struct Line<'a> {
     gate: Gate,
     link: watch::Sender<Link>,
     errand: &'a mut Option<Box<dyn Errand>>,
-    /// Where the next check of standings begins.
-    pub cursor: Option<i64>,
+    /// What the gateway tells of this robot's records.
+    pub(super) proofs: Proofs,
     checked: Option<Instant>,
     /// Whether the present session achieved anything.
     pub moved: bool,
@@ -42,14 +42,19 @@ pub(super) struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    pub fn new(outbox: Outbox, gate: Gate, link: watch::Sender<Link>, errand: &'a mut Option<Box<dyn Errand>>) -> Self {
+    pub fn new(
+        (outbox, owner): (Outbox, Address),
+        gate: Gate,
+        link: watch::Sender<Link>,
+        errand: &'a mut Option<Box<dyn Errand>>,
+    ) -> Self {
         Self {
             look_after: outbox.pace.longest_pause,
+            proofs: block_in_place(|| Proofs::load(&outbox.plant, owner)),
             outbox,
             gate,
             link,
             errand,
-            cursor: None,
             checked: None,
             moved: false,
             heard: Instant::now(),

@@ -5,11 +5,11 @@ use tokio::time::sleep;
 
 use super::*;
 use crate::crypto::SmKeyPair;
-use crate::gateway::{Client, Standing, Upload};
+use crate::gateway::{Client, Upload};
 use crate::gateway_stage::{Member, Stage, context, notice_of, pair};
 use crate::model::{Header, RecordKind, RecordState};
 use crate::pipeline::fixture::Notes;
-use crate::store::{Ciphertext, Ledger, NewRecord, StateCounts};
+use crate::store::{Ciphertext, Foreign, Ledger, NewRecord, StateCounts};
 use relay::Relay;
 
 mod addresses;
@@ -81,6 +81,7 @@ impl Scene {
 
     fn robot(&self) -> Robot {
         Robot {
+            owner: self.alice.account(),
             context: context(),
             name: self.credentials.name.clone(),
             token: self.credentials.token,
@@ -140,7 +141,7 @@ impl Scene {
             owner: header.owner,
             topic_id: header.topic_id,
             seq: header.seq,
-            foreign: None,
+            foreign: Some(Foreign { recorder: header.recorder, keeper: header.owner }),
             epoch: header.epoch,
             kind: RecordKind::Data,
             signer: header.signer,
@@ -182,7 +183,7 @@ impl Scene {
 
     /// The gateway anchors and verifies everything it has.
     fn verify(&self) {
-        self.stage.desk.state().standing = Some(Standing::Verified);
+        self.stage.desk.state().verify();
     }
 }
 
@@ -269,7 +270,7 @@ async fn what_a_gateway_has_lost_is_sent_again_and_said() {
     scene.until("told", |scene| scene.notes.with("no longer has them") > 0).await;
     scene.until("sent again", |scene| scene.at_gateway() == 30).await;
     scene.until_state(RecordState::Submitted, 30).await;
-    scene.stage.desk.state().standing = Some(Standing::Tampered);
+    scene.stage.desk.state().spoilt = true;
     scene.until_state(RecordState::Tampered, 30).await;
     assert_eq!(scene.kept_here(), 30, "the originals are evidence");
 }
@@ -372,7 +373,7 @@ async fn what_the_gateway_cannot_prove_stays_unverified_and_here() {
     let verified = scene.plant.ledger.in_state(None, RecordState::Verified, 20).expect("rows");
     for row in verified {
         let kept = scene.plant.ledger.proven(row.digest).expect("reads").expect("kept");
-        let signed = [&b"AuthROS/standing/1"[..], &context().domain.0, &kept.statement].concat();
+        let signed = [&b"AuthROS/feed/1"[..], &context().domain.0, &kept.statement].concat();
         context().provider.verify(&pair(0x21).public, &signed, &kept.signature).expect("signed by the gateway");
         assert!(kept.statement.windows(32).any(|bytes| bytes == row.digest.0), "and about this record");
         assert!(crate::chain::AnchorProof::parse(&kept.proofs[0].1).is_ok());

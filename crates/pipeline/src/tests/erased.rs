@@ -1,14 +1,15 @@
 //! A reader who never had a record that its owner erased: it is told so by the owner's word alone, and by no gateway's.
 
-use super::keeping::{elsewhere, taken};
+use std::time::Duration;
+
+use super::keeping::{elsewhere, proof_of, taken_with};
 use super::*;
 use crate::chain::AnchorProof;
-use crate::chain::merkle::{Inclusion, Leaf};
 use crate::crypto::{ErasedStatement, SealedRecord, SmKeyPair};
 use crate::gateway::{ErasedRecord, Fetched};
 use crate::model::{Address, Header, Verdict};
 use crate::pipeline::PipelineError;
-use crate::pipeline::mirror::{Anchors, Mirror};
+use crate::pipeline::intake::{Accepted, Anchors, Intake};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::verifier::verify_round;
 use crate::store::{NewRecord, RootSighting, StatedErasure, ToldErased};
@@ -36,25 +37,22 @@ fn stated(line: &Line, by: &SmKeyPair, digest: &Digest, header: &[u8]) -> Erased
 
 /// What an honest gateway has left of a record that was anchored alone in its batch and erased.
 async fn left(line: &Line, sealed: &SealedRecord) -> ErasedRecord {
-    let root = Leaf::of(&sealed.header, sealed.digest).hash();
-    let previous = line.network.chain.anchor_head(line.owner.address).await.expect("answered");
-    let call = Call::Anchor { root, count: 1, previous };
-    let sent = line.sender.send(&line.network.chain, &line.owner.eoa(), call, "anchor").await;
-    let (transaction, receipt) = sent.expect("anchored");
-    line.watch().await;
-    let inclusion = Some(Inclusion { index: 0, count: 1, path: Vec::new(), root });
-    let (block, block_hash) = (receipt.block, receipt.block_hash);
-    let proof = AnchorProof { account: line.owner.address, transaction, block, block_hash, inclusion }.encode();
+    let proof = proof_of(line, sealed).await;
     let (signing, header) = (line.owner.signing(), header_of(sealed));
     let statement = stated(line, &signing, &sealed.digest, header);
     let record = Fetched { signer: signing.public, signature: sealed.signature, proof, blob: header.to_vec() };
     ErasedRecord { record, statement }
 }
 
-async fn take(line: &Line, owner: Address, digest: Digest, erased: ErasedRecord) -> Result<bool, PipelineError> {
-    let (plant, network, reader, keeper) = (&line.plant, &line.network, &line.owner, Address([8; 20]));
-    let mirror = Mirror { plant, network, reader, keeper, anchors: Anchors::default() };
-    mirror.take_erased(owner, digest, erased).await
+async fn take(line: &Line, owner: Address, digest: Digest, erased: ErasedRecord) -> Result<Accepted, PipelineError> {
+    let (plant, network, keeper, patience) = (&line.plant, &line.network, Address([8; 20]), Duration::ZERO);
+    let anchors = Anchors::default();
+    let intake = Intake { plant, network, anchors: &anchors, keeper, patience };
+    intake.accept_erased(&line.owner, owner, digest, erased).await
+}
+
+fn is_held(taken: &Result<Accepted, PipelineError>, changed: bool) -> bool {
+    matches!(taken, Ok(Accepted::Held(found)) if *found == changed)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -63,8 +61,8 @@ async fn what_an_owner_states_to_be_erased_is_listed_with_its_proof() {
     let (owner, sealed) = (line.owner.address, elsewhere(&line.owner, 1, b"a face", None));
     let (digest, ledger) = (sealed.digest, &line.plant.ledger);
     let erased = left(&line, &sealed).await;
-    assert!(take(&line, owner, digest, erased.clone()).await.expect("taken in"));
-    assert!(!take(&line, owner, digest, erased).await.expect("known"), "twice is once");
+    assert!(is_held(&take(&line, owner, digest, erased.clone()).await, true));
+    assert!(is_held(&take(&line, owner, digest, erased).await, false), "twice is once");
     let noted = line.plant.ledger.record(digest).expect("read").expect("noted");
     let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
     assert_eq!(reader.check(&noted).await.expect("checked"), (Verdict::Unanchored, digest), "not confirmed here yet");
@@ -119,21 +117,21 @@ async fn what_a_gateway_says_was_erased_is_not_believed() {
     ];
     for (what, lie) in lies {
         let told = take(&line, owner, digest, lie).await;
-        assert!(matches!(told, Err(PipelineError::NotTakenIn { .. } | PipelineError::Crypto(_))), "{what}: {told:?}");
+        assert!(matches!(told, Ok(Accepted::Refused(_))), "{what}: {told:?}");
         assert_eq!(line.plant.ledger.record(digest).expect("read"), None, "{what}");
     }
     let told = take(&line, Address([1; 20]), digest, honest.clone()).await;
-    assert!(matches!(told, Err(PipelineError::NotTakenIn { .. })), "another owner's: {told:?}");
+    assert!(matches!(told, Ok(Accepted::Refused(_))), "another owner's: {told:?}");
     // The proof of another record.
     let second = elsewhere(&line.owner, 2, b"a wall", None);
     let proof = left(&line, &second).await.record.proof;
     let told = take(&line, owner, digest, with(Fetched { proof, ..honest.record.clone() })).await;
-    assert!(matches!(told, Err(PipelineError::NotTakenIn { .. })), "{told:?}");
+    assert!(matches!(told, Ok(Accepted::Refused(_))), "{told:?}");
     assert_eq!(line.plant.ledger.record(digest).expect("read"), None);
 
     // Who has the bytes keeps them.
-    assert!(taken(&line, sealed.clone()).await.expect("taken in"));
-    assert!(!take(&line, owner, digest, honest).await.expect("nothing to do"));
+    assert!(is_held(&taken_with(&line, sealed.clone(), honest.record.proof.clone()).await, true));
+    assert!(is_held(&take(&line, owner, digest, honest).await, false), "nothing to do");
     let row = line.plant.ledger.record(digest).expect("read").expect("here");
     assert_eq!(row.deleted_at, None);
     assert_eq!(line.plant.ciphertext.get(digest).expect("read"), Some(sealed.blob));
@@ -153,7 +151,7 @@ async fn bytes_that_arrive_while_they_are_erased_do_not_stay() {
     let anchor = RootSighting { account, root, count, transaction, block, block_hash };
     let brought = NewRecord::foreign(sealed.clone(), Address([8; 20]));
     let listed = NewRecord { blob: None, ..brought.clone() };
-    let taken = crate::pipeline::mirror::taken_erased(record.blob, &statement);
+    let taken = crate::pipeline::intake::taken_erased(record.blob, &statement);
     let kept = plant.keep([brought], |rows| {
         let told = ledger.take_told(listed, (taken, vec![1; 65]), (inclusion, anchor))?;
         assert_eq!(told, ToldErased::Listed);

@@ -1,12 +1,16 @@
 //! Row and bytes are one commit: what is not accepted leaves no bytes, of this owner's records or of others'.
 
+use std::time::Duration;
+
 use super::*;
+use crate::chain::merkle::{Inclusion, Leaf};
+use crate::chain::{AnchorProof, Call};
 use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
 use crate::gateway::Fetched;
 use crate::model::head::Compression;
 use crate::model::{Address, FilterId, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
-use crate::pipeline::mirror::{Anchors, Mirror};
+use crate::pipeline::intake::{Accepted, Anchors, Intake, Reason, Refused};
 use crate::store::StoreError;
 
 pub(super) fn head(body: &[u8]) -> Head {
@@ -73,13 +77,33 @@ fn upload(owner: &Owner, seq: u64, body: &[u8]) -> NewRecord {
     NewRecord::foreign(elsewhere(owner, seq, body, None), Address([8; 20]))
 }
 
-/// Imports the record through the mirror, as a gateway returns it.
-pub(super) async fn taken(line: &Line, sealed: SealedRecord) -> Result<bool, PipelineError> {
-    let (plant, network, reader, keeper) = (&line.plant, &line.network, &line.owner, Address([8; 20]));
-    let mirror = Mirror { plant, network, reader, keeper, anchors: Anchors::default() };
+/// A proof of a record that is anchored alone in its batch.
+pub(super) async fn proof_of(line: &Line, sealed: &SealedRecord) -> Vec<u8> {
+    let root = Leaf::of(&sealed.header, sealed.digest).hash();
+    let previous = line.network.chain.anchor_head(line.owner.address).await.expect("answered");
+    let call = Call::Anchor { root, count: 1, previous };
+    let sent = line.sender.send(&line.network.chain, &line.owner.eoa(), call, "anchor").await;
+    let (transaction, receipt) = sent.expect("anchored");
+    line.watch().await;
+    let inclusion = Some(Inclusion { index: 0, count: 1, path: Vec::new(), root });
+    let (block, block_hash) = (receipt.block, receipt.block_hash);
+    AnchorProof { account: line.owner.address, transaction, block, block_hash, inclusion }.encode()
+}
+
+/// Imports the record, as a gateway returns it, with this proof.
+pub(super) async fn taken_with(line: &Line, sealed: SealedRecord, proof: Vec<u8>) -> Result<Accepted, PipelineError> {
+    let (plant, network, keeper, patience) = (&line.plant, &line.network, Address([8; 20]), Duration::ZERO);
+    let anchors = Anchors::default();
+    let intake = Intake { plant, network, anchors: &anchors, keeper, patience };
     let SealedRecord { digest, signature, blob, .. } = sealed;
-    let fetched = Fetched { signer: line.owner.signing().public, signature, proof: Vec::new(), blob };
-    mirror.take(line.owner.address, digest, fetched).await
+    let fetched = Fetched { signer: line.owner.signing().public, signature, proof, blob };
+    intake.accept(&line.owner, line.owner.address, digest, fetched).await
+}
+
+/// The same with its own proof.
+pub(super) async fn taken(line: &Line, sealed: SealedRecord) -> Result<Accepted, PipelineError> {
+    let proof = proof_of(line, &sealed).await;
+    taken_with(line, sealed, proof).await
 }
 
 fn entries(plant: &Plant) -> u64 {
@@ -99,15 +123,24 @@ async fn what_a_mirror_does_not_take_in_leaves_no_bytes() {
     assert_eq!(entries(&line.plant), 0, "the disk takes no more");
     drop(held);
     let wrong = taken(&line, elsewhere(&line.owner, 1, b"one", Some(&TopicKey::new([1; 32])))).await;
-    assert!(matches!(wrong, Err(PipelineError::Crypto(_))), "{wrong:?}");
+    assert!(matches!(wrong, Ok(Accepted::Refused(Refused { reason: Reason::Crypto(_), .. }))), "{wrong:?}");
     assert_eq!(entries(&line.plant), 0, "nobody can open it");
     let first = elsewhere(&line.owner, 1, b"one", None);
     let digest = first.digest;
-    assert!(taken(&line, first).await.expect("taken in"));
+    let unproven = taken_with(&line, first.clone(), Vec::new()).await;
+    assert!(matches!(unproven, Ok(Accepted::Refused(Refused { reason: Reason::NoProof, .. }))), "{unproven:?}");
+    let proof = proof_of(&line, &first).await;
+    let (block, hash) = line.plant.ledger.trail.cursor().expect("read").expect("it watches");
+    line.plant.ledger.trail.set_cursor(0, hash).expect("set");
+    let early = taken_with(&line, first.clone(), proof.clone()).await.expect("asked");
+    assert!(matches!(early, Accepted::Later), "the watcher has not read its block: {early:?}");
+    line.plant.ledger.trail.set_cursor(block, hash).expect("set");
+    let held = taken_with(&line, first, proof).await.expect("taken in");
+    assert!(matches!(held, Accepted::Held(true)), "{held:?}");
     let row = line.plant.ledger.record(digest).expect("read").expect("acknowledged");
-    assert_eq!((row.topic.as_str(), row.bytes, row.state), ("/robot1/odom", 3, RecordState::Stored));
+    assert_eq!((row.topic.as_str(), row.bytes, row.state), ("/robot1/odom", 3, RecordState::Mined));
     let twin = taken(&line, elsewhere(&line.owner, 1, b"two", None)).await;
-    assert!(matches!(twin, Err(PipelineError::NotTakenIn { .. })), "{twin:?}");
+    assert!(matches!(twin, Ok(Accepted::Refused(Refused { reason: Reason::Number, .. }))), "{twin:?}");
     assert_eq!(entries(&line.plant), 1, "its number is another's");
 }
 

@@ -6,6 +6,7 @@ use crate::crypto::{CryptoError, SealedRecord, filter_id};
 use crate::model::{Address, ErrorKind, FilterId, Head};
 use crate::pipeline::PipelineError;
 use crate::pipeline::columns::{self, Comparison, Heads, Keys, Refusal, Shown, ShownState};
+use crate::pipeline::intake::Accepted;
 use crate::pipeline::reader::Reader;
 
 const BODY: &[u8] = b"where it is";
@@ -88,9 +89,10 @@ async fn a_mirror_names_the_record_that_it_does_not_take_for_its_name() {
     let line = Line::sealing().await;
     let forged = line.filed(1, Vec::new(), &Head { topic: "/other".to_owned(), ..head(BODY) });
     let digest = forged.digest;
-    let refused = taken(&line, forged).await.expect_err("refused");
-    assert!(matches!(&refused, PipelineError::NotTakenIn { digest: of, .. } if *of == digest), "{refused}");
+    let Accepted::Refused(refused) = taken(&line, forged).await.expect("judged") else { panic!("taken in") };
+    assert_eq!(refused.digest, digest, "{refused}");
     assert!(refused.to_string().contains("false topic"), "{refused}");
     assert!(line.plant.ledger.record(digest).expect("read").is_none());
-    assert!(taken(&line, elsewhere(&line.owner, 1, BODY, None)).await.expect("honest"));
+    let honest = taken(&line, elsewhere(&line.owner, 1, BODY, None)).await.expect("judged");
+    assert!(matches!(honest, Accepted::Held(true)), "{honest:?}");
 }

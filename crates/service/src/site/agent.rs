@@ -344,6 +344,7 @@ async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>)
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
     let robot = Robot {
+        owner: enrolment.owner,
         context: Context { provider: site.plant.provider, domain: enrolment.domain },
         name: enrolment.name.clone(),
         token: enrolment.token,

@@ -10,7 +10,7 @@ use super::{Foreign, Ledger, NewRecord, Session, own_prefix};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::header::LARGEST_SEQ;
-use crate::model::{Address, Digest, FilterId, RecordState, SignerId, Timestamp, TopicId};
+use crate::model::{Address, Digest, FilterId, RecordKind, RecordState, SignerId, Timestamp, TopicId};
 
 type StreamKey = (i64, u8, String);
 type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
@@ -139,6 +139,9 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
         ],
     )?;
     let row = session.connection.last_insert_rowid();
+    if record.kind == RecordKind::Key {
+        super::feed::note(session.connection, row, topic)?;
+    }
     keep_filters(session, record, row, stream)?;
     store(session.connection, record, row)
 }

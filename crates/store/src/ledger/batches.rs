@@ -224,21 +224,24 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
-        self.read(|connection| {
-            let rows = rows::rows_of(connection, digests)?;
-            let mut find = connection.prepare_cached(&format!(
-                "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
-                 batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
-                 WHERE digest = ?1",
-                branches::JOINED
-            ))?;
-            let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
-                let place = find.query_row([row.digest.0], place).optional()?;
-                Ok(PlacedRecord { row, place })
-            };
-            rows.into_iter().map(|row| row.map(&mut with_place).transpose()).collect()
-        })
+        self.read(|connection| placed_in(connection, digests))
     }
+}
+
+/// See [`Ledger::placed_all`].
+pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
+    let rows = rows::rows_of(connection, digests)?;
+    let mut find = connection.prepare_cached(&format!(
+        "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
+         batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
+         WHERE digest = ?1",
+        branches::JOINED
+    ))?;
+    let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
+        let place = find.query_row([row.digest.0], place).optional()?;
+        Ok(PlacedRecord { row, place })
+    };
+    rows.into_iter().map(|row| row.map(&mut with_place).transpose()).collect()
 }
 
 fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {

@@ -11,7 +11,7 @@ use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::bytes::hex;
 use crate::model::{
-    Address, Digest, FilterId, ProfileName, PublicKey, RecordState, Signature, SignerId, Timestamp, TopicId,
+    Address, Digest, ProfileName, PublicKey, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
 };
 
 /// A gateway's signed receipt for records.
@@ -86,6 +86,18 @@ impl Ledger {
             let found: Vec<(RecordRow, i64)> = found.collect::<Result<_, _>>()?;
             let next = found.last().map(|(_, key)| *key).filter(|_| found.len() >= limit);
             Ok(ForwardedPage { rows: found.into_iter().map(|(row, _)| row).collect(), next })
+        })
+    }
+
+    /// Who numbered records here, the newest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn recorders(&self, limit: usize) -> Result<Vec<RecorderId>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT id FROM recorders ORDER BY key DESC LIMIT ?1";
+            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+            Ok(connection.list(sql, [limit], |row| row.get(0).map(RecorderId))?)
         })
     }
 
@@ -339,18 +351,6 @@ impl Ledger {
             let sql = "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
                  UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
             Ok(connection.list(sql, params![owner.0, topic.0], |row| row.get(0))?)
-        })
-    }
-
-    /// Whether a record has this id among its filters.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn has_filter(&self, digest: Digest, filter: FilterId) -> Result<bool, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT EXISTS (SELECT 1 FROM filters
-                     WHERE filter = ?1 AND record = (SELECT n FROM records WHERE digest = ?2))";
-            Ok(connection.one(sql, params![filter.0, digest.0], |row| row.get(0))?)
         })
     }
 

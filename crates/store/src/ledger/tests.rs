@@ -5,6 +5,7 @@ mod coverage;
 mod directory;
 mod erased;
 mod erasures;
+mod feed;
 mod gaps;
 mod glance;
 mod groups;

@@ -23,6 +23,8 @@ fn samples() -> Vec<(Kind, String)> {
     let contact =
         Contact { name: "bob".parse().expect("a name"), address, fingerprint: Some("0011".to_owned()), given: true };
     let foreign = ForeignAnchors { account: address, count: 12, block: 34, transaction: hash, seen: at, noted: at };
+    let owner = FollowedOwner { grant: 12, newest: 34, count: 56 };
+    let taken = FeedTaken { feed: [9; 16], owners: [(address, (owner, 78))].into() };
     let text = || "text".to_owned();
     vec![
         of::<LastPlace>(text()),
@@ -55,7 +57,8 @@ fn samples() -> Vec<(Kind, String)> {
         of::<AdmittedOwners>(vec![AdmittedOwner { owner: address, since: at, by: text() }]),
         of::<AnnouncedRevoke>(12),
         of::<ErasuresTold>(12),
-        of::<Listed>(ListedUntil { newest: 12, whole: 34, grant: 56 }),
+        of::<TakenOfFeed>(taken),
+        of::<ProofsTaken>(([9; 16], 12)),
         of::<EnrolledRobots>(vec![robot]),
         of::<WantedPolicy>(PolicyWanted { version: 12, text: text(), set_at: at }),
         of::<KeysTold>(text()),

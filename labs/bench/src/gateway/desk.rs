@@ -6,15 +6,15 @@ use std::path::Path;
 
 use async_trait::async_trait;
 use serde_json::Value;
-use tokio::sync::mpsc;
+use tokio::sync::watch;
 
 use super::Sender;
 use authros_chain::RelayError;
 use authros_crypto::{TransportKey, signer_id};
 use authros_gateway::desk::Account;
 use authros_gateway::{
-    Binding, Caller, Code, Credentials, Desk, DeviceNotice, Entry, Fetched, GrantNotice, NetworkName, Page, Query,
-    Received, Refusal, Registration, RevokeNotice, Selection, Stood,
+    Binding, Caller, Code, Credentials, Desk, Feed, FeedPage, Found, NetworkName, Notice, Received, Refusal,
+    Registration,
 };
 use authros_model::header::TAG_LENGTH;
 use authros_model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
@@ -82,23 +82,16 @@ fn not_measured<T>() -> Result<T, Refusal> {
 
 #[async_trait]
 impl Desk for BenchDesk {
-    async fn account(&self, account: &Address) -> Result<Account, Refusal> {
+    async fn account(&self, account: &Address, _: Option<&SignerId>) -> Result<Account, Refusal> {
         if *account != self.binding.account {
             return Err(Refusal::new(Code::NotRegistered, "another account"));
         }
         Ok(Account { signing: self.binding.signing, envelope: self.binding.envelope })
     }
 
-    async fn admits(&self, _: &Address) -> Result<(), Refusal> {
-        Ok(())
-    }
-
-    async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
-        Ok((account, token) == (&self.binding.account, &self.token))
-    }
-
-    async fn is_lent(&self, _: &Address, _: &SignerId) -> Result<bool, Refusal> {
-        not_measured()
+    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal> {
+        let is_known = token.is_none_or(|token| (account, token) == (&self.binding.account, &self.token));
+        if is_known { Ok(()) } else { Err(Refusal::new(Code::Token, "another token")) }
     }
 
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -128,31 +121,19 @@ impl Desk for BenchDesk {
         kept.map_err(Refusal::because(Code::Internal))?
     }
 
-    async fn query(&self, _: &Caller, _: &Query) -> Result<Page, Refusal> {
+    async fn feed(&self, _: &Caller, _: &Feed, _: bool) -> Result<FeedPage, Refusal> {
         not_measured()
     }
 
-    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+    fn changes(&self) -> watch::Receiver<u64> {
+        watch::channel(0).1
+    }
+
+    async fn records(&self, _: &Caller, _: &[Digest], _: bool) -> Result<Vec<Found>, Refusal> {
         not_measured()
     }
 
-    async fn fetch(&self, _: &Caller, _: &Digest) -> Result<Fetched, Refusal> {
-        not_measured()
-    }
-
-    async fn subscribe(&self, _: &Caller, _: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        not_measured()
-    }
-
-    async fn grant(&self, _: &Caller, _: &GrantNotice) -> Result<(), Refusal> {
-        not_measured()
-    }
-
-    async fn revoke(&self, _: &Caller, _: &RevokeNotice) -> Result<(), Refusal> {
-        not_measured()
-    }
-
-    async fn device(&self, _: &Caller, _: &DeviceNotice) -> Result<(), Refusal> {
+    async fn notice(&self, _: &Caller, _: &Notice) -> Result<(), Refusal> {
         not_measured()
     }
 

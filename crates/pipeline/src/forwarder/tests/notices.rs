@@ -6,7 +6,7 @@ use crate::crypto::{
     SealRequest, SealedEnrolment, SealingKey, SignedPolicy, TopicKey, TransportKey, notice_topic, seal, signer_id,
     topic_id,
 };
-use crate::gateway::{Entry, Fetched};
+use crate::gateway::{FeedEntry, Fetched};
 use crate::model::head::Compression;
 use crate::model::{Head, RecorderPrefix, RingSpan, SignerId, Timestamp, Token};
 use crate::pipeline::notices::{Notices, PolicyTaker};
@@ -120,13 +120,13 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
 
     let mut owner = scene.owner().await;
     let own = signer_id(&scene.device.public);
-    // Before the robot connects: found in the list.
+    // Before the robot connects.
     let early = notice(&scene, &scene.alice.signing, own, 3, 3);
     let older = notice(&scene, &scene.alice.signing, own, 2, 2);
     owner.upload(vec![early]).await.expect("receipt");
     owner.upload(vec![older]).await.expect("receipt");
     let work = tokio::spawn(async move { forwarder.run(&stored).await });
-    scene.until("the newest of the list", |_| epoch() == 3).await;
+    scene.until("the newest of them", |_| epoch() == 3).await;
 
     // While it is connected. A robot stolen from the same owner cannot speak for the owner.
     owner.upload(vec![notice(&scene, &scene.device, own, 9, 9)]).await.expect("the gateway takes it");
@@ -237,9 +237,11 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
 }
 
 /// A notice as a gateway gives it, under the number and epoch that it says.
-fn given(scene: &Scene, upload: Upload, seq: u64, epoch: u64) -> (Entry, Fetched) {
+fn given(scene: &Scene, upload: Upload, seq: u64, epoch: u64) -> (FeedEntry, Fetched) {
     let (header, _) = Header::parse(&upload.blob).expect("a header");
-    let entry = Entry {
+    let entry = FeedEntry {
+        number: seq,
+        fact: Fact::Verified,
         digest: Digest(context().provider.sm3(&[&upload.blob])),
         owner: header.owner,
         recorder: header.recorder,
@@ -249,7 +251,7 @@ fn given(scene: &Scene, upload: Upload, seq: u64, epoch: u64) -> (Entry, Fetched
         captured_at: header.captured_at,
         length: upload.blob.len() as u64,
         kind: header.kind,
-        standing: Standing::Verified,
+        proof: Vec::new(),
     };
     let Upload { signature, blob } = upload;
     (entry, Fetched { signer: scene.alice.signing.public, signature, proof: Vec::new(), blob })

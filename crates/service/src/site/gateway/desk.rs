@@ -5,11 +5,11 @@ use std::sync::{Arc, PoisonError};
 
 use async_trait::async_trait;
 use serde_json::{Value, json};
-use tokio::sync::mpsc;
+use tokio::sync::watch;
 
 use super::GatewayDesk;
 use super::admissions::Standing as Access;
-use super::reading::{LONGEST_SILENCE, Watch};
+use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
@@ -18,11 +18,10 @@ use crate::failure::internal;
 use crate::gateway::desk::Account;
 use crate::gateway::identity_check::check_registration;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Context, Desk, DeviceNotice, Entry, ErasedRecord, ErasureNotice,
-    ErasureOutcome, Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice,
-    Selection, Stood,
+    Binding, BoundDevice, Caller, Code, Context, Desk, DeviceNotice, ErasureNotice, ErasureOutcome, Feed, FeedPage,
+    Found, NetworkName, Notice, Received, Refusal, Registration, RevokeNotice,
 };
-use crate::model::{Address, Digest, Hash, Identity, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use crate::model::{Address, Digest, Hash, Identity, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
@@ -73,11 +72,33 @@ impl GatewayDesk {
         written
     }
 
-    /// The caller may read something of this owner, or is refused before anything is logged.
-    async fn check_reach(&self, caller: &Caller, owner: Address) -> Result<(), Refusal> {
+    /// A revoke that is not on the chain yet: it is obeyed from now on.
+    async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
+        let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
+        self.blocking(move |desk| {
+            desk.gateway.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::because(Code::Internal))
+        })
+        .await?;
+        self.gateway.hub.feed_changed();
+        self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
+    }
+
+    /// The caller's name belongs to a device.
+    async fn named(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
         self.freshen().await?;
-        let reader = caller.account;
-        self.blocking(move |desk| desk.reach(&desk.fresh_network()?, &reader, &owner).map(drop)).await
+        let DeviceNotice { key, notices } = *notice;
+        let device = signer_id(&key);
+        if let Err(why) = self.may_sign_now(&caller.account, &device)? {
+            return Err(Refusal::new(Code::Signature, why));
+        }
+        self.audit(caller, "device notice", &device.to_string()).await?;
+        let (name, account) = (caller.name.to_string(), caller.account);
+        self.blocking(move |desk| {
+            let bindings = &desk.gateway.plant.ledger.bindings;
+            bindings.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
+            bindings.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
+        })
+        .await
     }
 
     /// Stores records of an owner.
@@ -95,6 +116,7 @@ impl GatewayDesk {
         let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
         let rows: Vec<_> = records.into_iter().map(row).collect();
         let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
+        let has_notice = rows.iter().any(|row| row.kind == RecordKind::Key);
         plant.keep(rows, |rows| plant.ledger.append(rows)).map_err(|error| match error {
             StoreError::Conflict { .. } => {
                 self.tell_conflict(&claims, &error);
@@ -102,6 +124,9 @@ impl GatewayDesk {
             }
             error => Refusal::new(Code::Internal, error),
         })?;
+        if has_notice {
+            self.gateway.hub.feed_changed();
+        }
         self.gateway.hub.stored.notify_waiters();
         self.gateway.hub.changed(crate::service::event::Part::Uploads);
         Ok(Timestamp::now())
@@ -110,31 +135,34 @@ impl GatewayDesk {
 
 #[async_trait]
 impl Desk for GatewayDesk {
-    async fn account(&self, account: &Address) -> Result<Account, Refusal> {
+    async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account, Refusal> {
         let network = self.known_network()?;
         let identity = network.directory.identity(*account).map_err(Refusal::because(Code::NotRegistered))?;
         if authority::is_suspended(&network.directory, *account) {
             return Err(Refusal::new(Code::Suspended, format_args!("{account} is suspended")));
         }
+        if let Some(device) = device
+            && self.may_sign_now(account, device)?.is_err()
+        {
+            let text = format_args!("device {device} of {account} is no longer on loan");
+            return Err(Refusal::new(Code::NotAuthorised, text));
+        }
         Ok(Account { signing: identity.signing, envelope: identity.envelope })
     }
 
-    async fn admits(&self, account: &Address) -> Result<(), Refusal> {
+    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal> {
+        if let Some(token) = token {
+            let (account, token) = (*account, *token);
+            let is_known = self.blocking(move |desk| {
+                let directory = desk.known_network()?.directory;
+                let known = kept::has_token(&desk.gateway.plant.ledger.rights, &directory, account, token);
+                known.map_err(Refusal::because(Code::Internal))
+            });
+            if !is_known.await? {
+                return Err(Refusal::new(Code::Token, format_args!("{account} does not have token {token}")));
+            }
+        }
         self.standing_of(&self.known_network()?, account).map(drop)
-    }
-
-    async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
-        let (account, token) = (*account, *token);
-        self.blocking(move |desk| {
-            let directory = desk.known_network()?.directory;
-            let known = kept::has_token(&desk.gateway.plant.ledger.rights, &directory, account, token);
-            known.map_err(Refusal::because(Code::Internal))
-        })
-        .await
-    }
-
-    async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
-        Ok(self.may_sign_now(owner, device)?.is_ok())
     }
 
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
@@ -228,53 +256,41 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| desk.keep(&account, records)).await
     }
 
-    async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {
-        self.check_reach(caller, query.selection.owner).await?;
-        self.audit_once(caller, "query", &format!("records of {}", query.selection.owner)).await?;
-        let (caller, query) = (caller.clone(), query.clone());
-        self.blocking(move |desk| desk.page(&caller, &query)).await
+    async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal> {
+        // A robot asks about its own records, and learns nothing that its recall should end.
+        if caller.device.is_none() || asked.recorders.is_empty() {
+            self.freshen().await?;
+        }
+        if is_new && caller.device.is_none() {
+            let (reader, asked) = (caller.account, asked.clone());
+            let followed = self.blocking(move |desk| desk.followed(&reader, &asked)).await?;
+            for owner in followed {
+                self.audit_once(caller, "query", &format!("records of {owner}")).await?;
+            }
+        }
+        let (caller, asked) = (caller.clone(), asked.clone());
+        self.blocking(move |desk| desk.page_of_feed(&caller, &asked)).await
     }
 
-    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
-        if caller.device.is_none() {
+    fn changes(&self) -> watch::Receiver<u64> {
+        self.gateway.hub.feed.subscribe()
+    }
+
+    async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
+        if caller.device.is_none() || bytes {
             self.freshen().await?;
         }
         let (caller, digests) = (caller.clone(), digests.to_vec());
-        self.blocking(move |desk| desk.proven(&caller, &digests)).await
+        self.blocking(move |desk| desk.found(&caller, &digests, bytes)).await
     }
 
-    async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
-        self.freshen().await?;
-        let (caller, digest) = (caller.clone(), *digest);
-        self.blocking(move |desk| desk.record(&caller, &digest)).await
-    }
-
-    async fn fetch_erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
-        self.freshen().await?;
-        let (caller, digest) = (caller.clone(), *digest);
-        self.blocking(move |desk| desk.erased(&caller, &digest)).await
-    }
-
-    async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        self.check_reach(caller, selection.owner).await?;
-        self.audit_once(caller, "subscribe", &format!("records of {}", selection.owner)).await?;
-        let watch = Watch { desk: self.share(), caller: caller.clone(), selection: selection.clone() };
-        tokio::task::block_in_place(|| watch.begin())
-    }
-
-    async fn grant(&self, caller: &Caller, notice: &GrantNotice) -> Result<(), Refusal> {
-        // The chain's own event decides; the notice is only logged.
-        self.audit(caller, "grant notice", &notice.grantee.to_string()).await
-    }
-
-    async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
-        let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
-        self.blocking(move |desk| {
-            desk.gateway.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::because(Code::Internal))
-        })
-        .await?;
-        self.gateway.hub.authority.send_modify(|count| *count += 1);
-        self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
+    async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<(), Refusal> {
+        match notice {
+            // The chain's own event decides; the notice is only logged.
+            Notice::Grant(notice) => self.audit(caller, "grant notice", &notice.grantee.to_string()).await,
+            Notice::Revoke(notice) => self.revoked(caller, notice).await,
+            Notice::Device(notice) => self.named(caller, notice).await,
+        }
     }
 
     async fn network_name(&self) -> Result<NetworkName, Refusal> {
@@ -284,27 +300,6 @@ impl Desk for GatewayDesk {
 
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
         self.pass_on(caller, method, parameters).await
-    }
-
-    async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
-        self.freshen().await?;
-        let DeviceNotice { key, notices } = *notice;
-        let device = signer_id(&key);
-        if let Err(why) = self.may_sign_now(&caller.account, &device)? {
-            return Err(Refusal::new(Code::Signature, why));
-        }
-        self.audit(caller, "device notice", &device.to_string()).await?;
-        let (name, account) = (caller.name.to_string(), caller.account);
-        self.blocking(move |desk| {
-            let ledger = &desk.gateway.plant.ledger;
-            ledger.bindings.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
-            ledger
-                .bindings
-                .bind_device(&name, account, device, notices)
-                .map(drop)
-                .map_err(Refusal::because(Code::Internal))
-        })
-        .await
     }
 
     async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {

@@ -10,10 +10,10 @@ use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
 use crate::event::{NoticeLevel, Part};
 use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Refusal};
 use crate::model::{Digest, Header};
+use crate::pipeline::Network;
 use crate::pipeline::columns::header_difference;
-use crate::pipeline::mirror::{prove_erased, taken_erased};
+use crate::pipeline::intake::{Accepted, Intake, Reason, Refused, taken_erased};
 use crate::pipeline::retention::{self, is_owners, left_of};
-use crate::pipeline::{Network, PipelineError};
 use crate::store::{KeptErasure, NewRecord, RecordRow, Retained, RootSighting, StoreError, ToldErased};
 
 /// How long the watcher here may lag behind the block of a proof.
@@ -110,8 +110,13 @@ impl GatewayDesk {
             return Ok(Judged::Left);
         }
         let anchors = &self.gateway.anchors;
-        let proven = prove_erased(plant, network, anchors, (digest, &left), BEHIND).await;
-        let Some((header, proof)) = proven.map_err(|error| failed(&error))? else { return Ok(Judged::Left) };
+        let intake = Intake { plant, network, anchors, keeper: self.keeper.address, patience: BEHIND };
+        let judged = intake.judge_erased(digest, &left).await.map_err(Refusal::because(Code::Stale))?;
+        let (header, proof) = match judged {
+            Ok(proven) => proven,
+            Err(Accepted::Refused(refused)) => return Err(rejected(&refused)),
+            Err(Accepted::Held(_) | Accepted::Later) => return Ok(Judged::Left),
+        };
         let inclusion =
             proof.inclusion.ok_or_else(|| Refusal::new(Code::Malformed, "a gateway's anchors are batches"))?;
         let (account, transaction) = (proof.account, proof.transaction);
@@ -141,14 +146,10 @@ impl GatewayDesk {
     }
 }
 
-/// A claim that does not hold is the owner's fault, everything else is the chain's.
-fn failed(error: &PipelineError) -> Refusal {
-    let code = match error {
-        PipelineError::NotTakenIn { .. } => Code::Tampered,
-        PipelineError::Crypto(_) => Code::Signature,
-        _ => Code::Stale,
-    };
-    Refusal::new(code, error)
+/// A claim that does not hold is the owner's fault.
+fn rejected(refused: &Refused) -> Refusal {
+    let code = if matches!(refused.reason, Reason::Crypto(_)) { Code::Signature } else { Code::Tampered };
+    Refusal::new(code, refused)
 }
 
 impl GatewayDesk {

@@ -37,7 +37,7 @@ use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{Address, AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
-use crate::pipeline::mirror::Anchors;
+use crate::pipeline::intake::Anchors;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;

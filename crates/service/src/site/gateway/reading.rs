@@ -1,16 +1,13 @@
-//! Queries of a gateway's callers: what they may read at this moment, pages, checks, one record, and new ones as they
-//! come.
+//! What a gateway's callers may read at this moment: pages of the feed, and records.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::sync::broadcast::error::RecvError;
-use tokio::sync::mpsc;
 use tokio::time::timeout;
 
 use super::GatewayDesk;
-use crate::gateway::{Caller, Code, Entry, Fetched, Page, Query, Refusal, Selection, Standing, Stood};
-use crate::model::{Address, Digest, PublicKey, RecordState, Scope, SignerId, Timestamp};
+use crate::gateway::feed::MOST_ENTRIES;
+use crate::gateway::{Caller, Code, Feed, FeedEntry, FeedPage, Fetched, Found, Refusal};
+use crate::model::{Address, Digest, RecordState, Scope, SignerId, Timestamp, TopicId};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{
     Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight, key_of, may_read, may_sign,
@@ -18,7 +15,7 @@ use crate::pipeline::authority::{
 use crate::pipeline::chain_proofs::anchor_proof;
 use crate::site::chain::link::GRACE;
 use crate::store::notes::AnnouncedRevoke;
-use crate::store::{RecordQuery, RecordRow};
+use crate::store::{self, FeedFilter, FeedPlace, FeedRow, RecordRow};
 
 /// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
 /// [`GatewayDesk::fresh_network`].
@@ -108,59 +105,6 @@ impl GatewayDesk {
         Ok(owed.map_err(|failure| Refusal::new(Code::Internal, failure.message))?.contains(reader))
     }
 
-    pub(super) fn page(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal> {
-        let network = self.fresh_network()?;
-        self.check_loan(&network, caller)?;
-        let reach = self.reach(&network, &caller.account, &query.selection.owner)?;
-        let asked = record_query(query, &reach, &caller.account)?;
-        let found = self.gateway.plant.ledger.list(&asked).map_err(Refusal::because(Code::Internal))?;
-        let next = found.next.as_deref().and_then(|cursor| u128::from_str_radix(cursor, 16).ok());
-        Ok(Page { entries: found.rows.iter().map(entry).collect(), next })
-    }
-
-    pub(super) fn standings(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        // A robot asks about its own records, and learns nothing that its recall should end.
-        let network = if caller.device.is_some() { self.known_network()? } else { self.fresh_network()? };
-        self.check_loan(&network, caller)?;
-        let mut known: Vec<(Address, Option<ReadingRight>)> = Vec::new();
-        let mut standings = Vec::with_capacity(digests.len());
-        for row in self.gateway.plant.ledger.records(digests).map_err(Refusal::because(Code::Internal))? {
-            let Some(row) = row else {
-                standings.push(Standing::Unknown);
-                continue;
-            };
-            if !known.iter().any(|(owner, _)| *owner == row.owner) {
-                known.push((row.owner, self.reach(&network, &caller.account, &row.owner).ok()));
-            }
-            let reach = known.iter().find(|(owner, _)| *owner == row.owner).and_then(|(_, reach)| reach.as_ref());
-            let own = caller.device.is_none_or(|device| is_of_a_device(&network, &row, &device.id));
-            let seen = own && reach.is_some_and(|reach| reach.covers(row.topic_id));
-            standings.push(if seen { standing(row.state) } else { Standing::Unknown });
-        }
-        Ok(standings)
-    }
-
-    /// The state of digests, each with its place on the chain.
-    pub(super) fn proven(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
-        let standings = self.standings(caller, digests)?;
-        let is_proven = |standing: &Standing| matches!(standing, Standing::Anchored | Standing::Verified);
-        let proven: Vec<Digest> = digests
-            .iter()
-            .zip(&standings)
-            .filter(|(_, standing)| is_proven(standing))
-            .map(|(digest, _)| *digest)
-            .collect();
-        let (ledger, internal) = (&self.gateway.plant.ledger, Refusal::because(Code::Internal));
-        let mut found = ledger.placed_all(&proven).map_err(&internal)?.into_iter();
-        let mut stood = Vec::with_capacity(digests.len());
-        for standing in standings {
-            let found = if is_proven(&standing) { found.next().flatten() } else { None };
-            let proof = found.and_then(anchor_proof);
-            stood.push(Stood { standing, proof: proof.map(|proof| proof.encode()).unwrap_or_default() });
-        }
-        Ok(stood)
-    }
-
     /// A record's bytes, compared with its digest before any of them leave.
     pub(super) fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
@@ -192,179 +136,148 @@ impl GatewayDesk {
     }
 }
 
-/// Whether a device signed a record: the asking one, or another one of the same owner, because a robot that is enrolled
-/// again has another key. Somebody who does not have a record does not know its digest.
-fn is_of_a_device(network: &Network, row: &RecordRow, asking: &SignerId) -> bool {
-    let account = network.directory.account(row.owner);
-    row.signer == *asking || account.is_some_and(|account| account.devices.iter().any(|loan| loan.device == row.signer))
-}
+/// The most bytes of records in one answer, unless a single one is larger.
+const MOST_BYTES: usize = 4 * 1024 * 1024;
 
-/// Whether a record may leave: quarantined or altered records are only listed.
-fn is_offered(row: &RecordRow) -> bool {
-    !matches!(standing(row.state), Standing::Unknown | Standing::Tampered | Standing::Quarantined)
-}
-
-fn record_query(query: &Query, reach: &ReadingRight, reader: &Address) -> Result<RecordQuery, Refusal> {
-    let Selection { owner, topic_id, kind, filters } = &query.selection;
-    let topic_ids = match (topic_id, reach.scope()) {
-        (Some(topic), scope) if !scope.covers(*topic) => return Err(not_authorised(owner, reader)),
-        (Some(topic), _) => Some(vec![*topic]),
-        (None, Scope::All) => None,
-        (None, Scope::Topics(topics)) => Some(topics.clone()),
-    };
-    Ok(RecordQuery {
-        owner: Some(*owner),
-        topic_ids,
-        filters: filters.iter().copied().map(Into::into).collect(),
-        kind: *kind,
-        since: (query.from.0 > 0).then_some(query.from),
-        until: (query.until.0 <= i64::MAX.unsigned_abs()).then_some(query.until),
-        after: (query.cursor != 0).then(|| format!("{:032x}", query.cursor)),
-        limit: usize::from(query.limit),
-        ..RecordQuery::default()
-    })
-}
-
-/// The standing of a record in this state.
-fn standing(state: RecordState) -> Standing {
-    match state {
-        RecordState::Captured | RecordState::Dropped => Standing::Unknown,
-        RecordState::Stored | RecordState::Batched | RecordState::Submitted | RecordState::RightEnded => {
-            Standing::Acknowledged
+impl GatewayDesk {
+    /// Those of the owners asked for whose records the reader may have now.
+    ///
+    /// # Errors
+    /// [`Refusal`] if it is none of them.
+    pub(super) fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>, Refusal> {
+        let network = self.fresh_network()?;
+        let (places, refused) = self.places(&network, reader, asked)?;
+        match refused.into_iter().next() {
+            Some((_, refusal)) if places.is_empty() => Err(refusal),
+            _ => Ok(places.into_iter().map(|place| place.owner).collect()),
         }
-        RecordState::Mined | RecordState::Confirmed => Standing::Anchored,
-        RecordState::Verified => Standing::Verified,
-        RecordState::Tampered => Standing::Tampered,
-        RecordState::Quarantined => Standing::Quarantined,
     }
-}
 
-/// A record's entry in a list.
-pub(super) fn entry(row: &RecordRow) -> Entry {
-    Entry {
-        digest: row.digest,
-        owner: row.owner,
-        recorder: row.recorder,
-        seq: row.seq,
-        topic_id: row.topic_id,
-        epoch: row.epoch,
-        captured_at: row.captured_at,
-        length: row.bytes,
-        kind: row.kind,
-        standing: standing(row.state),
+    /// Where the reader is with each owner, cut by his right; and who gives him nothing.
+    #[allow(clippy::type_complexity, reason = "who is refused, and why")]
+    fn places(
+        &self,
+        network: &Network,
+        reader: &Address,
+        asked: &Feed,
+    ) -> Result<(Vec<FeedPlace>, Vec<(Address, Refusal)>), Refusal> {
+        let (mut places, mut refused) = (Vec::new(), Vec::new());
+        for (owner, after) in &asked.places {
+            match self.reach(network, reader, owner) {
+                Ok(right) => match covered(&right, &asked.topics) {
+                    Some(topics) => places.push(FeedPlace { owner: *owner, after: *after, topics }),
+                    None => refused.push((*owner, not_authorised(owner, reader))),
+                },
+                Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+                Err(refusal) => refused.push((*owner, refusal)),
+            }
+        }
+        Ok((places, refused))
     }
-}
 
-/// P_S and P_E of a caller that is no device.
-type Keys = Option<(PublicKey, PublicKey)>;
+    /// What is there for the caller now, after the places that he asks from.
+    pub(super) fn page_of_feed(&self, caller: &Caller, asked: &Feed) -> Result<FeedPage, Refusal> {
+        let of_own = caller.device.is_some() && !asked.recorders.is_empty();
+        let network = if of_own { self.known_network()? } else { self.fresh_network()? };
+        self.check_loan(&network, caller)?;
+        let (places, refused) = self.places(&network, &caller.account, asked)?;
+        if places.is_empty() {
+            return Err(refused
+                .into_iter()
+                .next()
+                .map_or_else(|| Refusal::new(Code::Malformed, "nobody is asked about"), |(_, refusal)| refusal));
+        }
+        let filter = FeedFilter { places, kind: asked.kind, recorders: asked.recorders.clone() };
+        let page = self.gateway.plant.ledger.feed.page(&asked.id, &filter, MOST_ENTRIES);
+        let store::FeedPage { id, head, upto, mut rows } = page.map_err(Refusal::because(Code::Internal))?;
+        // A device knows its owner's recorder from her notices.
+        rows.retain(|row| !of_own || is_a_device(&network, caller, &row.placed.row.signer));
+        let refused = refused.into_iter().map(|(owner, refusal)| (owner, refusal.code)).collect();
+        Ok(FeedPage::new(id, (head, upto), refused, rows.into_iter().map(entry_of).collect()))
+    }
 
-/// Entries that may wait for a slow reader; beyond that, the subscription waits for it.
-const AHEAD: usize = 64;
-
-/// How often to check whether the chain is fresh again.
-const AGAIN: Duration = Duration::from_millis(500);
-
-/// One running subscription.
-pub(super) struct Watch {
-    pub desk: Arc<GatewayDesk>,
-    pub caller: Caller,
-    pub selection: Selection,
-}
-
-impl Watch {
-    /// Begins; the caller is authorised now, or refused.
-    pub(super) fn begin(self) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        let (mut reach, keys) = (self.reach()?, self.keys()?);
-        let mut settled = self.desk.gateway.hub.settled.subscribe();
-        let mut authority = self.desk.gateway.hub.authority.subscribe();
-        let (sender, receiver) = mpsc::channel(AHEAD);
-        tokio::spawn(async move {
-            loop {
-                tokio::select! {
-                    // Whether the caller may read is decided before looking at what there is to read.
-                    biased;
-                    changed = authority.changed() => {
-                        match self.right(&keys, &sender).await {
-                            Some(now) => reach = now,
-                            None => return,
-                        }
-                        if changed.is_err() {
-                            return;
-                        }
+    /// What there is for the caller of the first of these records, as many as fit.
+    pub(super) fn found(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
+        if !bytes {
+            let network = if caller.device.is_some() { self.known_network()? } else { self.fresh_network()? };
+            self.check_loan(&network, caller)?;
+            return digests.iter().map(|digest| self.is_here(&network, caller, digest)).collect();
+        }
+        let (mut found, mut length) = (Vec::new(), 0);
+        for digest in digests {
+            let one = match self.record(caller, digest) {
+                Ok(record) => Found::Held(record),
+                // Notices to a device are not erased.
+                Err(refusal) if refusal.code == Code::NotFound && caller.device.is_none() => {
+                    match self.erased(caller, digest) {
+                        Ok(erased) => Found::Erased(erased),
+                        Err(refusal) => missing(refusal)?,
                     }
-                    () = sender.closed() => return,
-                    digests = settled.recv() => match digests {
-                        Ok(digests) => {
-                            if self.desk.freshen().await.is_err() {
-                                match self.right(&keys, &sender).await {
-                                    Some(now) => reach = now,
-                                    None => return,
-                                }
-                            }
-                            let entries = tokio::task::block_in_place(|| self.entries(&digests, &reach));
-                            for entry in entries {
-                                if sender.send(entry).await.is_err() {
-                                    return;
-                                }
-                            }
-                        }
-                        // What was missed is in the list: the reader requests it and subscribes again.
-                        Err(RecvError::Lagged(_) | RecvError::Closed) => return,
-                    },
                 }
+                Err(refusal) => missing(refusal)?,
+            };
+            length += if let Found::Held(record) = &one { record.blob.len() } else { 0 };
+            if !found.is_empty() && length > MOST_BYTES {
+                break;
             }
-        });
-        Ok(receiver)
-    }
-
-    /// The right as it is now. While it is not known, because the chain is silent, nothing is delivered and nothing ends.
-    /// `None` = it is gone, or nobody listens any more.
-    async fn right(&self, keys: &Keys, sender: &mpsc::Sender<Entry>) -> Option<ReadingRight> {
-        while !sender.is_closed() {
-            let found =
-                self.desk.freshen().await.and_then(|()| {
-                    tokio::task::block_in_place(|| self.reach().and_then(|now| Ok((now, self.keys()?))))
-                });
-            match found {
-                Ok((now, same)) if same == *keys => return Some(now),
-                Err(refusal) if refusal.code == Code::Stale => tokio::time::sleep(AGAIN).await,
-                Ok(_) | Err(_) => return None,
-            }
+            found.push(one);
         }
-        None
+        Ok(found)
     }
 
-    fn reach(&self) -> Result<ReadingRight, Refusal> {
-        let network = self.desk.fresh_network()?;
-        self.desk.check_loan(&network, &self.caller)?;
-        self.desk.reach(&network, &self.caller.account, &self.selection.owner)
+    /// Whether a record is here, as far as the caller may know.
+    fn is_here(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<Found, Refusal> {
+        let row = self.gateway.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
+        let Some(row) = row else { return Ok(Found::Missing(Code::NotFound)) };
+        let own = caller.device.is_none() || is_a_device(network, caller, &row.signer);
+        let may_know = match self.reach(network, &caller.account, &row.owner) {
+            Ok(right) => own && right.covers(row.topic_id),
+            Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+            Err(_) => false,
+        };
+        Ok(match row.state {
+            _ if !may_know => Found::Missing(Code::NotFound),
+            RecordState::Tampered => Found::Missing(Code::Tampered),
+            _ => Found::Here,
+        })
     }
+}
 
-    /// The caller's keys on the chain: a change ends what was begun under the old ones. None for a device, which is
-    /// valid as long as its loan, whatever keys its owner has.
-    fn keys(&self) -> Result<Keys, Refusal> {
-        if self.caller.device.is_some() {
-            return Ok(None);
-        }
-        let network = self.desk.fresh_network()?;
-        let identity = network.directory.identity(self.caller.account);
-        identity.map(|known| Some((known.signing, known.envelope))).map_err(Refusal::because(Code::NotRegistered))
+/// A record that is not given is no reason to give none of the others.
+fn missing(refusal: Refusal) -> Result<Found, Refusal> {
+    match refusal.code {
+        Code::Stale | Code::Internal => Err(refusal),
+        code => Ok(Found::Missing(code)),
     }
+}
 
-    fn entries(&self, digests: &[Digest], reach: &ReadingRight) -> Vec<Entry> {
-        let ledger = &self.desk.gateway.plant.ledger;
-        let rows = digests.iter().filter_map(|digest| ledger.record(*digest).ok().flatten());
-        rows.filter(|row| self.wants(row, reach)).map(|row| entry(&row)).collect()
-    }
+/// The topics that a right gives of those asked for, `Some(None)` for all; `None` if it gives none of them.
+#[allow(clippy::option_option, reason = "no topic is not any topic")]
+fn covered(right: &ReadingRight, asked: &[TopicId]) -> Option<Option<Vec<TopicId>>> {
+    let topics = match right.scope() {
+        Scope::All if asked.is_empty() => return Some(None),
+        Scope::All => asked.to_vec(),
+        Scope::Topics(topics) => topics.iter().filter(|id| asked.is_empty() || asked.contains(id)).copied().collect(),
+    };
+    (!topics.is_empty()).then_some(Some(topics))
+}
 
-    fn wants(&self, row: &RecordRow, reach: &ReadingRight) -> bool {
-        let Selection { owner, topic_id, kind, filters } = &self.selection;
-        let ledger = &self.desk.gateway.plant.ledger;
-        row.owner == *owner
-            && row.state == RecordState::Verified
-            && reach.covers(row.topic_id)
-            && topic_id.is_none_or(|topic| topic == row.topic_id)
-            && kind.is_none_or(|kind| kind == row.kind)
-            && filters.iter().all(|filter| ledger.has_filter(row.digest, *filter).unwrap_or(false))
-    }
+/// Whether a key is the calling device's, or was lent by the same owner: a robot that is enrolled again has another one.
+fn is_a_device(network: &Network, caller: &Caller, signer: &SignerId) -> bool {
+    let own = caller.device.is_some_and(|device| device.id == *signer);
+    let account = network.directory.account(caller.account);
+    own || account.is_some_and(|account| account.devices.iter().any(|loan| loan.device == *signer))
+}
+
+fn entry_of(row: FeedRow) -> FeedEntry {
+    let FeedRow { number, fact, placed } = row;
+    let RecordRow { digest, owner, recorder, seq, topic_id, epoch, captured_at, bytes: length, kind, .. } = placed.row;
+    let proof = anchor_proof(placed).map(|proof| proof.encode()).unwrap_or_default();
+    FeedEntry { number, fact, digest, owner, recorder, seq, topic_id, epoch, captured_at, length, kind, proof }
+}
+
+/// Whether a record may leave: quarantined or altered ones do not.
+fn is_offered(row: &RecordRow) -> bool {
+    use RecordState::{Captured, Dropped, Quarantined, Tampered};
+    !matches!(row.state, Captured | Dropped | Quarantined | Tampered)
 }

@@ -1,9 +1,8 @@
-//! Mirrors a profile's records of the joined gateway here: lists and fetches what is missing, then takes records as they
-//! come. A lost connection is opened again, with pauses that grow to five seconds.
+//! Mirrors a profile's records of the joined gateway here: follows the gateway's feed, takes in what is told there, and keeps the
+//! place. A lost connection is opened again, with pauses that grow to five seconds.
 
-mod listing;
+mod following;
 mod own_erasures;
-mod pacing;
 pub(super) mod remote;
 
 use crate::paths::Home;
@@ -18,35 +17,24 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::sync::mpsc;
-use tokio::task::block_in_place;
-
-use self::listing::{follow, subscribe};
-use super::supervision::Aborted;
-use crate::gateway::{Code, Entry, Fetched, GatewayError};
+use crate::gateway::{Code, GatewayError};
 use crate::model::Address;
-use crate::pipeline::mirror::{Anchors, Mirror, sources};
+use crate::pipeline::intake::{Anchors, sources};
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
+use following::Following;
 use own_erasures::OwnErasures;
-use pacing::{Missed, Pace};
 use remote::{Mirrored, Remote};
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
-/// How often missing proofs are requested, and grants are looked at.
+/// A session as long as this says nothing of the next one.
+const LONG: Duration = Duration::from_secs(10);
+/// How often it is looked whether there is something to do.
 const TICK: Duration = Duration::from_millis(500);
-/// Subscriptions of one connection; owners beyond that are listed now and then.
-const SUBSCRIPTIONS: usize = 16;
-/// How often owners without a subscription are listed.
-const LISTING: Duration = Duration::from_secs(10);
-/// How long a connection may be silent before it is tested.
-const SILENCE: Duration = Duration::from_secs(30);
 /// How long a gateway that does not know its chain now is asked again without a word.
 const QUIET: Duration = Duration::from_secs(15);
-/// Records that may wait to be stored.
-const WAITING: usize = 64;
 
 /// Why a mirror's round ended.
 enum Broken {
@@ -113,7 +101,7 @@ impl Joined {
     /// Mirrors a profile's records of the gateway until its owner is closed or the site ends.
     pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
         let Some(remote) = &self.remote else { return };
-        let (mut pause, mut stale, mut pace) = (PAUSES.0, None, Pace::default());
+        let (mut pause, mut stale) = (PAUSES.0, None);
         let mut told = OwnErasures::default();
         remote.not_asked(&owner.profile);
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
@@ -131,33 +119,29 @@ impl Joined {
                 continue;
             }
             let begun = Instant::now();
-            match self.mirror_round(remote, (&owner, &network), &mut told).await {
-                Ok(()) => {
-                    (pause, stale) = (PAUSES.0, None);
-                    tokio::select! {
-                        () = tokio::time::sleep(pace.after(begun.elapsed())) => {}
-                        () = self.life.stopped() => return,
-                    }
-                }
-                Err(broken) if broken.is_stale() && stale.get_or_insert_with(Instant::now).elapsed() < QUIET => {
-                    remote.note(&owner.profile, Mirrored::Behind);
-                    tokio::select! {
-                        () = tokio::time::sleep(TICK) => {}
-                        () = self.life.stopped() => return,
-                    }
-                }
-                Err(broken) => {
-                    if !broken.is_stale() {
-                        stale = None;
-                    }
-                    self.tell_broken(remote, &owner, broken, pause);
-                    tokio::select! {
-                        () = tokio::time::sleep(pause) => {}
-                        () = self.life.stopped() => return,
-                    }
-                    pause = (pause * 2).min(PAUSES.1);
-                }
+            let Err(broken) = self.mirror_round(remote, (&owner, &network), &mut told).await else { continue };
+            if begun.elapsed() >= LONG {
+                (pause, stale) = (PAUSES.0, None);
             }
+            if broken.is_stale() && stale.get_or_insert_with(Instant::now).elapsed() < QUIET {
+                remote.note(&owner.profile, Mirrored::Behind);
+                self.rest(TICK).await;
+                continue;
+            }
+            if !broken.is_stale() {
+                stale = None;
+            }
+            self.tell_broken(remote, &owner, broken, pause);
+            self.rest(pause).await;
+            pause = (pause * 2).min(PAUSES.1);
+        }
+    }
+
+    /// Waits for so long, or until the site ends.
+    async fn rest(&self, pause: Duration) {
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            () = self.life.stopped() => {}
         }
     }
 
@@ -183,7 +167,7 @@ impl Joined {
         remote.note(&owner.profile, Mirrored::Failed(failure));
     }
 
-    /// Until the connection breaks, or somebody begins or ceases to share.
+    /// One session: until it breaks, is used up, or the site ends.
     async fn mirror_round(
         self: &Arc<Self>,
         remote: &Remote,
@@ -192,116 +176,54 @@ impl Joined {
     ) -> Result<(), Broken> {
         told.connected();
         let keeper = remote.keeper(network)?;
-        let mirror =
-            Mirror { plant: &self.plant, network, reader: owner.as_ref(), keeper, anchors: Anchors::default() };
         let mut client = remote.connect(&self.home, owner, network).await?;
-        let sources = sources(network, owner);
-        // Subscribed before listing, so that nothing falls in between.
-        let (feed, mut fed) = mpsc::channel(WAITING);
-        let subscriber = remote.connect(&self.home, owner, network).await?;
-        let live: Vec<Address> = sources.keys().copied().take(SUBSCRIPTIONS).collect();
-        let (subscriber, refused) = subscribe(subscriber, &live).await?;
-        let _feeding = Aborted(tokio::spawn(follow(subscriber, feed)));
+        let anchors = Anchors::default();
+        let mut following = Following::load(self, (owner, network), (keeper, &anchors))?;
         remote.note(&owner.profile, Mirrored::Behind);
-        let (mut missed, mut refused) = (Missed::default(), listing::Refused::new(refused, Instant::now()));
-        for source in &sources {
-            self.catch_up(&mut client, &mirror, source, &mut missed).await?;
-        }
-        remote.note(&owner.profile, Mirrored::Caught);
-        let (mut listed, mut heard) = (Instant::now(), Instant::now());
-        loop {
-            tokio::select! {
-                next = fed.recv() => {
-                    let next = next.unwrap_or(Err(GatewayError::Closed));
-                    if matches!(next, Err(GatewayError::Refused(Code::NotAuthorised))) {
-                        // Somebody no longer shares: begin again with those who do.
-                        remote.note(&owner.profile, Mirrored::Behind);
-                        tokio::time::sleep(TICK).await;
-                        return Ok(());
-                    }
-                    let (entry, record) = next?;
-                    let taken = match mirror.wants(&entry)? {
-                        true => self.take(&mirror, entry.owner, &entry, record).await?,
-                        // Here already; or the gateway knows of a grant that the chain here does not show yet.
-                        false => self.has(&entry)?,
-                    };
-                    if !taken {
-                        missed.add(entry.owner, &entry, Instant::now());
+        let mut rights = self.hub.feed.subscribe();
+        let mut is_slow_told = false;
+        let has_others =
+            |followed: &BTreeSet<Address>| sources(network, owner).keys().any(|source| !followed.contains(source));
+        while !client.is_spent() && !self.life.is_stopping() && self.owners.is_open(owner) && !owner.is_locked() {
+            rights.mark_unchanged();
+            if following.adjust()? {
+                remote.note(&owner.profile, Mirrored::Behind);
+            }
+            let followed = following.owners();
+            let page = {
+                let asking = following.next(&mut client);
+                tokio::pin!(asking);
+                loop {
+                    tokio::select! {
+                        page = &mut asking => break page?,
+                        () = self.life.stopped() => return Ok(()),
+                        Ok(()) = rights.changed() => {
+                            // Somebody shares from now on: what is asked for next includes that.
+                            if has_others(&followed) {
+                                remote.note(&owner.profile, Mirrored::Behind);
+                            }
+                        }
                     }
                 }
-                () = tokio::time::sleep(TICK) => {}
-                () = self.life.stopped() => return Ok(()),
-            }
-            let others = crate::pipeline::mirror::sources(network, owner) != sources;
-            if others || client.is_spent() || refused.is_given(&mut client, Instant::now()).await? {
-                remote.note(&owner.profile, Mirrored::Behind);
-                return Ok(());
-            }
-            if let Some(owners) = refused.is_late() {
-                self.tell_waiting(remote, owner, owners);
+            };
+            if following.take(&mut client, page).await? && !has_others(&followed) {
+                remote.note(&owner.profile, Mirrored::Caught);
             }
             self.tell_erasures(&mut client, (remote, owner, network), told).await?;
-            if self.settle_proofs(&mut client, &mirror, &sources).await? {
-                heard = Instant::now();
-            }
-            for (source, entry) in missed.due(Instant::now()) {
-                if mirror.wants(&entry)? {
-                    self.fetch(&mut client, &mirror, (source, &entry), &mut missed).await?;
-                } else if !self.has(&entry)? {
-                    missed.add(source, &entry, Instant::now());
-                }
-            }
-            if listed.elapsed() >= LISTING {
-                for source in sources.iter().filter(|(source, _)| !live.contains(source)) {
-                    self.catch_up(&mut client, &mirror, source, &mut missed).await?;
-                }
-                listed = Instant::now();
-            }
-            if heard.elapsed() >= SILENCE {
-                client.ping().await?;
-                heard = Instant::now();
+            if following.is_refused_for_long() && !std::mem::replace(&mut is_slow_told, true) {
+                self.tell_waiting(remote, owner, &following.refused());
             }
         }
+        Ok(())
     }
 
-    fn tell_waiting(&self, remote: &Remote, owner: &Owner, owners: &BTreeSet<Address>) {
-        let owners: Vec<String> = owners.iter().map(ToString::to_string).collect();
+    fn tell_waiting(&self, remote: &Remote, owner: &Owner, owners: &str) {
         let text = format!(
-            "the gateway {} does not give '{}' the records of {} yet: its keeper may want their grant some blocks deeper in the \
-             chain; retrying at least every ten seconds",
+            "the gateway {} does not give '{}' the records of {owners} yet: its keeper may want their grant some blocks deeper \
+             in the chain; retrying at least every ten seconds",
             remote.address(),
             owner.profile,
-            owners.join(", ")
         );
         self.hub.notice(NoticeLevel::Warning, &text);
-    }
-
-    /// Returns `false` if the chain here does not know enough yet to take it in.
-    async fn take(
-        &self,
-        mirror: &Mirror<'_>,
-        source: Address,
-        entry: &Entry,
-        record: Fetched,
-    ) -> Result<bool, PipelineError> {
-        match mirror.take(source, entry.digest, record).await {
-            Ok(true) => {
-                self.hub.changed(Part::Uploads);
-                self.hub.changed(Part::Grants);
-                self.hub.confirmed.notify_one();
-                Ok(true)
-            }
-            Ok(false) => self.has(entry),
-            // One bad record must not keep the others away.
-            Err(error @ (PipelineError::NotTakenIn { .. } | PipelineError::Crypto(_))) => {
-                self.hub.notice(NoticeLevel::Error, &error.to_string());
-                Ok(true)
-            }
-            Err(error) => Err(error),
-        }
-    }
-
-    fn has(&self, entry: &Entry) -> Result<bool, PipelineError> {
-        Ok(block_in_place(|| self.plant.ledger.record(entry.digest))?.is_some())
     }
 }

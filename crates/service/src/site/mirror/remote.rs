@@ -31,7 +31,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// How long a command waits until the gateway's records are here.
 pub(in crate::site) const FIRST_ROUND: Duration = Duration::from_secs(90);
 /// How long a list that can show some of them waits for the others.
-pub(in crate::site) const LISTING: Duration = Duration::from_secs(5);
+pub(in crate::site) const LISTING: Duration = Duration::from_millis(1_500);
 
 /// How long a home with a transport key waits for its owner to unlock it where visitors have no room, and how often it
 /// looks.
@@ -54,7 +54,7 @@ pub(in crate::site) enum Mirrored {
 struct Progress {
     /// Since when it has neither caught up nor failed; nothing if that is how it stands.
     behind_since: Option<Instant>,
-    /// How often it has caught up or failed. A gateway that ends each subscription at once lets it catch up for moments.
+    /// How often it has caught up or failed. A gateway that is never done lets it catch up for moments.
     settled: u64,
     /// The end of the last attempt.
     last: Option<Result<(), Failure>>,

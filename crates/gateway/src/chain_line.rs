@@ -1,0 +1,151 @@
+//! The chain through a gateway: the chain crate's transport over one connection that reconnects by itself, a visitor's session until
+//! there are credentials.
+
+use std::sync::{Arc, PoisonError, RwLock};
+
+use async_trait::async_trait;
+use serde_json::Value;
+use tokio::sync::Mutex;
+
+use crate::chain::{Relay, RelayError};
+use crate::client::{Client, Credentials, Endpoint};
+use crate::command::Relayed;
+use crate::error::{Code, GatewayError};
+use crate::hello::Agreed;
+use crate::model::ProfileName;
+use crate::trust::KeptTrust;
+
+/// A client's own requests to the chain behind a gateway.
+pub struct ChainLine {
+    endpoint: Endpoint,
+    trust: Arc<KeptTrust>,
+    visitor: ProfileName,
+    credentials: RwLock<Option<Credentials>>,
+    open: Mutex<Option<Open>>,
+}
+
+struct Open {
+    client: Client,
+    proven: bool,
+}
+
+impl ChainLine {
+    /// To the gateway at `endpoint`; nothing is sent yet. `visitor` is the name to give before there are credentials.
+    pub fn new(endpoint: Endpoint, trust: Arc<KeptTrust>, visitor: ProfileName) -> Self {
+        Self { endpoint, trust, visitor, credentials: RwLock::default(), open: Mutex::default() }
+    }
+
+    /// The gateway's address.
+    pub fn endpoint(&self) -> &Endpoint {
+        &self.endpoint
+    }
+
+    /// From the next request on, acts for an account.
+    pub fn prove_by(&self, credentials: Credentials) {
+        *self.credentials.write().unwrap_or_else(PoisonError::into_inner) = Some(credentials);
+    }
+
+    /// Connects if there is no connection, so that a gateway other than the pinned one can be told from one that does
+    /// not answer.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn meet(&self) -> Result<Agreed, GatewayError> {
+        let mut open = self.open.lock().await;
+        let met = match open.take() {
+            Some(met) if !met.client.is_spent() => met,
+            _ => self.connect().await?,
+        };
+        let agreed = *met.client.agreed();
+        *open = Some(met);
+        Ok(agreed)
+    }
+
+    /// Takes its place at the gateway by a small request: before there are credentials, a visitor's.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `RefusedInClear(Busy)` if visitors have no room.
+    pub async fn probe(&self) -> Result<(), GatewayError> {
+        self.relay("eth_chainId", &Value::Array(Vec::new())).await.map(drop)
+    }
+
+    async fn connect(&self) -> Result<Open, GatewayError> {
+        let credentials = self.credentials.read().unwrap_or_else(PoisonError::into_inner).clone();
+        let mut trust = self.trust.current();
+        if let Some(credentials) = credentials {
+            match Client::connect(&self.endpoint, &mut trust, &credentials).await {
+                // Replacing a void key is up to its owner; the chain is open to visitors. Other refusals in clear may be
+                // forged, and one for want of room would meet a visitor first.
+                Err(GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(_)) => {
+                    self.forget(&credentials);
+                }
+                connected => {
+                    let client = connected?;
+                    self.trust.learn(&trust)?;
+                    return Ok(Open { client, proven: true });
+                }
+            }
+        }
+        let client = Client::visit(&self.endpoint, &mut trust, &self.visitor).await?;
+        self.trust.learn(&trust)?;
+        Ok(Open { client, proven: false })
+    }
+
+    fn forget(&self, void: &Credentials) {
+        let mut credentials = self.credentials.write().unwrap_or_else(PoisonError::into_inner);
+        credentials.take_if(|credentials| credentials == void);
+    }
+
+    async fn relay(&self, method: &str, parameters: &Value) -> Result<Relayed, GatewayError> {
+        let mut slot = self.open.lock().await;
+        let waiting = self.credentials.read().unwrap_or_else(PoisonError::into_inner).is_some();
+        // Taken out meanwhile: a request abandoned halfway must not leave its answer to the next one.
+        let kept = slot.take().filter(|open| !open.client.is_spent() && (open.proven || !waiting));
+        let reused = kept.is_some();
+        let mut open = match kept {
+            Some(open) => open,
+            None => self.connect().await?,
+        };
+        let mut relayed = open.client.relay(method, parameters).await;
+        // The other end may long since have closed an idle connection. Asking again does no harm: the chain recognises
+        // the same transaction, whatever became of the first attempt.
+        if reused && !goes_on(&relayed) {
+            open = self.connect().await?;
+            relayed = open.client.relay(method, parameters).await;
+        }
+        if goes_on(&relayed) {
+            *slot = Some(open);
+        }
+        relayed
+    }
+}
+
+/// Whether the session continues after this answer.
+fn goes_on(relayed: &Result<Relayed, GatewayError>) -> bool {
+    match relayed {
+        Ok(_) => true,
+        Err(GatewayError::Refused(code)) => !code.ends_session(),
+        Err(_) => false,
+    }
+}
+
+#[async_trait]
+impl Relay for ChainLine {
+    async fn ask(&self, method: &str, parameters: Value) -> Result<Value, RelayError> {
+        let silent = |error: GatewayError| RelayError::Silent(error.to_string());
+        let parse = |text: &str| serde_json::from_str(text).map_err(|error| RelayError::Silent(error.to_string()));
+        match self.relay(method, &parameters).await {
+            Ok(Relayed::Result(result)) => parse(&result),
+            Ok(Relayed::Fault { code, words, data }) => {
+                let data = if data.is_empty() { None } else { Some(parse(&data)?) };
+                Err(RelayError::Answered { code, message: words, data })
+            }
+            Err(GatewayError::Refused(Code::Method)) => Err(RelayError::NotAllowed),
+            Err(error) => Err(silent(error)),
+        }
+    }
+
+    fn place(&self) -> String {
+        format!("the gateway {}", crate::model::clean(&self.endpoint.addresses.join(", "), 300))
+    }
+}

@@ -1,0 +1,501 @@
+//! The feed: what a gateway holds for a reader, in the order of the gateway's own numbers. A page is asked for with [`Feed`],
+//! answered with [`FeedPage`] and signed, and [`Follow`] keeps a follower's place. A place is the id of a feed and, for each owner, a
+//! number: nothing ever appears behind it. Another id, or a number beyond the head, means that the feed is read anew.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use crate::client::Client;
+use crate::command::answer::{LONGEST_PROOF, read_code};
+use crate::crypto::{CryptoError, Provider, SmKeyPair};
+use crate::error::{Code, GatewayError};
+use crate::model::wire::{Reader, WireError};
+use crate::model::{Address, Digest, Domain, Fact, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId};
+
+/// The most entries on a page: with their proofs they fit into one frame.
+pub const MOST_ENTRIES: usize = 256;
+/// The most owners followed by one request.
+pub const MOST_OWNERS: usize = 1024;
+/// The most recorders, and topics, that one request may name.
+pub const MOST_NAMED: usize = 32;
+/// The longest that a request waits for something to tell.
+pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
+
+/// The id of a feed; zeros where none is known yet.
+pub type FeedId = [u8; 16];
+
+/// What to tell next: feed id (16) || wait (2, milliseconds) || kind (1, 0 for any) || topics (1), 16 each || recorders (1), 16 each ||
+/// owners (2), each: owner (20) || number (8).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Feed {
+    /// The feed that the places belong to.
+    pub id: FeedId,
+    /// How long to wait if there is nothing to tell, at most [`LONGEST_WAIT`].
+    pub wait: Duration,
+    /// Of one kind only.
+    pub kind: Option<RecordKind>,
+    /// Of these topics only; empty for all.
+    pub topics: Vec<TopicId>,
+    /// Numbered by one of these; empty for any. It is how a device asks for its own: nobody else knows them.
+    pub recorders: Vec<RecorderId>,
+    /// The owners, each with the number after which.
+    pub places: Vec<(Address, u64)>,
+}
+
+impl Feed {
+    /// Everything of one owner, from the beginning.
+    pub fn of(owner: Address) -> Self {
+        let (wait, topics, recorders) = (Duration::ZERO, Vec::new(), Vec::new());
+        Self { id: FeedId::default(), wait, kind: None, topics, recorders, places: vec![(owner, 0)] }
+    }
+
+    /// The same request after a page that had nothing to tell.
+    pub(crate) fn after(&mut self, page: &FeedPage) {
+        for (_, number) in &mut self.places {
+            *number = page.place(self.id, *number);
+        }
+        self.id = page.id;
+    }
+
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let wait = u16::try_from(self.wait.as_millis()).unwrap_or(u16::MAX);
+        let mut out = [&self.id[..], &wait.to_be_bytes(), &[self.kind.map_or(0, RecordKind::code)]].concat();
+        let counted = |length: usize| u8::try_from(length.min(MOST_NAMED)).unwrap_or(0);
+        out.push(counted(self.topics.len()));
+        self.topics.iter().take(MOST_NAMED).for_each(|topic| out.extend_from_slice(&topic.0));
+        out.push(counted(self.recorders.len()));
+        self.recorders.iter().take(MOST_NAMED).for_each(|recorder| out.extend_from_slice(&recorder.0));
+        let owners = u16::try_from(self.places.len().min(MOST_OWNERS)).unwrap_or(0);
+        out.extend_from_slice(&owners.to_be_bytes());
+        for (owner, number) in self.places.iter().take(MOST_OWNERS) {
+            out.extend_from_slice(&owner.0);
+            out.extend_from_slice(&number.to_be_bytes());
+        }
+        out
+    }
+
+    pub(crate) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let (id, wait) = (reader.array("feed id")?, Duration::from_millis(reader.u16("wait")?.into()));
+        let kind = match reader.u8("kind")? {
+            0 => None,
+            code => Some(RecordKind::from_code(code).ok_or(WireError::Value("kind"))?),
+        };
+        let named = |count: u8, field| match usize::from(count) {
+            count if count <= MOST_NAMED => Ok(count),
+            _ => Err(WireError::Value(field)),
+        };
+        let count = named(reader.u8("topic count")?, "topic count")?;
+        let topics = (0..count).map(|_| reader.array("topic id").map(TopicId)).collect::<Result<_, _>>()?;
+        let count = named(reader.u8("recorder count")?, "recorder count")?;
+        let recorders = (0..count).map(|_| reader.array("recorder").map(RecorderId)).collect::<Result<_, _>>()?;
+        let count = usize::from(reader.u16("owner count")?);
+        if !(1..=MOST_OWNERS).contains(&count) || wait > LONGEST_WAIT {
+            return Err(WireError::Value("owner count or wait"));
+        }
+        let mut place = || Ok((Address(reader.array("owner")?), reader.u64("number")?));
+        let places = (0..count).map(|_| place()).collect::<Result<_, WireError>>()?;
+        Ok(Self { id, wait, kind, topics, recorders, places })
+    }
+}
+
+/// A row of the feed: number (8) || fact (1) || digest (32) || owner (20) || recorder (16) || seq (8) || topic id (16) || epoch (8) ||
+/// capture time (8) || length (8) || kind (1) || length (4) and proof of its anchor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FeedEntry {
+    /// Its number.
+    pub number: u64,
+    /// What it says.
+    pub fact: Fact,
+    /// D.
+    pub digest: Digest,
+    /// The owner.
+    pub owner: Address,
+    /// The recorder.
+    pub recorder: RecorderId,
+    /// Its seq.
+    pub seq: u64,
+    /// Pseudonym of its topic.
+    pub topic_id: TopicId,
+    /// The epoch whose key sealed it.
+    pub epoch: u64,
+    /// When it was captured.
+    pub captured_at: Timestamp,
+    /// Bytes of the message.
+    pub length: u64,
+    /// The kind of record.
+    pub kind: RecordKind,
+    /// Proof of the anchor, as written by the chain crate; empty where there is none yet.
+    pub proof: Vec<u8>,
+}
+
+impl FeedEntry {
+    fn encode(&self, out: &mut Vec<u8>) {
+        let proof = &self.proof[..self.proof.len().min(LONGEST_PROOF)];
+        let parts: [&[u8]; 13] = [
+            &self.number.to_be_bytes(),
+            &[self.fact.code()],
+            &self.digest.0,
+            &self.owner.0,
+            &self.recorder.0,
+            &self.seq.to_be_bytes(),
+            &self.topic_id.0,
+            &self.epoch.to_be_bytes(),
+            &self.captured_at.0.to_be_bytes(),
+            &self.length.to_be_bytes(),
+            &[self.kind.code()],
+            &u32::try_from(proof.len()).unwrap_or(0).to_be_bytes(),
+            proof,
+        ];
+        parts.iter().for_each(|part| out.extend_from_slice(part));
+    }
+
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        Ok(Self {
+            number: reader.u64("number")?,
+            fact: Fact::from_code(reader.u8("fact")?).ok_or(WireError::Value("fact"))?,
+            digest: Digest(reader.array("digest")?),
+            owner: Address(reader.array("owner")?),
+            recorder: RecorderId(reader.array("recorder")?),
+            seq: reader.u64("seq")?,
+            topic_id: TopicId(reader.array("topic id")?),
+            epoch: reader.u64("epoch")?,
+            captured_at: Timestamp(reader.u64("capture time")?),
+            length: reader.u64("length")?,
+            kind: RecordKind::from_code(reader.u8("kind")?).ok_or(WireError::Value("kind"))?,
+            proof: read_proof(reader)?,
+        })
+    }
+}
+
+/// Length (4) || proof.
+pub(crate) fn read_proof(reader: &mut Reader<'_>) -> Result<Vec<u8>, WireError> {
+    let length = usize::try_from(reader.u32("proof length")?).unwrap_or(usize::MAX);
+    if length > LONGEST_PROOF {
+        return Err(WireError::Value("proof length"));
+    }
+    Ok(reader.take(length, "proof")?.to_vec())
+}
+
+/// A page: feed id (16) || head (8) || upto (8) || refused owners (2), each: owner (20) || code (2) || entries (2), each as above ||
+/// time (8) || signature (64).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FeedPage {
+    /// The feed.
+    pub id: FeedId,
+    /// The highest number given so far.
+    pub head: u64,
+    /// All that was asked for up to this number is on this page or before it.
+    pub upto: u64,
+    /// Owners about whom this caller is told nothing, and why.
+    pub refused: Vec<(Address, Code)>,
+    /// The rows, by number.
+    pub entries: Vec<FeedEntry>,
+    /// When the gateway said so.
+    pub time: Timestamp,
+    /// Its signature, by which a robot can show what it was told; zeros if there are no entries.
+    pub signature: Signature,
+}
+
+impl FeedPage {
+    /// Not signed yet.
+    pub fn new(id: FeedId, (head, upto): (u64, u64), refused: Vec<(Address, Code)>, entries: Vec<FeedEntry>) -> Self {
+        Self { id, head, upto, refused, entries, time: Timestamp::now(), signature: Signature([0; 64]) }
+    }
+
+    /// Where somebody goes on who was at a number of the feed `id` when he got this page.
+    fn place(&self, id: FeedId, number: u64) -> u64 {
+        let number = if self.id == id && number <= self.head { number } else { 0 };
+        number.max(self.upto)
+    }
+
+    /// Whether it is worth an answer before the time is over.
+    pub(crate) fn tells(&self, asked: &Feed) -> bool {
+        let is_behind = self.upto < self.head;
+        !self.entries.is_empty() || !self.refused.is_empty() || self.id != asked.id || is_behind
+    }
+
+    /// The bytes signed, after the domain: time (8) || count (2) || for each entry: digest (32) || fact (1) || SM3 of its proof (32,
+    /// zeros if there is none).
+    pub fn statement(&self, provider: &dyn Provider) -> Vec<u8> {
+        let mut out = self.time.0.to_be_bytes().to_vec();
+        out.extend_from_slice(&u16::try_from(self.entries.len()).unwrap_or(u16::MAX).to_be_bytes());
+        for entry in &self.entries {
+            out.extend_from_slice(&entry.digest.0);
+            out.push(entry.fact.code());
+            let proof = if entry.proof.is_empty() { [0; 32] } else { provider.sm3(&[&entry.proof]) };
+            out.extend_from_slice(&proof);
+        }
+        out
+    }
+
+    /// Signs it, if it tells anything.
+    ///
+    /// # Errors
+    /// [`CryptoError::Random`].
+    pub fn sign(mut self, provider: &dyn Provider, domain: &Domain, identity: &SmKeyPair) -> Result<Self, CryptoError> {
+        if !self.entries.is_empty() {
+            let signed = signed_bytes(domain, &self.statement(provider));
+            self.signature = provider.sign(&identity.secret, &signed)?;
+        }
+        Ok(self)
+    }
+
+    /// Checks the signature.
+    ///
+    /// # Errors
+    /// [`CryptoError::BadSignature`].
+    pub fn verify(&self, provider: &dyn Provider, domain: &Domain, gateway: &PublicKey) -> Result<(), CryptoError> {
+        if self.entries.is_empty() {
+            return Ok(());
+        }
+        provider.verify(gateway, &signed_bytes(domain, &self.statement(provider)), &self.signature)
+    }
+
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let (refused, entries) = (self.refused.iter().take(MOST_OWNERS), self.entries.iter().take(MOST_ENTRIES));
+        let count = |length: usize| u16::try_from(length).unwrap_or(0).to_be_bytes();
+        let mut out = [&self.id[..], &self.head.to_be_bytes(), &self.upto.to_be_bytes()].concat();
+        out.extend_from_slice(&count(refused.len()));
+        for (owner, code) in refused {
+            out.extend_from_slice(&owner.0);
+            out.extend_from_slice(&code.number().to_be_bytes());
+        }
+        out.extend_from_slice(&count(entries.len()));
+        entries.for_each(|entry| entry.encode(&mut out));
+        out.extend_from_slice(&self.time.0.to_be_bytes());
+        out.extend_from_slice(&self.signature.0);
+        out
+    }
+
+    pub(crate) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let (id, head, upto) = (reader.array("feed id")?, reader.u64("head")?, reader.u64("upto")?);
+        let count = bounded(reader.u16("refused count")?, MOST_OWNERS, "refused count")?;
+        let mut one = || Ok((Address(reader.array("owner")?), read_code(reader)?));
+        let refused = (0..count).map(|_| one()).collect::<Result<_, WireError>>()?;
+        let count = bounded(reader.u16("entry count")?, MOST_ENTRIES, "entry count")?;
+        let entries: Vec<FeedEntry> = (0..count).map(|_| FeedEntry::read(reader)).collect::<Result<_, _>>()?;
+        // A follower goes by these numbers: they rise, and lie within what the page says of itself.
+        let rise = entries.is_sorted_by(|one, next| one.number < next.number);
+        if !rise || upto > head || entries.last().is_some_and(|last| last.number > upto) {
+            return Err(WireError::Value("number"));
+        }
+        let (time, signature) = (Timestamp(reader.u64("time")?), Signature(reader.array("signature")?));
+        Ok(Self { id, head, upto, refused, entries, time, signature })
+    }
+}
+
+fn bounded(count: u16, most: usize, field: &'static str) -> Result<usize, WireError> {
+    let count = usize::from(count);
+    if count <= most { Ok(count) } else { Err(WireError::Value(field)) }
+}
+
+fn signed_bytes(domain: &Domain, statement: &[u8]) -> Vec<u8> {
+    [&b"AuthROS/feed/1"[..], &domain.0, statement].concat()
+}
+
+/// The first pause before the gateway is asked again about an owner whose records it does not give, and the longest.
+const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
+
+/// An owner whose records the gateway did not give when it was asked.
+#[derive(Debug, Clone, Copy)]
+struct Resting {
+    again: Instant,
+    pause: Duration,
+}
+
+/// A follower's place in a gateway's feed: which owners, and how far each is told. It outlives sessions.
+#[derive(Debug, Clone)]
+pub struct Follow {
+    filter: Feed,
+    places: BTreeMap<Address, u64>,
+    resting: BTreeMap<Address, Resting>,
+    /// Whom the last page is about.
+    asked: BTreeSet<Address>,
+}
+
+impl Follow {
+    /// From the beginning, with the kind, topics and recorders of `filter` and its owners.
+    pub fn new(filter: Feed) -> Self {
+        let places = filter.places.iter().copied().collect();
+        Self { filter, places, resting: BTreeMap::new(), asked: BTreeSet::new() }
+    }
+
+    /// The feed that its places belong to.
+    pub fn id(&self) -> FeedId {
+        self.filter.id
+    }
+
+    /// How far each owner is told.
+    pub fn places(&self) -> &BTreeMap<Address, u64> {
+        &self.places
+    }
+
+    /// Follows an owner, from after a number of this feed; one that is followed already stays where it is.
+    pub fn add(&mut self, owner: Address, after: u64) {
+        self.places.entry(owner).or_insert(after);
+    }
+
+    /// Follows an owner no longer.
+    pub fn remove(&mut self, owner: &Address) {
+        self.places.remove(owner);
+        self.resting.remove(owner);
+    }
+
+    /// The longest pause after which the gateway is asked again about an owner whose records it does not give; zero if there
+    /// is none.
+    pub fn longest_rest(&self) -> Duration {
+        self.resting.values().map(|resting| resting.pause).max().unwrap_or_default()
+    }
+
+    /// Owners whose records the gateway did not give when it was asked last.
+    pub fn resting(&self) -> impl Iterator<Item = &Address> {
+        self.resting.keys()
+    }
+
+    /// Asks for the next page; it counts once [`Self::took`] says so. Nobody is asked if every owner rests.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn next(&mut self, client: &mut Client, wait: Duration) -> Result<Option<FeedPage>, GatewayError> {
+        let now = Instant::now();
+        let rests = |owner: &Address| self.resting.get(owner).is_some_and(|resting| resting.again > now);
+        let places = self.places.iter().filter(|(owner, _)| !rests(owner));
+        let mut places: Vec<_> = places.map(|(owner, number)| (*owner, *number)).collect();
+        if places.is_empty() {
+            return Ok(None);
+        }
+        // Who is behind comes first, where there are more than fit into one request.
+        places.sort_by_key(|(_, number)| *number);
+        places.truncate(MOST_OWNERS);
+        let first = self.resting.values().map(|resting| resting.again.saturating_duration_since(now)).min();
+        let wait = wait.min(first.unwrap_or(wait));
+        self.asked = places.iter().map(|(owner, _)| *owner).collect();
+        let page = client.feed(&Feed { wait, places, ..self.filter.clone() }).await?;
+        for (owner, _) in &page.refused {
+            if self.asked.remove(owner) {
+                self.rest(*owner);
+            }
+        }
+        self.resting.retain(|owner, _| !self.asked.contains(owner));
+        Ok(Some(page))
+    }
+
+    fn rest(&mut self, owner: Address) {
+        let before = self.resting.get(&owner).map_or(PAUSES.0 / 2, |resting| resting.pause);
+        let pause = (before * 2).min(PAUSES.1);
+        self.resting.insert(owner, Resting { again: Instant::now() + pause, pause });
+    }
+
+    /// Asks for records of these recorders from now on.
+    pub fn set_recorders(&mut self, recorders: Vec<RecorderId>) {
+        self.filter.recorders = recorders;
+    }
+
+    /// Everything on a page was dealt with, as far as this number of it. Returns whether the feed is another one than it was.
+    pub fn took(&mut self, page: &FeedPage, upto: u64) -> bool {
+        let is_other = page.id != self.filter.id;
+        let is_anew = is_other || self.places.values().any(|number| *number > page.head);
+        for (owner, number) in &mut self.places {
+            let known = if is_other || *number > page.head { 0 } else { *number };
+            *number = if self.asked.contains(owner) { known.max(upto.min(page.upto)) } else { known };
+        }
+        self.filter.id = page.id;
+        is_anew
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::{ProviderName, provider};
+
+    fn entry(number: u64, proof: u8) -> FeedEntry {
+        FeedEntry {
+            number,
+            fact: Fact::Verified,
+            digest: Digest([u8::try_from(number).expect("small"); 32]),
+            owner: Address([2; 20]),
+            recorder: RecorderId([3; 16]),
+            seq: 4,
+            topic_id: TopicId([5; 16]),
+            epoch: 6,
+            captured_at: Timestamp(7),
+            length: 8,
+            kind: RecordKind::Data,
+            proof: vec![proof; 40],
+        }
+    }
+
+    fn page(entries: Vec<FeedEntry>) -> FeedPage {
+        let upto = entries.last().map_or(0, |last| last.number);
+        FeedPage::new([9; 16], (50, upto), Vec::new(), entries)
+    }
+
+    #[test]
+    fn a_signature_binds_digests_facts_proofs_time_and_network() {
+        let provider = provider(ProviderName::RustCrypto);
+        let (identity, domain) = (SmKeyPair::generate(provider).expect("pair"), Domain([4; 32]));
+        let signed = page(vec![entry(1, 7), entry(2, 7)]).sign(provider, &domain, &identity).expect("signs");
+        let holds = |page: &FeedPage, domain: &Domain| page.verify(provider, domain, &identity.public).is_ok();
+        assert!(holds(&signed, &domain) && !holds(&signed, &Domain([5; 32])));
+        let mut lies = vec![signed.clone(); 5];
+        lies[0].time.0 += 1;
+        lies[1].entries.swap(0, 1);
+        lies[2].entries[0].fact = Fact::Erased;
+        lies[3].entries[1].proof = vec![8; 40];
+        lies[4].entries.pop();
+        assert!(lies.iter().all(|lie| !holds(lie, &domain)));
+        let nothing = page(Vec::new()).sign(provider, &domain, &identity).expect("nothing to sign");
+        assert!(holds(&nothing, &domain));
+    }
+
+    #[test]
+    fn numbers_that_a_follower_could_not_go_by_are_malformed() {
+        let parse = |page: &FeedPage| FeedPage::read(&mut Reader::new(&page.encode())).map(|read| read == *page);
+        assert_eq!(parse(&page(vec![entry(1, 1), entry(5, 1)])), Ok(true));
+        for lie in [
+            page(vec![entry(5, 1), entry(1, 1)]),
+            page(vec![entry(5, 1), entry(5, 1)]),
+            FeedPage { upto: 4, ..page(vec![entry(5, 1)]) },
+            FeedPage { upto: 51, ..page(vec![entry(5, 1)]) },
+        ] {
+            assert_eq!(parse(&lie), Err(WireError::Value("number")));
+        }
+    }
+
+    #[test]
+    fn a_place_moves_on_and_begins_anew_with_another_feed_or_a_head_before_it() {
+        let (one, other) = (Address([1; 20]), Address([2; 20]));
+        let mut follow = Follow::new(Feed::of(one));
+        follow.asked = BTreeSet::from([one, other]);
+        follow.took(&page(vec![entry(7, 1)]), 7);
+        follow.add(other, 0);
+        assert_eq!((follow.id(), follow.places()), ([9; 16], &BTreeMap::from([(one, 7), (other, 0)])));
+        follow.took(&FeedPage { upto: 20, ..page(Vec::new()) }, 12);
+        assert_eq!(follow.places(), &BTreeMap::from([(one, 12), (other, 12)]), "as far as was dealt with");
+        follow.asked.remove(&other);
+        follow.took(&FeedPage { upto: 20, ..page(Vec::new()) }, 20);
+        assert_eq!(
+            follow.places(),
+            &BTreeMap::from([(one, 20), (other, 12)]),
+            "nothing was told of who was not asked about"
+        );
+        // Restored from a backup: another id; or its head is before what was told.
+        follow.took(&FeedPage { id: [8; 16], ..page(vec![entry(3, 1)]) }, 3);
+        assert_eq!(follow.places(), &BTreeMap::from([(one, 3), (other, 0)]));
+        follow.took(&FeedPage { id: [8; 16], head: 2, upto: 2, ..page(Vec::new()) }, 2);
+        assert_eq!(follow.places(), &BTreeMap::from([(one, 2), (other, 0)]));
+    }
+
+    #[test]
+    fn who_is_refused_rests_longer_each_time() {
+        let (owner, mut follow) = (Address([1; 20]), Follow::new(Feed::of(Address([1; 20]))));
+        let pauses: Vec<u128> = (0..6)
+            .map(|_| {
+                follow.rest(owner);
+                follow.longest_rest().as_millis()
+            })
+            .collect();
+        assert_eq!(pauses, [500, 1_000, 2_000, 4_000, 8_000, 10_000]);
+    }
+}

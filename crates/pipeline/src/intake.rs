@@ -1,0 +1,497 @@
+//! The one way in for records that were not sealed here: a reader's, and what their owners had erased. Every claim is compared with
+//! the chain, in the same steps and with the same words whoever brings it; then the record is stored as if it had been captured here.
+//! A gateway that lies gets nothing in.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use crate::authority::{self, Moment, NoRight, SigningRight, may_sign};
+use crate::chain::AnchorProof;
+use crate::chain::merkle::Leaf;
+use crate::crypto::{CryptoError, ErasedStatement, SealedRecord, check_deleted, signer_id};
+use crate::equivocation::{self, Claim};
+use crate::gateway::{ErasedRecord, FeedEntry, Fetched};
+use crate::model::{Address, Digest, Fact, Hash, Header, PublicKey, RecordState, Timestamp};
+use crate::reader::Reader;
+use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError, TakenErased};
+use crate::{Network, Owner, PipelineError, Plant, chain_proofs};
+
+/// Length of the tag at the end of a sealed body, bytes.
+const TAG: u64 = 16;
+/// How often the watcher's position is checked.
+const LOOK: Duration = Duration::from_millis(50);
+/// A gateway's node may be so many blocks ahead of the one here.
+const AHEAD: u64 = 256;
+/// The most anchors cached.
+const MOST_ANCHORS: usize = 4096;
+
+/// Why a record from elsewhere is not taken in.
+#[derive(Debug, thiserror::Error)]
+pub enum Reason {
+    /// What came does not parse.
+    #[error("it is not a record")]
+    NotARecord,
+    /// Its header names another owner or network.
+    #[error("it does not belong to the requested owner or network")]
+    AnotherOwner,
+    /// Its header names another key.
+    #[error("its header names a different key than the one that signed it")]
+    AnotherSigner,
+    /// There is no proof of its anchor that could be read.
+    #[error("it has no proof of its anchor")]
+    NoProof,
+    /// The chain does not have what the proof says.
+    #[error("{0}")]
+    NotAnchored(&'static str),
+    /// Its signer had no right at the anchoring block.
+    #[error("{0}")]
+    NoRight(Box<NoRight>),
+    /// A signature, a commitment or a tag does not hold.
+    #[error("{0}")]
+    Crypto(CryptoError),
+    /// A name in it does not belong to its pseudonym.
+    #[error("its signer wrote a false {0} into it")]
+    FalseName(&'static str),
+    /// The ledger has another record in its place.
+    #[error("its number belongs to another record, or its topic has another name")]
+    Number,
+    /// Only messages and attachments are erased.
+    #[error("what is left of it is not the header of a message or an attachment")]
+    NotErasable,
+    /// The statement is by another key.
+    #[error("that it was erased is not stated with its owner's key")]
+    NotStated,
+}
+
+/// A record that is not taken in.
+#[derive(Debug, thiserror::Error)]
+#[error("record {digest} from the gateway was rejected: {reason}; tell its owner and the gateway's operator")]
+pub struct Refused {
+    /// The record.
+    pub digest: Digest,
+    /// Why.
+    pub reason: Reason,
+}
+
+/// What became of a record.
+#[derive(Debug)]
+pub enum Accepted {
+    /// It is here; whether anything changed.
+    Held(bool),
+    /// The chain here does not show enough yet to judge it.
+    Later,
+    /// It will not be taken in.
+    Refused(Refused),
+}
+
+/// Why the steps ended early.
+enum Stop {
+    Later,
+    Refused(Reason),
+    Failed(PipelineError),
+}
+
+impl From<Reason> for Stop {
+    fn from(reason: Reason) -> Self {
+        Self::Refused(reason)
+    }
+}
+
+impl From<PipelineError> for Stop {
+    fn from(error: PipelineError) -> Self {
+        match error {
+            PipelineError::Crypto(CryptoError::FalseName(what)) => Self::Refused(Reason::FalseName(what)),
+            PipelineError::Crypto(error) => Self::Refused(Reason::Crypto(error)),
+            error => Self::Failed(error),
+        }
+    }
+}
+
+impl From<CryptoError> for Stop {
+    fn from(error: CryptoError) -> Self {
+        Self::from(PipelineError::Crypto(error))
+    }
+}
+
+impl From<StoreError> for Stop {
+    fn from(error: StoreError) -> Self {
+        Self::Failed(error.into())
+    }
+}
+
+impl From<crate::chain::ChainError> for Stop {
+    fn from(error: crate::chain::ChainError) -> Self {
+        Self::Failed(error.into())
+    }
+}
+
+fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted, PipelineError> {
+    match done {
+        Ok(changed) => Ok(Accepted::Held(changed)),
+        Err(Stop::Later) => Ok(Accepted::Later),
+        Err(Stop::Refused(reason)) => Ok(Accepted::Refused(Refused { digest, reason })),
+        Err(Stop::Failed(error)) => Err(error),
+    }
+}
+
+/// Takes records in.
+pub struct Intake<'a> {
+    /// Store, provider.
+    pub plant: &'a Plant,
+    /// The chain.
+    pub network: &'a Network,
+    /// Anchors that the chain confirmed.
+    pub anchors: &'a Anchors,
+    /// The gateway's account: it anchors what it keeps for others, so nobody here tries to.
+    pub keeper: Address,
+    /// How long the watcher here may lag behind the block of a proof before it is for later.
+    pub patience: Duration,
+}
+
+/// Anchors that the chain confirmed, by account, root, leaves and transaction: their blocks.
+#[derive(Default)]
+pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
+
+/// Account, root, number of leaves, transaction.
+type AnchorKey = (Address, Hash, u64, Hash);
+
+impl Anchors {
+    /// Forgets what the chain said: it replaced blocks.
+    pub fn forget(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// Compares the proof with the chain; block and hash are then the chain's own.
+    async fn confirm(
+        &self,
+        network: &Network,
+        header: &Header,
+        digest: Digest,
+        proof: AnchorProof,
+    ) -> Result<AnchorProof, Stop> {
+        let Some(inclusion) = &proof.inclusion else {
+            let (block, block_hash) = block_of(network, &proof).await?;
+            let uploaded = network.chain.uploaded_at(header.owner, digest).await?;
+            if proof.account != header.owner || uploaded != Some(block) {
+                return Err(Reason::NotAnchored("the chain does not have its digest").into());
+            }
+            return Ok(AnchorProof { block, block_hash, ..proof });
+        };
+        if !inclusion.proves(&Leaf::of(header, digest)) {
+            return Err(Reason::NotAnchored("its path does not lead to its root").into());
+        }
+        let key = (proof.account, inclusion.root, inclusion.count, proof.transaction);
+        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
+        if let Some((block, block_hash)) = known {
+            return Ok(AnchorProof { block, block_hash, ..proof });
+        }
+        // The block is the transaction's, and the root must be in that very block: the right is judged by it.
+        let (block, block_hash) = block_of(network, &proof).await?;
+        let (account, root, count) = (proof.account, inclusion.root, inclusion.count);
+        if !chain_proofs::is_root_in(&network.chain, account, root, count, block).await? {
+            return Err(Reason::NotAnchored("the chain does not have its root").into());
+        }
+        let mut anchors = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if anchors.len() >= MOST_ANCHORS {
+            anchors.clear();
+        }
+        anchors.insert(key, (block, block_hash));
+        Ok(AnchorProof { block, block_hash, ..proof })
+    }
+}
+
+/// The block that has the proof's transaction.
+async fn block_of(network: &Network, proof: &AnchorProof) -> Result<(u64, Hash), Stop> {
+    if let Some(found) = mined_in(network, proof).await? {
+        return Ok(found);
+    }
+    // Two nodes do not have a block at the same moment, and the newest ones may be replaced.
+    let (block, head) = (proof.block, network.chain.head().await?.number);
+    if block.saturating_add(network.confirmations) > head && block <= head.saturating_add(AHEAD) {
+        return Err(Stop::Later);
+    }
+    // The block may have come after the first question and before the second.
+    let found = mined_in(network, proof).await?;
+    found.ok_or_else(|| Reason::NotAnchored("the chain does not have its anchoring transaction").into())
+}
+
+async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64, Hash)>, PipelineError> {
+    let receipt = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
+    Ok(receipt.map(|receipt| (receipt.block, receipt.block_hash)))
+}
+
+/// The owners whose records a reader may have: itself, and everyone who currently shares with it; with the transaction of
+/// the grant, which is another one when an owner shares anew. For the reader itself that is zero.
+pub fn sources(network: &Network, reader: &Owner) -> BTreeMap<Address, Hash> {
+    let grants = authority::shared_with(&network.directory, reader.address);
+    let shared = grants.into_iter().map(|grant| (grant.terms.owner, grant.transaction));
+    shared.chain([(reader.address, Hash([0; 32]))]).collect()
+}
+
+impl Intake<'_> {
+    /// The steps that every record takes: its network, the key that signed it, its anchor on the chain, and the signer's right at
+    /// that block, for which the watcher must have read it. A device's key is known from its records alone, and is noted.
+    async fn examine(
+        &self,
+        header: &Header,
+        digest: Digest,
+        (signer, proof): (&PublicKey, &[u8]),
+    ) -> Result<AnchorProof, Stop> {
+        if header.domain != self.network.domain {
+            return Err(Reason::AnotherOwner.into());
+        }
+        if signer_id(signer) != header.signer {
+            return Err(Reason::AnotherSigner.into());
+        }
+        let proof = AnchorProof::parse(proof).map_err(|_| Reason::NoProof)?;
+        let proof = self.anchors.confirm(self.network, header, digest, proof).await?;
+        self.wait_for(proof.block).await?;
+        let at = Moment::of_block(proof.block, self.network.ask_time(proof.block).await?);
+        let right = may_sign(&self.network.directory, header.owner, header.signer, at);
+        if let SigningRight::Device(_) = right.map_err(|why| Reason::NoRight(Box::new(why)))? {
+            block_in_place(|| self.plant.ledger.bindings.keep_signer(header.signer, *signer))?;
+        }
+        Ok(proof)
+    }
+
+    /// Waits until the watcher here has read a block's events: rights follow from them.
+    async fn wait_for(&self, block: u64) -> Result<(), Stop> {
+        let deadline = Instant::now() + self.patience;
+        while block_in_place(|| self.plant.ledger.trail.cursor())?.is_none_or(|(read, _)| read < block) {
+            if Instant::now() >= deadline {
+                return Err(Stop::Later);
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+        Ok(())
+    }
+
+    /// Takes one record in for a reader who asked for this owner's. Its digest and its signature by the key that came with it have
+    /// been checked already.
+    ///
+    /// # Errors
+    /// Errors of chain and store.
+    pub async fn accept(
+        &self,
+        reader: &Owner,
+        owner: Address,
+        digest: Digest,
+        record: Fetched,
+    ) -> Result<Accepted, PipelineError> {
+        outcome(digest, self.take(reader, owner, digest, record).await)
+    }
+
+    async fn take(&self, reader: &Owner, owner: Address, digest: Digest, record: Fetched) -> Result<bool, Stop> {
+        let (header, _) = Header::parse(&record.blob).map_err(|_| Reason::NotARecord)?;
+        if header.owner != owner {
+            return Err(Reason::AnotherOwner.into());
+        }
+        let proof = self.examine(&header, digest, (&record.signer, &record.proof)).await?;
+        let is_new = block_in_place(|| self.plant.ledger.record(digest))?.is_none();
+        if is_new {
+            self.keep(reader, header, digest, record, proof.block).await?;
+        }
+        Ok(block_in_place(|| self.prove(owner, digest, proof))? || is_new)
+    }
+
+    async fn keep(
+        &self,
+        reader: &Owner,
+        header: Header,
+        digest: Digest,
+        record: Fetched,
+        block: u64,
+    ) -> Result<(), Stop> {
+        let asked = RecordRow { block: Some(block), ..row_of(&header, digest, &record) };
+        let opener = Reader { plant: self.plant, network: self.network, reader };
+        let opened = opener.open_bytes(&asked, &record.blob).await?;
+        let sealed = SealedRecord { header, blob: record.blob, digest, signature: record.signature };
+        let row = NewRecord::foreign(sealed, self.keeper).named(&opened.head);
+        let claim = Claim::of(&row);
+        match block_in_place(|| self.plant.keep([row], |row| self.plant.ledger.append(row.into()))) {
+            Err(StoreError::Conflict { .. }) => {
+                if let Some(claim) = claim {
+                    block_in_place(|| equivocation::tell(self.plant, &claim))?;
+                }
+                Err(Reason::Number.into())
+            }
+            done => Ok(done?),
+        }
+    }
+
+    fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, Stop> {
+        let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
+        let ledger = &self.plant.ledger;
+        if ledger.record(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
+            return Ok(false);
+        }
+        let Some(inclusion) = inclusion else {
+            return Ok(ledger.mined(&[Sighting { owner, digest, transaction, block, block_hash }])? > 0);
+        };
+        let (root, count) = (inclusion.root, inclusion.count);
+        match ledger.take_in(digest, inclusion, RootSighting { account, root, count, transaction, block, block_hash }) {
+            // The chain replaced that block since it was asked: it is asked again.
+            Err(StoreError::Replaced { .. }) => {
+                self.anchors.forget();
+                Err(Stop::Later)
+            }
+            taken => Ok(taken?),
+        }
+    }
+
+    /// Takes in for a reader what is left of a record that its owner had erased.
+    ///
+    /// # Errors
+    /// Errors of chain and ledger.
+    pub async fn accept_erased(
+        &self,
+        reader: &Owner,
+        owner: Address,
+        digest: Digest,
+        erased: ErasedRecord,
+    ) -> Result<Accepted, PipelineError> {
+        outcome(digest, self.take_erased(reader, owner, digest, erased).await)
+    }
+
+    async fn take_erased(
+        &self,
+        reader: &Owner,
+        owner: Address,
+        digest: Digest,
+        erased: ErasedRecord,
+    ) -> Result<bool, Stop> {
+        let (header, _) = Header::parse(&erased.record.blob).map_err(|_| Reason::NotARecord)?;
+        if header.owner != owner {
+            return Err(Reason::AnotherOwner.into());
+        }
+        let opener = Reader { plant: self.plant, network: self.network, reader };
+        block_in_place(|| opener.topic_key(&row_of(&header, digest, &erased.record)))?;
+        let (header, proof) = self.examine_erased(digest, &erased).await?;
+        let ErasedRecord { record, statement } = erased;
+        let taken = taken_erased(record.blob, &statement);
+        let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: record.signature };
+        let row = NewRecord { blob: None, ..NewRecord::foreign(sealed, self.keeper) };
+        block_in_place(|| match self.plant.ledger.take_erased(row, taken) {
+            Err(StoreError::Conflict { .. }) => Err(Reason::Number.into()),
+            noted => Ok(noted? && self.prove(owner, digest, proof)?),
+        })
+    }
+
+    /// Judges what is left of an erased record by the chain: the record's signature, its owner's statement by the key of now, and all
+    /// that any record has to show.
+    ///
+    /// # Errors
+    /// Errors of chain and ledger.
+    pub async fn judge_erased(
+        &self,
+        digest: Digest,
+        erased: &ErasedRecord,
+    ) -> Result<Result<(Header, AnchorProof), Accepted>, PipelineError> {
+        match self.examine_erased(digest, erased).await {
+            Ok(proven) => Ok(Ok(proven)),
+            Err(stop) => outcome(digest, Err(stop)).map(Err),
+        }
+    }
+
+    async fn examine_erased(&self, digest: Digest, erased: &ErasedRecord) -> Result<(Header, AnchorProof), Stop> {
+        let (provider, ErasedRecord { record, statement }) = (self.plant.provider, erased);
+        let (_, length) = Header::parse(&record.blob).map_err(|_| Reason::NotARecord)?;
+        let header = check_deleted(provider, &record.blob, digest, &record.signature, &record.signer)?;
+        if length != record.blob.len() || !header.kind.is_content() {
+            return Err(Reason::NotErasable.into());
+        }
+        statement.check(provider, &digest, &record.blob)?;
+        let now = Moment::newest(self.network.directory.now());
+        let right = may_sign(&self.network.directory, header.owner, signer_id(&statement.signer), now);
+        if !matches!(right, Ok(SigningRight::Owner(_))) {
+            return Err(Reason::NotStated.into());
+        }
+        let proof = self.examine(&header, digest, (&record.signer, &record.proof)).await?;
+        Ok((header, proof))
+    }
+}
+
+/// What a reader makes of an entry of a feed, before it asks for the record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wish {
+    /// It asks for it: it is not here, or not with the proof that now exists.
+    Ask,
+    /// It is here, or nobody here has a key of it.
+    Pass,
+    /// Nobody here has a key of it yet.
+    Later,
+}
+
+/// What to do about an entry. `newest` is the newest epoch of its owner that the reader has keys for: keys of a later one come
+/// after the records that are sealed under it.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish, PipelineError> {
+    if entry.fact == Fact::Stored || entry.fact == Fact::Erased && !entry.kind.is_content() {
+        return Ok(Wish::Pass);
+    }
+    Ok(match block_in_place(|| reader.plant.ledger.record(entry.digest))? {
+        Some(row) if entry.fact == Fact::Verified && row.state == RecordState::Stored => Wish::Ask,
+        Some(_) => Wish::Pass,
+        None if block_in_place(|| reader.topic_key(&row_of_entry(entry))).is_ok() => Wish::Ask,
+        None if entry.epoch > newest => Wish::Later,
+        None => Wish::Pass,
+    })
+}
+
+/// As a row that the ledger does not have yet: enough to find keys and open it.
+fn row_of(header: &Header, digest: Digest, record: &Fetched) -> RecordRow {
+    let entry = FeedEntry {
+        number: 0,
+        fact: Fact::Verified,
+        digest,
+        owner: header.owner,
+        recorder: header.recorder,
+        seq: header.seq,
+        topic_id: header.topic_id,
+        epoch: header.epoch,
+        captured_at: header.captured_at,
+        length: header.body_length.saturating_sub(TAG),
+        kind: header.kind,
+        proof: Vec::new(),
+    };
+    RecordRow { signer: header.signer, signature: record.signature, ..row_of_entry(&entry) }
+}
+
+fn row_of_entry(entry: &FeedEntry) -> RecordRow {
+    RecordRow {
+        id: entry.digest.to_hex().get(..16).unwrap_or_default().to_owned(),
+        digest: entry.digest,
+        owner: entry.owner,
+        recorder: entry.recorder,
+        topic_id: entry.topic_id,
+        seq: entry.seq,
+        epoch: entry.epoch,
+        kind: entry.kind,
+        signer: crate::model::SignerId([0; 32]),
+        signature: crate::model::Signature([0; 64]),
+        topic: RecordRow::unnamed(entry.topic_id),
+        type_name: String::new(),
+        bytes: entry.length,
+        captured_at: entry.captured_at,
+        acknowledged_at: Timestamp::now(),
+        simulated: false,
+        state: RecordState::Stored,
+        transaction: None,
+        block: None,
+        block_hash: None,
+        deleted_at: None,
+    }
+}
+
+/// What the ledger notes of an erased record.
+pub fn taken_erased(header: Vec<u8>, statement: &ErasedStatement) -> TakenErased {
+    TakenErased { header, report: statement.report, at: statement.at, statement: statement.encode() }
+}
+
+#[cfg(test)]
+mod block_tests;

@@ -1,0 +1,222 @@
+//! The feed against a model: a follower under random steps of a ledger gets each fact once, in order, and misses none.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::model::Fact;
+use crate::snapshot::renew_ledger;
+
+const OWNER: Address = Address([1; 20]);
+const RECORDS: u64 = 12;
+
+fn places(after: u64) -> FeedFilter {
+    FeedFilter { places: vec![FeedPlace { owner: OWNER, after, topics: None }], ..FeedFilter::default() }
+}
+
+/// One change of a gateway's ledger, or of what its follower does.
+#[derive(Debug, Clone)]
+enum Step {
+    /// A record becomes verified; they come in any order of blocks.
+    Verify(u64),
+    /// The chain replaced blocks: this many of the newest verified ones are taken back.
+    TakeBack(usize),
+    /// The bytes of a verified one are deleted.
+    Erase(u64),
+    /// The gateway's home is replaced by what it was at its last backup.
+    Restore,
+    /// It is backed up.
+    BackUp,
+    /// The follower reads a page of at most this many.
+    Read(usize),
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        6 => (1..=RECORDS).prop_map(Step::Verify),
+        2 => (1usize..=5).prop_map(Step::TakeBack),
+        2 => (1..=RECORDS).prop_map(Step::Erase),
+        1 => Just(Step::Restore),
+        1 => Just(Step::BackUp),
+        4 => (1usize..=4).prop_map(Step::Read),
+    ]
+}
+
+/// What the ledger ought to tell.
+#[derive(Clone, Default)]
+struct Model {
+    /// The facts that hold, by record, in the order in which they came to be so.
+    facts: Vec<(u64, Fact)>,
+    erased: BTreeSet<u64>,
+}
+
+impl Model {
+    fn put(&mut self, number: u64, fact: Fact) {
+        self.facts.retain(|(other, _)| *other != number);
+        self.facts.push((number, fact));
+    }
+}
+
+struct World {
+    home: tempfile::TempDir,
+    ledger: Ledger,
+    model: Model,
+    backup: Option<Model>,
+    /// The follower: the feed and the place it knows, and what it has seen under this feed.
+    id: [u8; 16],
+    after: u64,
+    seen: BTreeMap<u64, (u64, Fact)>,
+}
+
+impl World {
+    fn new() -> Self {
+        let (home, ledger) = open();
+        ledger.append((1..=RECORDS).map(|seq| super::record(1, 1, seq)).collect()).expect("acknowledged");
+        let (model, seen) = (Model::default(), BTreeMap::new());
+        Self { home, ledger, model, backup: None, id: [0; 16], after: 0, seen }
+    }
+
+    fn change(&self, column: &'static str, value: u64, number: u64) {
+        let digest = super::record(1, 1, number).digest;
+        let sql = format!("UPDATE records SET {column} = ?1 WHERE digest = ?2");
+        let value = value.cast_signed();
+        let changed = self.ledger.write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?));
+        changed.expect("changed");
+    }
+
+    fn file(&self, name: &str) -> std::path::PathBuf {
+        self.home.path().join(name)
+    }
+
+    fn step(&mut self, step: &Step) {
+        match step {
+            Step::Verify(number) => {
+                self.change("state", RecordState::Verified.code().into(), *number);
+                if !self.model.facts.iter().any(|(other, _)| other == number) {
+                    let fact = if self.model.erased.contains(number) { Fact::Erased } else { Fact::Verified };
+                    self.model.put(*number, fact);
+                }
+            }
+            Step::TakeBack(count) => {
+                for _ in 0..*count {
+                    if let Some((number, _)) = self.model.facts.pop() {
+                        self.change("state", RecordState::Confirmed.code().into(), number);
+                    }
+                }
+            }
+            Step::Erase(number) => {
+                if self.model.facts.iter().any(|(other, _)| other == number) && self.model.erased.insert(*number) {
+                    self.change("deleted_at", 9, *number);
+                    self.model.put(*number, Fact::Erased);
+                }
+            }
+            Step::BackUp => {
+                let (moment, ()) = self.ledger.snapshot_with(|| Ok(())).expect("a moment");
+                drop(std::fs::remove_file(self.file("backup.db")));
+                moment.copy_to(&self.file("backup.db")).expect("copied");
+                self.backup = Some(self.model.clone());
+            }
+            Step::Restore => self.restore(),
+            Step::Read(limit) => {
+                self.read(*limit);
+            }
+        }
+    }
+
+    fn restore(&mut self) {
+        let Some(model) = self.backup.clone() else { return };
+        self.ledger.clone().close().expect("closed");
+        let restored = self.file("restored.db");
+        std::fs::copy(self.file("backup.db"), &restored).expect("copied");
+        renew_ledger(&restored).expect("renewed");
+        let folder = tempfile::tempdir_in(self.home.path()).expect("a folder").keep();
+        let path = folder.join("ledger.db");
+        std::fs::rename(restored, &path).expect("moved");
+        (self.ledger, self.model) = (Ledger::open(&path).expect("opens"), model);
+    }
+
+    /// Reads one page as a follower does; returns whether it is at the head.
+    fn read(&mut self, limit: usize) -> bool {
+        let page = self.ledger.feed.page(&self.id, &places(self.after), limit).expect("read");
+        if page.id != self.id || self.after > page.head {
+            (self.id, self.after) = (page.id, 0);
+            self.seen.clear();
+        }
+        let mut last = self.after;
+        for row in &page.rows {
+            assert!(row.number > last && row.number <= page.upto, "in order, and each number once");
+            last = row.number;
+            self.seen.insert(row.placed.row.seq, (row.number, row.fact));
+        }
+        self.after = self.after.max(page.upto);
+        page.upto == page.head
+    }
+
+    /// What the follower saw last of each record that is still told of, in the order of its numbers.
+    fn told(&self) -> Vec<(u64, Fact)> {
+        let holds = |record: &u64| self.model.facts.iter().any(|(other, _)| other == record);
+        let mut told: Vec<_> = self.seen.iter().filter(|(record, _)| holds(record)).collect();
+        told.sort_by_key(|(_, (number, _))| *number);
+        told.into_iter().map(|(record, (_, fact))| (*record, *fact)).collect()
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn a_follower_gets_each_fact_once_in_order_and_misses_none(steps in prop::collection::vec(step(), 1..60)) {
+        let mut world = World::new();
+        for step in &steps {
+            world.step(step);
+        }
+        while !world.read(3) {}
+        prop_assert_eq!(world.told(), world.model.facts.clone());
+    }
+}
+
+#[test]
+fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
+    let (_home, ledger) = open();
+    let mut records = Vec::new();
+    for (owner, topic) in [(1, 1), (1, 2), (2, 3)] {
+        records.extend((1..=2).map(|seq| super::record(owner, topic, seq)));
+    }
+    let notice = NewRecord { kind: RecordKind::Key, ..super::record(1, 4, 1) };
+    let digests: Vec<Digest> = records.iter().map(|record| record.digest).collect();
+    ledger.append([records, vec![notice]].concat()).expect("acknowledged");
+    ledger
+        .write(move |session| {
+            for digest in &digests {
+                let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
+                session.connection.execute(sql, (RecordState::Verified.code(), digest.0))?;
+            }
+            Ok(())
+        })
+        .expect("verified");
+    let id = ledger.feed.page(&[0; 16], &places(0), 0).expect("read").id;
+    let of = |filter: &FeedFilter, limit: usize| {
+        let page = ledger.feed.page(&id, filter, limit).expect("read");
+        let rows: Vec<(u64, Fact)> = page.rows.iter().map(|row| (row.number, row.fact)).collect();
+        (rows, page.upto, page.head)
+    };
+    let facts = |numbers: std::ops::RangeInclusive<u64>| numbers.map(|number| (number, Fact::Verified));
+    // The notice has the first number, from the moment it was stored.
+    let all: Vec<_> = std::iter::once((1, Fact::Stored)).chain(facts(2..=5)).collect();
+    assert_eq!(of(&places(0), 9), (all.clone(), 7, 7));
+    assert_eq!(of(&places(0), 2), (all[..2].to_vec(), 2, 7));
+    assert_eq!(of(&places(3), 9), (all[3..].to_vec(), 7, 7));
+    assert_eq!(of(&places(99), 9).0, all, "beyond the head is the beginning");
+    let mut scoped = places(0);
+    scoped.places[0].topics = Some(vec![TopicId([2; 16])]);
+    assert_eq!(of(&scoped, 9), (facts(4..=5).collect(), 7, 7));
+    let keys = FeedFilter { kind: Some(RecordKind::Key), ..places(0) };
+    assert_eq!(of(&keys, 9).0, [(1, Fact::Stored)]);
+    let other = FeedFilter { recorders: vec![RecorderId([9; 16])], ..places(0) };
+    assert_eq!(of(&other, 9), (Vec::new(), 7, 7));
+    let own = FeedFilter { recorders: vec![ledger.recorder().of_signer(&SignerId([1; 32]))], ..places(0) };
+    assert_eq!(of(&own, 9).0, all);
+    let mut both = places(4);
+    both.places.push(FeedPlace { owner: Address([2; 20]), after: 0, topics: None });
+    assert_eq!(of(&both, 9).0, facts(5..=7).collect::<Vec<_>>(), "each owner has a place of its own");
+}
