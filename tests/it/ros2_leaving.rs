@@ -170,7 +170,7 @@ fn a_robots_node_outlives_every_way_in_which_a_reader_leaves() {
     alice.enrol();
 
     let topics = robots.topics();
-    let summary = alice.json(&["capture", "--topic", topics[0], "--topic", topics[1], "--for", "2s"]);
+    let summary = alice.json(&["capture", "--topic", topics[0], "--topic", topics[1], "--for", "10s"]);
     assert!(support::count(&summary, "captured") > HERTZ, "{summary}");
     robots.see(0, GONE, "a capture ended");
 
