@@ -25,7 +25,6 @@ pub mod robot;
 pub mod ros2;
 pub mod rosbag2;
 mod rosrust;
-mod slave;
 mod tcpros;
 mod xmlrpc;
 

@@ -9,9 +9,8 @@ use std::sync::Arc;
 
 use self::growing::Growing;
 
-use super::MAGIC;
+use super::{ChannelRecord, Code, Fields, MAGIC, Schema, schema};
 use super::beside::{Beside, BesideContent, TOPIC};
-use super::record::{ChannelRecord, Code, Fields, Schema, schema};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
@@ -623,7 +622,7 @@ fn shown(name: &str) -> String {
 mod tests {
     use std::io::Cursor;
 
-    use super::super::record::{put_length, put_record, put_text};
+    use crate::ros::mcap::{put_length, put_record, put_text};
     use super::*;
 
     fn put_schema(out: &mut Vec<u8>, number: u16, name: &str, encoding: &str, text: &str) {

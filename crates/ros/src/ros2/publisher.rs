@@ -8,7 +8,7 @@ use crate::pipe::read::{Liveliness, Quality, Writer};
 use crate::ros::capture::next_number;
 use crate::ros::recording::{TYPE_HASH, tags};
 use crate::ros::ros2::identity::{Held, Pulse};
-use crate::ros::ros2::numbers::Numbers;
+use crate::ros::ros2::state::Numbers;
 use crate::ros::{CaptureNotice, Message, Origin, Rival};
 
 /// MCAP's name for the QoS that a channel's publishers offer.
