@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::error::ConfigError;
-use super::read::{Source, Values, bytes, certificates, number, source_of, span, value, wrong};
-use crate::crypto::hands::{self, Fault};
 use crate::crypto::private_file;
+use crate::crypto::hands::{self, Fault};
+use crate::read::{ConfigError, Source, Values, bytes, certificates, number, source_of, span, value, wrong};
 use crate::model::clean;
 
 /// The shortest secret that may sign deliveries, bytes.
