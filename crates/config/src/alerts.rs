@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::crypto::private_file;
 use crate::crypto::hands::{self, Fault};
-use crate::read::{ConfigError, Source, Values, bytes, certificates, number, source_of, span, value, wrong};
+use crate::crypto::private_file;
 use crate::model::clean;
+use crate::read::{ConfigError, Source, Values, bytes, certificates, number, source_of, span, value, wrong};
 
 /// The shortest secret that may sign deliveries, bytes.
 const SHORTEST_SECRET: usize = 16;

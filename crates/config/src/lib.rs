@@ -4,12 +4,12 @@
 use authros_crypto as crypto;
 use authros_model as model;
 
-mod rules;
-mod sections;
 mod alerts;
 mod definitions;
 pub mod paths;
 mod read;
+mod rules;
+mod sections;
 #[cfg(test)]
 mod tests;
 
@@ -18,15 +18,17 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings};
-pub use read::{ConfigError, SettingView, Source};
-pub use sections::{ConsoleSettings, FiguresPlace, MetricsSettings, OperatorRule, OperatorSettings, Pictures, TimeAuthority, Whom};
 pub use self::definitions::{DEFINITIONS, Definition};
 use self::read::{Values, bytes, certificates, find, number, parsed, read_file, span, switch, url, value, wrong};
-pub use rules::{RingWish, RobotPolicy};
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
     Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, RingLimits, SignerId,
     TopicPatterns, TopicRules, clean, without_secrets,
+};
+pub use read::{ConfigError, SettingView, Source};
+pub use rules::{RingWish, RobotPolicy};
+pub use sections::{
+    ConsoleSettings, FiguresPlace, MetricsSettings, OperatorRule, OperatorSettings, Pictures, TimeAuthority, Whom,
 };
 
 /// Prefixes of a cache's URL.

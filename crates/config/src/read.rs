@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::{DEFINITIONS, Definition, rules};
 use crate::model::{ByteSize, ErrorKind, TopicRules, address_without_secrets, clean, time_span, without_secrets};
+use crate::{DEFINITIONS, Definition, rules};
 use serde::Serialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};

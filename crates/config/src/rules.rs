@@ -4,9 +4,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use crate::{ConfigError, RingSettings, ring};
 use crate::model::{TopicName, TopicRule, TopicRules, TypeName, positive_span};
 use crate::read::{Lines, Source, Values, document, read_document};
+use crate::{ConfigError, RingSettings, ring};
 use toml::Value;
 
 /// What errors call the text.

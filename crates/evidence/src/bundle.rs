@@ -6,20 +6,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
 use std::path::Path;
 
-use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signature_from_der, signer_id};
-use authros_crypto::merkle::{Inclusion, LONGEST_PATH};
-use authros_crypto::record::{RecordSecret, Revealed, open_revealed_within, reveal_bytes};
-use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, Signature, SignerId, clean};
-use authros_model::header::{LARGEST_BODY, LARGEST_HEAD};
 use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
+use crate::committed::BlockHeader;
 use crate::completeness::{self, HEIGHTS, Height};
 use crate::manifest::{self, ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
-use crate::time::{self, BundledStamp, DraftStamp, StampTree};
-use crate::committed::BlockHeader;
 use crate::report::{Level, Standing};
 use crate::state::Nodes;
+use crate::time::{self, BundledStamp, DraftStamp, StampTree};
 use crate::trust::Trust;
 use crate::verify::Check;
+use authros_crypto::merkle::{Inclusion, LONGEST_PATH};
+use authros_crypto::record::{RecordSecret, Revealed, open_revealed_within, reveal_bytes};
+use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signature_from_der, signer_id};
+use authros_model::header::{LARGEST_BODY, LARGEST_HEAD};
+use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, Signature, SignerId, clean};
 use serde::{Deserialize, Serialize};
 
 /// The trust file that a bundle may suggest, and that is never trusted.

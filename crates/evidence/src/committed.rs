@@ -5,14 +5,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use authros_crypto::{AccountSignature, keccak256, recover_account};
-use authros_crypto::merkle::Leaf;
-use authros_model::{Address, Digest, Hash, Header, Timestamp};
 use crate::bundle::{AnchorClaim, Anchoring, BundledRecord};
 use crate::manifest::{is_canonical, text};
 use crate::report::{Level, Standing};
 use crate::state::{Storage, Unproven};
 use crate::verify::Check;
+use authros_crypto::merkle::Leaf;
+use authros_crypto::{AccountSignature, keccak256, recover_account};
+use authros_model::{Address, Digest, Hash, Header, Timestamp};
 use rlp::{Rlp, RlpStream};
 
 /// The mix hash of such a header.

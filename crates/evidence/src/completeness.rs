@@ -4,11 +4,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
-use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId};
 use crate::BundleError;
 use crate::report::{HeadsClaim, RecordReport, Standing, Stretch};
 use crate::verify::Messages;
+use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
+use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId};
 use serde::{Deserialize, Serialize};
 
 /// The most gaps that are named.

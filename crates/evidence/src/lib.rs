@@ -18,7 +18,10 @@ pub mod time;
 mod trust;
 mod verify;
 
-pub use bundle::{AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, Packing, PackingError, READ_ME, READ_ME_TEXT, REPORT, SUGGESTED, disclose, pack};
+pub use bundle::{
+    AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, Packing, PackingError,
+    READ_ME, READ_ME_TEXT, REPORT, SUGGESTED, disclose, pack,
+};
 pub use committed::{BlockHeader, Committed, Flaw, LONGEST_HEADER, Protocol, Seals, seals, validators_in};
 pub use completeness::{Height, MOST_HEIGHTS};
 pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};

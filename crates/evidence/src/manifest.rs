@@ -2,13 +2,13 @@
 //! signature over it. Its forms have one spelling: lines with names are never a list, and RLP has its shortest form. What
 //! two readers could take differently is refused before it means anything.
 
-use authros_crypto::{Provider, pool, signature_from_der, signer_id};
-use authros_model::{Address, Hash, PublicKey, SignerId, clean};
 use crate::BundleError;
 use crate::archive::{MIMETYPE, Members};
+use authros_crypto::{Provider, pool, signature_from_der, signer_id};
+use authros_model::{Address, Hash, PublicKey, SignerId, clean};
 use rlp::Rlp;
-use serde::{Deserialize, Serialize};
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 

@@ -3,9 +3,9 @@
 
 use std::collections::BTreeMap;
 
+use crate::manifest::{is_canonical, text};
 use authros_crypto::keccak256;
 use authros_model::{Address, Hash};
-use crate::manifest::{is_canonical, text};
 use rlp::{Rlp, RlpStream};
 
 /// The most nodes in a bundle.

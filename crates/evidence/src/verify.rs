@@ -5,17 +5,19 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{PoisonError, RwLock};
 
-use authros_crypto::{Provider, domain, pool, signer_id};
-use authros_crypto::merkle::{Climber, LONGEST_PATH, Leaf};
-use authros_crypto::record::{Revealed, signed_bytes};
-use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, SignerId, Timestamp, clean};
-use crate::bundle::{AnchorClaim, Anchoring, Bundle, BundledRecord, MOST_PLAIN, READ_ME, READ_ME_TEXT, REPORT, opened, vouched};
+use crate::bundle::{
+    AnchorClaim, Anchoring, Bundle, BundledRecord, MOST_PLAIN, READ_ME, READ_ME_TEXT, REPORT, opened, vouched,
+};
 use crate::committed::{Anchored, BlockHeader, Seals, anchored, seals};
 use crate::completeness::stretches;
 use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::state::{AnchorWord, KeysWord, Storage, Unproven};
 use crate::time::{BundledStamp, Certificate, StampedRoot, TimeError, check_token};
 use crate::trust::{PinnedAuthority, Trust};
+use authros_crypto::merkle::{Climber, LONGEST_PATH, Leaf};
+use authros_crypto::record::{Revealed, signed_bytes};
+use authros_crypto::{Provider, domain, pool, signer_id};
+use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, SignerId, Timestamp, clean};
 
 /// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;

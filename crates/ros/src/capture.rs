@@ -21,8 +21,8 @@ use crate::ros::tcpros::{BusLink, Node, SlaveServer};
 use crate::ros::xmlrpc::{CallError, Value, call};
 use topic::Topic;
 
-pub use topic::{Origin, Rival};
 pub(crate) use topic::next_number;
+pub use topic::{Origin, Rival};
 
 /// The longest wait for an answer of the master, and for names to be resolved at the start.
 const PATIENCE: Duration = Duration::from_secs(2);

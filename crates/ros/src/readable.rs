@@ -272,13 +272,7 @@ fn square(title: &str, names: &[&str], value: &Value, path: &str) -> Option<Tabl
 }
 
 /// A table of an array's items; its title counts those left out.
-fn listed(
-    title: &str,
-    head: &[&str],
-    value: &Value,
-    path: &str,
-    row: impl Fn(&Value) -> Vec<String>,
-) -> Table {
+fn listed(title: &str, head: &[&str], value: &Value, path: &str, row: impl Fn(&Value) -> Vec<String>) -> Table {
     let (rows, all) = match value.get(path) {
         Some(Value::Array(items)) => (items.iter().take(MOST_ROWS).map(row).collect(), items.len()),
         Some(Value::Large { count, .. }) => (Vec::new(), *count),

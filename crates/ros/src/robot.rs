@@ -11,16 +11,16 @@ mod picture;
 
 use std::f64::consts::TAU;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::Timestamp;
-use crate::ros::{RosError, RosrustPublisher};
 use crate::ros::address::{Endpoint, own_host};
 use crate::ros::publisher::{Advertised, Outlet, PublisherNode};
 use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
+use crate::ros::{RosError, RosrustPublisher};
 use picture::Camera;
 
 pub use messages::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};

@@ -11,8 +11,8 @@ use crate::model::clean;
 use crate::pipe::LONGEST_PAYLOAD;
 use crate::pipe::write::{Described, Order};
 use crate::ros::address::{Endpoint, own_host};
-use crate::ros::{Advertised, RosError};
 use crate::ros::child::{self, Declined, Errand, Run};
+use crate::ros::{Advertised, RosError};
 
 /// The program in which rosrust runs.
 const PROGRAM: &str = "authros-rosrust";

@@ -1,13 +1,17 @@
 //! Certificates (X.509), as much as time stamp authorities need: their names, their extensions, and the signatures over
 //! them and over stamps.
 
+use super::der::{Der, Element, NULL, OCTETS, SEQUENCE, SET, context, primitive, seconds};
+use super::{TimeError, form};
 use authros_model::{Timestamp, clean};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ring::digest::{self, SHA256, SHA384, SHA512};
-use ring::signature::{ECDSA_P256_SHA256_ASN1, ECDSA_P256_SHA384_ASN1, ECDSA_P384_SHA256_ASN1, ECDSA_P384_SHA384_ASN1, RSA_PKCS1_2048_8192_SHA256, RSA_PKCS1_2048_8192_SHA384, RSA_PKCS1_2048_8192_SHA512, RSA_PSS_2048_8192_SHA256, RSA_PSS_2048_8192_SHA384, RSA_PSS_2048_8192_SHA512, UnparsedPublicKey, VerificationAlgorithm};
-use super::{TimeError, form};
-use super::der::{Der, Element, NULL, OCTETS, SEQUENCE, SET, context, primitive, seconds};
+use ring::signature::{
+    ECDSA_P256_SHA256_ASN1, ECDSA_P256_SHA384_ASN1, ECDSA_P384_SHA256_ASN1, ECDSA_P384_SHA384_ASN1,
+    RSA_PKCS1_2048_8192_SHA256, RSA_PKCS1_2048_8192_SHA384, RSA_PKCS1_2048_8192_SHA512, RSA_PSS_2048_8192_SHA256,
+    RSA_PSS_2048_8192_SHA384, RSA_PSS_2048_8192_SHA512, UnparsedPublicKey, VerificationAlgorithm,
+};
 
 const PART: &str = "certificate";
 const BEGIN: &str = "-----BEGIN CERTIFICATE-----";

@@ -9,11 +9,14 @@ mod der;
 
 use std::collections::BTreeMap;
 
+use crate::BundleError;
 use authros_crypto::merkle::{LONGEST_PATH, MOST_LEAVES, Tree, root_of, stamp_hash};
 use authros_model::{Hash, Timestamp, clean};
 use certificate::{Certificate, HashKind, Scheme};
-use crate::BundleError;
-use der::{BOOLEAN, Der, GENERALIZED_TIME, INTEGER, LARGEST_DER, NULL, OBJECT, OCTETS, SEQUENCE, SET, UTF8, context, primitive, seconds, small};
+use der::{
+    BOOLEAN, Der, GENERALIZED_TIME, INTEGER, LARGEST_DER, NULL, OBJECT, OCTETS, SEQUENCE, SET, UTF8, context,
+    primitive, seconds, small,
+};
 use ring::digest::{SHA1_FOR_LEGACY_USE_ONLY, digest};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
@@ -255,12 +258,7 @@ pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
 const LONGEST: usize = 6;
 
 /// Checks the way; each certificate on it was valid at this time, seconds.
-fn check(
-    first: &Certificate,
-    others: &[Certificate],
-    pinned: &Certificate,
-    at: u64,
-) -> Result<(), TimeError> {
+fn check(first: &Certificate, others: &[Certificate], pinned: &Certificate, at: u64) -> Result<(), TimeError> {
     let mut last = first;
     let mut fault = None;
     for below in 0..LONGEST {

@@ -13,7 +13,10 @@ use std::sync::Arc;
 
 use crate::model::Timestamp;
 use crate::ros::RosError;
-use crate::ros::recording::{BAG_TOPIC, CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, LARGEST_CHUNK, MOST_CHANNELS, RecordingFormat, kept_about, pack};
+use crate::ros::recording::{
+    BAG_TOPIC, CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, LARGEST_CHUNK, MOST_CHANNELS, RecordingFormat,
+    kept_about, pack,
+};
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
 pub use reader::BagReader;

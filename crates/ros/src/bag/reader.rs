@@ -5,10 +5,13 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
-use crate::ros::RosError;
-use crate::ros::recording::{Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNELS, MOST_CHANNEL_BYTES, RecordedMessage, TOO_LARGE, go_to, read_at, unpack};
-use crate::ros::tcpros::LONGEST_MESSAGE;
 use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, sized};
+use crate::ros::RosError;
+use crate::ros::recording::{
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, TOO_LARGE,
+    go_to, read_at, unpack,
+};
+use crate::ros::tcpros::LONGEST_MESSAGE;
 
 /// The most positions of chunks that are remembered from the index.
 const MOST_PLACES: usize = 1 << 20;

@@ -7,8 +7,8 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{CaptureNotice, Message, Shared};
 use super::topic::{Origin, Publisher, Sequence, Topic, header_seq, host_of};
+use super::{CaptureNotice, Message, Shared};
 use crate::model::{Timestamp, TypeName, clean};
 use crate::ros::address::{Endpoint, UNRESOLVED, connect};
 use crate::ros::graph::{Graph, Unreached};

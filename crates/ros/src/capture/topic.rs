@@ -2,15 +2,15 @@
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::{TopicCapture, lock};
 use crate::model::{Timestamp, TopicName, TypeName, clean, pinned_name};
 use crate::ros::address::{Endpoint, resolve};
 use crate::ros::graph::Unreached;
 use crate::ros::tcpros::BusLink;
-use super::{TopicCapture, lock};
 
 /// The most addresses reported; further ones are refused silently.
 const MOST_COMPLAINTS: usize = 64;

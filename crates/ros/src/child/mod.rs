@@ -12,13 +12,12 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::clean;
-use crate::pipe::{receive, send};
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
+use crate::pipe::{receive, send};
 use crate::ros::RosError;
 use serde::Serialize;
 
 #[cfg(test)]
-
 
 /// The user and the group `nobody` of Linux.
 const NOBODY: u32 = 65534;

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::sync::Arc;
 
+use super::{Code, Fields, MAGIC, beside_line, end_summary, put_length, put_record, put_text};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{Channel, Encoding};
-use super::{Code, Fields, MAGIC, beside_line, end_summary, put_length, put_record, put_text};
 
 /// The name under which all of it is filed; no topic of ROS begins like this.
 pub const TOPIC: &str = "authros/attachments";

@@ -11,15 +11,17 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, Write};
 use std::sync::Arc;
 
-use beside::{Beside, BesideContent};
 use crate::model::Timestamp;
 use crate::ros::RosError;
-use crate::ros::recording::{CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, Sent, kept_about, pack};
+use crate::ros::recording::{
+    CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, Sent, kept_about, pack,
+};
 use crate::ros::tcpros::LONGEST_MESSAGE;
+use beside::{Beside, BesideContent};
 
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE, attach};
-pub use reader::McapReader;
 pub(super) use beside::{attachment_record, metadata_record};
+pub use reader::McapReader;
 
 /// The start and end of every file.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";

@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 use self::growing::Growing;
 
-use super::{ChannelRecord, Code, Fields, MAGIC, Schema, schema};
 use super::beside::{Beside, BesideContent, TOPIC};
+use super::{ChannelRecord, Code, Fields, MAGIC, Schema, schema};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
@@ -622,8 +622,8 @@ fn shown(name: &str) -> String {
 mod tests {
     use std::io::Cursor;
 
-    use crate::ros::mcap::{put_length, put_record, put_text};
     use super::*;
+    use crate::ros::mcap::{put_length, put_record, put_text};
 
     fn put_schema(out: &mut Vec<u8>, number: u16, name: &str, encoding: &str, text: &str) {
         put_record(out, Code::Schema, |out| {

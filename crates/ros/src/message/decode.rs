@@ -6,11 +6,11 @@ use std::fmt::Write as _;
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::definition::{Arity, Definition, Field, Kind, Layout, Primitive, element_size};
 use crate::model::clean;
 use crate::model::wire::WireError;
 use crate::ros::RosError;
 use serde::ser::{Serialize, SerializeMap as _, Serializer};
-use super::definition::{Arity, Definition, Field, Kind, Layout, Primitive, element_size};
 
 /// The limits of decoding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

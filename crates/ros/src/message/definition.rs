@@ -4,11 +4,11 @@
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
+use super::{md5sum, ros2};
 use crate::model::bytes::hex;
 use crate::model::topic::{LONGEST_NAME, TypeName};
 use crate::ros::RosError;
 use md5::{Digest as _, Md5};
-use super::{md5sum, ros2};
 
 /// The longest definition text, bytes.
 pub const LONGEST_DEFINITION: usize = 1 << 20;

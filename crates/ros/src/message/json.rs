@@ -3,12 +3,12 @@
 
 use std::io::{self, Write};
 
+use super::decode::{Failure, Limits, Value, Walk};
+use super::definition::{Arity, Definition, Field, Kind, Layout};
 use crate::crypto::compression::{MOST_CHANNELS, Matrix};
 use crate::model::bytes::hex;
 use crate::model::spelt_out;
 use crate::ros::RosError;
-use super::decode::{Failure, Limits, Value, Walk};
-use super::definition::{Arity, Definition, Field, Kind, Layout};
 
 impl Definition {
     /// Writes the whole message as JSON, fields in order, numbers unchanged, numbers that JSON lacks as text (`NaN`,

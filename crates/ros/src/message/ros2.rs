@@ -11,11 +11,13 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use super::definition::{
+    Arity, Definition, Field, Kind, LONGEST_DEFINITION, Layout, MOST_TYPES, Nesting, Primitive, Texts, element_size,
+};
 use crate::model::bytes::hex;
 use crate::model::topic::LONGEST_NAME;
 use crate::ros::RosError;
 use sha2::{Digest as _, Sha256};
-use super::definition::{Arity, Definition, Field, Kind, LONGEST_DEFINITION, Layout, MOST_TYPES, Nesting, Primitive, Texts, element_size};
 
 pub(super) use text_of as interface;
 
@@ -595,8 +597,8 @@ mod line_tests {
 
 #[cfg(test)]
 mod folder_tests {
-    use crate::ros::message::Definition;
     use super::*;
+    use crate::ros::message::Definition;
 
     #[test]
     fn a_type_is_gathered_from_the_folders_of_its_packages() {

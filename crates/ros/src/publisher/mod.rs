@@ -6,17 +6,17 @@ mod outlet;
 
 use std::io::{self, Write as _};
 use std::net::{TcpListener, TcpStream};
-use std::sync::{Arc, Mutex};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::clean;
-use crate::ros::{RosError, RosrustPublisher};
 use crate::ros::address::{Endpoint, own_host};
 use crate::ros::graph::master_error;
 use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
 use crate::ros::xmlrpc::{CallError, Value, call};
+use crate::ros::{RosError, RosrustPublisher};
 use outlet::{Outlet, lock};
 
 pub(super) use outlet::Outlet;

@@ -4,12 +4,12 @@
 use std::collections::VecDeque;
 use std::io::Write as _;
 use std::net::{Shutdown, TcpStream};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::ros::tcpros::{BusLink, ConnectionHeader};
 use super::Advertised;
+use crate::ros::tcpros::{BusLink, ConnectionHeader};
 
 /// The most sources whose last message a latching topic keeps.
 const MOST_LATCHED: usize = 64;

@@ -3,12 +3,14 @@
 
 use std::io::Cursor;
 
+use super::{
+    Body, MOST_POINTS, Matrix, Plot, Readable, Table, count, float, floats, metres, number, shown, stamp, text,
+};
 use crate::model::{ErrorKind, base64_text, clean};
 use crate::ros::message::{Definition, Limits, Value};
 use jpeg_encoder::{ColorType as JpegColour, Encoder as JpegEncoder, SamplingFactor};
 use png::{BitDepth, ColorType, Transformations};
 use serde::{Deserialize, Serialize};
-use super::{Body, MOST_POINTS, Matrix, Plot, Readable, Table, count, float, floats, metres, number, shown, stamp, text};
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;

@@ -22,8 +22,8 @@ use crate::ros::rosbag2::{Db3Reader, FolderReader, SQLITE, unpacked};
 use crate::ros::tcpros::LONGEST_MESSAGE;
 use serde::{Deserialize, Serialize};
 
-pub use described::{Described, TYPE_HASH, TypeFacts};
 pub use super::mcap::{AttachedFile, BESIDE, Beside, BesideContent};
+pub use described::{Described, TYPE_HASH, TypeFacts};
 
 /// The most bytes of a decompressed chunk: a message of the largest size and what was in its chunk before it.
 pub const LARGEST_CHUNK: usize = LONGEST_MESSAGE + (64 << 20);

@@ -1,9 +1,9 @@
 //! The robots' messages and their vendored definitions, serialised as ROS 1 does (little endian, lengths of 32 bits) and as
 //! ROS 2 does (CDR, each value at a multiple of its size).
 
+use super::Motion;
 use crate::model::Timestamp;
 use crate::ros::message::md5sum;
-use super::Motion;
 
 /// Standard deviations squared: x, y (m²) and the rotation about Z (rad²); the rest is not measured.
 const VARIANCES: [f64; 6] = [0.0004, 0.0004, 1e-6, 1e-6, 1e-6, 0.0003];
@@ -173,8 +173,8 @@ impl Message {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros::robot::Track;
     use super::*;
+    use crate::ros::robot::Track;
     use crate::ros::{Definition, Limits, Value};
 
     #[test]
@@ -217,9 +217,9 @@ mod definitions_tests {
 
 #[cfg(test)]
 mod cdr_tests {
-    use crate::ros::robot::Track;
     use super::*;
     use crate::ros::message::Folders;
+    use crate::ros::robot::Track;
     use crate::ros::{Definition, Limits, Value};
 
     /// The built-in definition, which is held to rosbags' by hash and by decoded values.

@@ -1,8 +1,8 @@
 //! The robots' camera: draws a scene (sky, ground, numbered evidence markers, another robot, the gripper, a caption) on a
 //! small RGB raster, where anything outside is clipped, and encodes it as a JPEG of about 58 KB.
 
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use super::Track;
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 
 /// The target size, bytes: the quality of the next picture is adjusted towards it.
 const WANTED: std::ops::Range<usize> = 56_000..60_000;

@@ -7,11 +7,11 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::publisher::Publisher;
 use crate::model::{Timestamp, clean, pinned_name};
 use crate::pipe::read::{Wish, Writer};
 use crate::ros::Rival;
 use crate::ros::message::{is_built_in, type_hash};
-use super::publisher::Publisher;
 
 /// How long a message waits for the name of a publisher whose participant announces names.
 pub const NAMING: Duration = Duration::from_secs(30);

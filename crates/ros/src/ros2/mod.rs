@@ -13,17 +13,17 @@ use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::TopicName;
-use crate::pipe::{LONGEST_PAYLOAD, receive, send};
 use crate::pipe::read::{Counts, Told, Wish};
 use crate::pipe::write::Order;
-use crate::ros::{CaptureNotice, MessageSink, RosError};
+use crate::pipe::{LONGEST_PAYLOAD, receive, send};
 use crate::ros::child::{self, Declined, Errand, Run};
+use crate::ros::{CaptureNotice, MessageSink, RosError};
 use state::{Outcome, State};
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;

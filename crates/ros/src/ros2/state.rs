@@ -3,14 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use crate::model::{Timestamp, TopicName, clean};
-use crate::model::topic::LONGEST_NAME;
-use crate::pipe::read::{Counts, Told, Wish, Writer};
-use crate::ros::{CaptureNotice, Message};
-use crate::ros::child::Participant;
-use super::{Reading, Ros2Topic};
 use super::identity::{self, Descriptions, Held, Place};
 use super::publisher::{Publisher, name};
+use super::{Reading, Ros2Topic};
+use crate::model::topic::LONGEST_NAME;
+use crate::model::{Timestamp, TopicName, clean};
+use crate::pipe::read::{Counts, Told, Wish, Writer};
+use crate::ros::child::Participant;
+use crate::ros::{CaptureNotice, Message};
 
 /// The most publishers known at once.
 const MOST_PUBLISHERS: usize = 40_000;

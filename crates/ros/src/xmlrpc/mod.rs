@@ -1,6 +1,6 @@
 //! A small XML-RPC over HTTP, client and server, with a deadline on every call and a cap on every size. It knows
 //! values, requests and responses; what the calls mean is up to graph, capture and robots.
-//! 
+//!
 //! Of HTTP/1.x it has what XML-RPC needs: one request, one response, then the connection closes.
 
 mod value;
@@ -321,8 +321,8 @@ fn chunks(from: &mut impl BufRead, most: usize) -> io::Result<Vec<u8>> {
 
 #[cfg(test)]
 mod tests {
-    use super::{CallError, call};
     use super::*;
+    use super::{CallError, call};
     use crate::ros::address::Endpoint;
     use std::io::Read as _;
 

@@ -417,8 +417,8 @@ fn fault_words(fault: &Value) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{write_call, write_fault, write_response};
     use super::*;
+    use super::{write_call, write_fault, write_response};
     use proptest::prelude::*;
 
     fn any_value() -> impl Strategy<Value = Value> {
