@@ -33,7 +33,7 @@ pub fn pack(body: &[u8], matrix: Option<&Matrix>) -> Option<Packed> {
     if body.len() < SHORTEST {
         return None;
     }
-    if let Some(bytes) = matrix.and_then(|matrix| matrix::pack(body, matrix)).filter(|bytes| pays(bytes, body)) {
+    if let Some(bytes) = matrix.and_then(|matrix| matrix::pack_matrix(body, matrix)).filter(|bytes| pays(bytes, body)) {
         return Some(Packed { compression: Compression::Matrix, bytes });
     }
     if body.len() > 4 * PROBE && !pays(&lz4_flex::block::compress(middle(body)), middle(body)) {
@@ -61,7 +61,7 @@ pub fn unpack(compression: Compression, packed: &[u8], length: usize) -> Result<
     match compression {
         Compression::None if packed.len() == length => Ok(packed.to_vec()),
         Compression::None => Err(damaged),
-        Compression::Matrix => matrix::unpack(packed, length),
+        Compression::Matrix => matrix::unpack_matrix(packed, length),
         Compression::Lz4 if length / MOST_PER_BYTE > packed.len() => Err(damaged),
         Compression::Lz4 => {
             let plain = lz4_flex::block::decompress(packed, length).map_err(|_| damaged)?;

@@ -9,7 +9,7 @@ use super::{CryptoError, EoaSecret, Provider, SmKeyPair, SmSecret, random_bytes}
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Domain, Identity, PublicKey};
 
-const WHAT: &str = "hand-over of SM2 keys";
+const HAND_OVER: &str = "hand-over of SM2 keys";
 const SECRETS: usize = 2 * 32;
 
 fn sealing_key(eoa: &EoaSecret, salt: &[u8; 32], domain: &Domain) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
@@ -60,7 +60,7 @@ pub fn take_over(
 ) -> Result<(SmKeyPair, SmKeyPair), CryptoError> {
     let opened = provider.decrypt(former, envelope)?;
     let mut reader = Reader::new(&opened);
-    let salt = reader.array("salt").map_err(CryptoError::malformed(WHAT))?;
+    let salt = reader.array("salt").map_err(CryptoError::malformed(HAND_OVER))?;
     let (key, nonce) = sealing_key(eoa, &salt, domain);
     let bound = context(domain, eoa, &identity.signing, &identity.envelope);
     let plain = provider.gcm_open(&key, &nonce, &bound, reader.rest())?;
@@ -68,13 +68,13 @@ pub fn take_over(
         .split_at_checked(32)
         .filter(|(_, second)| second.len() == 32)
         .ok_or(WireError::Value("secrets"))
-        .map_err(CryptoError::malformed(WHAT))?;
+        .map_err(CryptoError::malformed(HAND_OVER))?;
     let signing = SmKeyPair::from_secret(provider, SmSecret::from_slice(first)?)?;
     let pair = SmKeyPair::from_secret(provider, SmSecret::from_slice(second)?)?;
     if (signing.public, pair.public) == (identity.signing, identity.envelope) {
         Ok((signing, pair))
     } else {
-        Err(CryptoError::NotAccepted { what: WHAT, field: "keys" })
+        Err(CryptoError::NotAccepted { what: HAND_OVER, field: "keys" })
     }
 }
 

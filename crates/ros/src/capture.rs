@@ -6,7 +6,6 @@
 
 mod reader;
 mod topic;
-mod topic;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -2,7 +2,6 @@
 //! shown as its tree of fields. All texts here are clean; everything is bounded, whatever the message claims.
 
 mod picture;
-mod picture;
 
 use crate::model::{Timestamp, clean};
 use crate::ros::message::{Definition, Limits, Value, layout};

@@ -5,8 +5,6 @@
 //! are marked as simulated where they are shown and sealed.
 
 mod messages;
-mod messages;
-mod picture;
 mod picture;
 
 use std::f64::consts::TAU;

@@ -20,7 +20,7 @@ const GREEN: u8 = 0x40;
 const LOOKED_AT: usize = 16;
 
 /// The most bytes that Deflate expands one byte to.
-const MOST_PER_BYTE: usize = 1100;
+const MOST_PER_MATRIX_BYTE: usize = 1100;
 
 /// Where a matrix lies in a message, and its layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,7 +96,7 @@ impl Matrix {
 const DAMAGED: WireError = WireError::Value("matrix");
 
 /// Codes `body` with its matrix; `None` if it has no matrix of that shape, or as soon as coding proves not worth it.
-pub(super) fn pack(body: &[u8], matrix: &Matrix) -> Option<Vec<u8>> {
+pub(super) fn pack_matrix(body: &[u8], matrix: &Matrix) -> Option<Vec<u8>> {
     let end = matrix.end()?;
     let (before, numbers, behind) = (body.get(..matrix.start)?, body.get(matrix.start..end)?, body.get(end..)?);
     let mut out = Vec::with_capacity(body.len() / 2);
@@ -130,13 +130,13 @@ fn is_grey(numbers: &[u8], matrix: &Matrix) -> bool {
 }
 
 /// Restores what [`pack`] made of a message of `length` bytes, in place in the output buffer.
-pub(super) fn unpack(packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
+pub(super) fn unpack_matrix(packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
     let mut reader = Reader::new(packed);
     let (matrix, green) = Matrix::read(&mut reader)?;
     let end = matrix.end().filter(|end| *end <= length).ok_or(DAMAGED)?;
     let before = reader.take(matrix.start, "matrix")?;
     let behind = reader.take(length - end, "matrix")?;
-    if length / MOST_PER_BYTE > packed.len() {
+    if length / MOST_PER_MATRIX_BYTE > packed.len() {
         return Err(DAMAGED);
     }
     let mut out = vec![0; matrix.start + matrix.rows * (matrix.row() + 1)];

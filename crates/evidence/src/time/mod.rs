@@ -4,7 +4,6 @@
 //! them has its imprint.
 
 mod certificate;
-mod certificate;
 mod der;
 
 use std::collections::BTreeMap;

@@ -5,7 +5,6 @@
 //! <http://wiki.ros.org/Bags/Format/2.0>. The content of a bag is untrusted.
 
 mod reader;
-mod reader;
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, SeekFrom, Write};

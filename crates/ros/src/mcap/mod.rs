@@ -4,7 +4,6 @@
 //! a file is untrusted.
 
 mod beside;
-mod beside;
 mod reader;
 
 use std::collections::{BTreeMap, HashMap};

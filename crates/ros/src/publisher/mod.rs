@@ -2,7 +2,6 @@
 //! that plays shared records into a reader's graph.
 
 mod outlet;
-mod outlet;
 
 use std::io::{self, Write as _};
 use std::net::{TcpListener, TcpStream};

@@ -4,9 +4,7 @@
 //! here, by the publisher's own numbers, so that the count continues when the program has to be restarted.
 
 mod identity;
-mod identity;
 mod publisher;
-mod state;
 mod state;
 
 use std::collections::{BTreeMap, VecDeque};

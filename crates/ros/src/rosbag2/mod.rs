@@ -2,7 +2,6 @@
 
 mod db3;
 mod metadata;
-mod metadata;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;

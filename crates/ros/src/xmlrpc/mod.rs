@@ -4,7 +4,6 @@
 //! Of HTTP/1.x it has what XML-RPC needs: one request, one response, then the connection closes.
 
 mod value;
-mod value;
 
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
