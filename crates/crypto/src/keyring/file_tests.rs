@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use proptest::prelude::*;
 
-use super::*;
+use crate::keyring::*;
 use crate::model::{Domain, ErrorKind};
 use crate::private_file::write_private;
 
