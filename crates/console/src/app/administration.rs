@@ -2,10 +2,10 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::action::{Errand, Tag};
+use super::State;
 use super::form::{Field, Form, Line};
 use super::popup::{self, Confirm, Popup, Purpose};
-use super::state::State;
+use super::verb::{Errand, Tag};
 use crate::model::Party;
 use crate::service::Command;
 use crate::service::command::Administration;

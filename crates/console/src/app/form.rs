@@ -5,11 +5,10 @@ use std::path::PathBuf;
 
 use zeroize::Zeroizing;
 
-use super::action::{Errand, Tag};
-use super::key::Key;
-use super::paths::{self, PathKind};
-use super::state::Settings;
-use super::when;
+use super::keymap::Key;
+use super::palette::{self, PathKind};
+use super::verb::{Errand, Tag};
+use super::{Settings, when};
 use crate::model::grant::MOST_TOPICS;
 use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
@@ -464,7 +463,7 @@ pub struct KeyWish {
 /// # Errors
 /// The field in error, and why.
 pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, (usize, String)> {
-    let path = paths::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
+    let path = palette::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
     Ok(KeyWish { kind: kind(form), path, passphrase })
 }

@@ -1,15 +1,13 @@
 //! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
 
-use super::action::{Effect, Errand, Tag};
-use super::feed::Feed;
 use super::form::{ALL_TOPICS, Field, Form, Line};
-use super::key::Key;
+use super::keymap::Key;
 use super::perform::{copy, go};
 use super::popup::{Confirm, Popup, Purpose};
-use super::screen::Screen;
-use super::screens::grants::day;
-use super::state::State;
-use super::{granting, palette, table};
+use super::screens::day;
+use super::update::Feed;
+use super::verb::{Effect, Errand, Tag};
+use super::{Screen, State, granting, palette, table};
 use crate::model::{IncidentName, Timestamp, TopicName};
 use crate::service::command::filter::past;
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
@@ -393,7 +391,7 @@ pub fn taken_back(name: &IncidentName) -> Errand {
 
 /// An incident was opened, noted or closed.
 pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
-    let held = super::words::counted(view.records, "record");
+    let held = super::counted(view.records, "record");
     let text = match deed {
         Deed::Open => format!("incident {}: {held} kept so far (U: undo)", view.name),
         Deed::Note => format!("incident {}: note added", view.name),

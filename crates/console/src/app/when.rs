@@ -3,7 +3,7 @@
 
 use jiff::tz::TimeZone;
 
-use super::state::State;
+use super::State;
 use crate::model::{Timestamp, positive_span};
 use crate::service::reply::PartHealth;
 

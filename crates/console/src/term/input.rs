@@ -11,8 +11,7 @@ use signal_hook::iterator::{Handle, Signals};
 use signal_hook::{flag, low_level};
 use zeroize::Zeroizing;
 
-use super::backend;
-use super::guard::THREAD_PREFIX;
+use super::{THREAD_PREFIX, encode};
 use crate::app::{Action, Key};
 
 /// How long the thread waits for a key before it checks whether it should end. Each check costs CPU on an idle console,
@@ -58,7 +57,7 @@ fn actions(event: Event) -> Vec<Action> {
             _ => Vec::new(),
         },
         Event::Resize(columns, rows) => {
-            let (columns, rows) = backend::known((columns, rows), |name| std::env::var(name).ok());
+            let (columns, rows) = encode::known((columns, rows), |name| std::env::var(name).ok());
             vec![Action::Resize { columns, rows }]
         }
         _ => Vec::new(),

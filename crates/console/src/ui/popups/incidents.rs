@@ -3,17 +3,16 @@
 use ratatui::layout::Rect;
 
 use super::framed;
-use crate::app::State;
-use crate::app::feed::Feed;
 use crate::app::incidents::IncidentList;
-use crate::app::screens::grants::day;
-use crate::app::words::counted;
+use crate::app::screens::day;
+use crate::app::update::Feed;
+use crate::app::{State, counted};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{IncidentNoteView, IncidentView, SpanCoverageView};
-use crate::ui::canvas::{Canvas, below, right_of, row};
+use crate::ui;
+use crate::ui::lists::empty;
 use crate::ui::theme::Role;
-use crate::ui::topics::empty;
-use crate::ui::words;
+use crate::ui::{Canvas, below, right_of, row};
 
 /// Columns of a name.
 const NAME: u16 = 22;
@@ -38,7 +37,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: &IncidentList)
     let rows = &state.incidents.rows;
     let told: Vec<Line> = holdings(state, chosen)
         .into_iter()
-        .flat_map(|(text, role)| words::wrap(&text, width).into_iter().map(move |line| (line, role)))
+        .flat_map(|(text, role)| ui::wrap(&text, width).into_iter().map(move |line| (line, role)))
         .collect();
     let number = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
     // A third is the list's, however many there are.
@@ -62,10 +61,7 @@ fn draw_row(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here: bool
     canvas.put(rest, word, role);
     let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
     let held = format!("{} in {}", records(incident.records), counted(topics, "topic"));
-    canvas.puts(
-        right_of(rest, STATE),
-        &[(&held, Role::Body), (&format!(", {}", words::size(incident.bytes)), Role::Dim)],
-    );
+    canvas.puts(right_of(rest, STATE), &[(&held, Role::Body), (&format!(", {}", ui::size(incident.bytes)), Role::Dim)]);
 }
 
 /// Draws lines from the `scroll`-th on, and says how many are above and below.
@@ -83,7 +79,7 @@ pub(super) fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Line], scroll: 
 }
 
 fn records(count: u64) -> String {
-    format!("{} {}", words::count(count), if count == 1 { "record" } else { "records" })
+    format!("{} {}", ui::count(count), if count == 1 { "record" } else { "records" })
 }
 
 /// Its span, its notes, and what there is of each topic.
@@ -127,7 +123,7 @@ fn topic(state: &State, one: &SpanCoverageView) -> Vec<Line> {
     let missing: Vec<String> = missing
         .into_iter()
         .filter(|(count, _)| *count > 0)
-        .map(|(count, word)| format!("{} {word}", words::count(count)))
+        .map(|(count, word)| format!("{} {word}", ui::count(count)))
         .collect();
     if !missing.is_empty() {
         lines.push((format!("  {}", missing.join(", ")), Role::Warning));
