@@ -420,7 +420,7 @@ impl UnlockedKeyring {
                 let (read, found) = (read.generation, there.generation);
                 return Err(CryptoError::Superseded { path: shown(path), read, found });
             }
-            crate::point("keyring-compared");
+            fault::point("keyring-compared");
             Ok(Some(bytes))
         });
         // A write can fail after the file was replaced, if its directory is not synced: the file is still ours.
@@ -428,7 +428,7 @@ impl UnlockedKeyring {
             self.stamp = next;
         }
         written?;
-        crate::point("keyring-written");
+        fault::point("keyring-written");
         Ok(())
     }
 

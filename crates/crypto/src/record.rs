@@ -390,14 +390,14 @@ fn checked<'a>(
     let digest = digest_of(blob);
     done(Step::Digest);
     let verdict = match anchor {
-        Anchor::Chain(anchored) if anchored == digest || crate::is_off("digest") => Verdict::Verified,
+        Anchor::Chain(anchored) if anchored == digest || fault::is_off("digest") => Verdict::Verified,
         Anchor::Remembered(anchored) if anchored == digest => Verdict::NotChecked,
         Anchor::Chain(_) | Anchor::Remembered(_) => return Err(CryptoError::Tampered("digest")),
         Anchor::Unanchored => Verdict::Unanchored,
     };
     let signed = parts.header.signer == signer_id(signer)
         && provider.verify(signer, &signed_bytes(&parts.header.domain, &digest), signature).is_ok();
-    if !signed && !crate::is_off("signature") {
+    if !signed && !fault::is_off("signature") {
         return Err(CryptoError::Tampered("signature"));
     }
     done(Step::Signature);
@@ -437,7 +437,7 @@ pub fn open_in_steps(
     let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, done)?;
     let keys = RecordKeys::derive(topic_key, &parts.header);
     let committed = bool::from(keys.commit.ct_eq(&parts.header.commit.0));
-    if !committed && !crate::is_off("commit") {
+    if !committed && !fault::is_off("commit") {
         return Err(CryptoError::WrongKey);
     }
     done(Step::Keys);

@@ -15,6 +15,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 pub mod time;
+pub mod trie;
 mod trust;
 mod verify;
 

@@ -5,7 +5,7 @@ mod picture;
 
 use crate::model::{Timestamp, clean};
 use crate::ros::message::{Definition, Limits, Value, layout};
-use picture::{PictureError, bytes};
+use picture::bytes;
 use serde::{Deserialize, Serialize};
 
 pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, Raster, Rgb, decode, export, file_of};

@@ -305,7 +305,7 @@ pub fn dds_type(type_name: &str) -> Option<String> {
     let parts: Vec<&str> = type_name.split('/').collect();
     let [package, kind, name] = parts[..] else { return None };
     let dds = format!("{package}::{kind}::dds_::{name}_");
-    type_name(&dds).is_some_and(|back| back == type_name).then_some(dds)
+    self::type_name(&dds).is_some_and(|back| back == type_name).then_some(dds)
 }
 
 /// The type's hash from a writer's user data, which is `key=value;` after a length, padded.

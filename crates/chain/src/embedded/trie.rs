@@ -10,12 +10,12 @@ use ethers::types::Bloom;
 use ethers::utils::keccak256;
 use ethers::utils::rlp::{self, Rlp, RlpStream};
 
-pub use authros_evidence::state::EMPTY_ROOT;
+pub use authros_evidence::trie::EMPTY_ROOT;
 
 use super::block::Receipt;
 use crate::ChainError;
 use crate::model::Hash;
-use authros_evidence::state::{Step, follow, nibbles, unpacked};
+use authros_evidence::trie::{Step, follow, nibbles, unpacked};
 
 /// A node shorter than this is embedded in its parent.
 const SHORTEST: usize = 32;

@@ -1,8 +1,8 @@
 //! Certificates (X.509), as much as time stamp authorities need: their names, their extensions, and the signatures over
 //! them and over stamps.
 
-use super::der::{Der, Element, NULL, OCTETS, SEQUENCE, SET, context, primitive, seconds};
-use super::{TimeError, form};
+use super::{TimeError, form, outer, seconds};
+use authros_crypto::der::{BITS, BOOLEAN, Der, Element, NULL, OCTETS, SEQUENCE, SET, context, primitive};
 use authros_model::{Timestamp, clean};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -67,16 +67,16 @@ impl Certificate {
     /// # Errors
     /// [`TimeError`] where it is none, or signed in an unknown way.
     pub fn parse(der: &[u8]) -> Result<Self, TimeError> {
-        let mut outer = Der::only(PART, der, SEQUENCE)?;
+        let mut outer = outer(PART, der)?;
         let signed = outer.element(SEQUENCE)?;
         let algorithm = outer.element(SEQUENCE)?.whole;
-        let scheme = match Scheme::read(&mut Der::new(PART, algorithm)?) {
+        let scheme = match Scheme::read(&mut Der::new(PART, algorithm)) {
             Err(error @ TimeError::Form { .. }) => return Err(error),
             found => found,
         };
         let signature = outer.bits()?.to_vec();
         outer.end()?;
-        let mut inner = Der::new(PART, signed.content)?;
+        let mut inner = Der::new(PART, signed.content);
         if let Some(mut version) = inner.inside_optional(context(0))? {
             version.small()?;
             version.end()?;
@@ -151,7 +151,7 @@ fn uses(mut der: Der<'_>) -> Result<Uses, TimeError> {
             return Err(form(PART, "an extension appears twice"));
         }
         seen.push(name);
-        let is_critical = if one.next_tag() == Some(super::der::BOOLEAN) { one.boolean()? } else { false };
+        let is_critical = if one.next_tag() == Some(BOOLEAN) { one.boolean()? } else { false };
         let value = one.element(OCTETS)?;
         one.end()?;
         uses.take(name, is_critical, value)?;
@@ -164,14 +164,14 @@ impl Uses {
         match name {
             BASIC_CONSTRAINTS => {
                 let mut inner = Der::only(PART, value.content, SEQUENCE)?;
-                let issues = inner.next_tag() == Some(super::der::BOOLEAN) && inner.boolean()?;
+                let issues = inner.next_tag() == Some(BOOLEAN) && inner.boolean()?;
                 let most = if inner.is_empty() { u64::MAX } else { inner.small()? };
                 inner.end()?;
                 self.issuer = issues.then_some(most);
             }
             KEY_USAGE => {
-                let mut outer = Der::new(PART, value.content)?;
-                let bits = outer.element(super::der::BITS)?.content;
+                let mut outer = Der::new(PART, value.content);
+                let bits = outer.element(BITS)?.content;
                 outer.end()?;
                 self.key = Some(bits.get(1).copied().unwrap_or(0));
             }
@@ -308,9 +308,9 @@ fn nothing(der: &mut Der<'_>) -> Result<(), TimeError> {
     if let Some(null) = der.optional(NULL)?
         && !null.content.is_empty()
     {
-        return Err(der.wrong("NULL is not empty"));
+        return Err(der.wrong("NULL is not empty").into());
     }
-    der.end()
+    Ok(der.end()?)
 }
 
 /// How something is signed.

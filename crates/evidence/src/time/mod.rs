@@ -4,24 +4,25 @@
 //! them has its imprint.
 
 mod certificate;
-mod der;
 
 use std::collections::BTreeMap;
 
 use crate::BundleError;
+use authros_crypto::der::{
+    BOOLEAN, Der, DerError, Element, GENERALIZED_TIME, INTEGER, NULL, OBJECT, OCTETS, SEQUENCE, SET, UTC_TIME, UTF8,
+    context, primitive, put, small,
+};
 use authros_crypto::merkle::{LONGEST_PATH, MOST_LEAVES, Tree, root_of, stamp_hash};
 use authros_model::{Hash, Timestamp, clean};
-use certificate::{Certificate, HashKind, Scheme};
-use der::{
-    BOOLEAN, Der, GENERALIZED_TIME, INTEGER, LARGEST_DER, NULL, OBJECT, OCTETS, SEQUENCE, SET, UTF8, context,
-    primitive, seconds, small,
-};
+use certificate::{HashKind, Scheme};
 use ring::digest::{SHA1_FOR_LEGACY_USE_ONLY, digest};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 pub use certificate::Certificate;
-pub use der::LARGEST_DER;
+
+/// The longest text in DER that is read, bytes.
+pub const LARGEST_DER: usize = 64 * 1024;
 
 /// Why a stamp is not accepted.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -86,6 +87,77 @@ impl TimeError {
 /// A malformed part.
 fn form(part: &'static str, why: &'static str) -> TimeError {
     TimeError::Form { part, why }
+}
+
+impl From<DerError> for TimeError {
+    fn from(DerError { part, why }: DerError) -> Self {
+        Self::Form { part, why }
+    }
+}
+
+/// The content of the one sequence that a text consists of.
+fn outer<'a>(part: &'static str, bytes: &'a [u8]) -> Result<Der<'a>, TimeError> {
+    if bytes.len() > LARGEST_DER {
+        return Err(form(part, "it is too long"));
+    }
+    Ok(Der::only(part, bytes, SEQUENCE)?)
+}
+
+/// Seconds since 1970 of a time in the form of certificates (`UTCTime` or `GeneralizedTime`) and stamps, always UTC.
+/// Fractions of a second are rounded up if `up` is set, otherwise down.
+fn seconds(element: Element<'_>, part: &'static str, up: bool) -> Result<u64, TimeError> {
+    let wrong = || form(part, "a time is not valid");
+    let text = element.content.strip_suffix(b"Z").ok_or_else(wrong)?;
+    let two = |at: usize| -> Option<u64> {
+        match text.get(at..at + 2)? {
+            [tens @ b'0'..=b'9', ones @ b'0'..=b'9'] => Some(u64::from(tens - b'0') * 10 + u64::from(ones - b'0')),
+            _ => None,
+        }
+    };
+    let (year, at) = match element.tag {
+        GENERALIZED_TIME => (two(0).zip(two(2)).map(|(high, low)| high * 100 + low), 4),
+        // RFC 5280, 4.1.2.5.1.
+        UTC_TIME => (two(0).map(|year| if year < 50 { 2000 + year } else { 1900 + year }), 2),
+        _ => return Err(wrong()),
+    };
+    let fields: Option<Vec<u64>> = (0..5).map(|field| two(at + field * 2)).collect();
+    let Some(([month, day, hour, minute, second], year)) =
+        fields.and_then(|fields| <[u64; 5]>::try_from(fields).ok()).zip(year)
+    else {
+        return Err(wrong());
+    };
+    let fraction = match text.get(at + 10..).unwrap_or_default() {
+        [] => 0,
+        [b'.', digits @ ..] if element.tag == GENERALIZED_TIME => {
+            // X.690, 11.7.3: no zeros at the end.
+            let is_number = digits.len() <= 9 && digits.iter().all(u8::is_ascii_digit);
+            digits.last().filter(|last| is_number && **last != b'0').ok_or_else(wrong)?;
+            u64::from(up)
+        }
+        _ => return Err(wrong()),
+    };
+    let in_range =
+        (1970..=9999).contains(&year) && (1..=12).contains(&month) && hour < 24 && minute < 60 && second < 60;
+    if !in_range || day == 0 || day > days_in(year, month) {
+        return Err(wrong());
+    }
+    let days = (1970..year).map(|year| if is_leap(year) { 366 } else { 365 }).sum::<u64>()
+        + (1..month).map(|month| days_in(year, month)).sum::<u64>()
+        + day
+        - 1;
+    Ok(days * 86_400 + hour * 3600 + minute * 60 + second + fraction)
+}
+
+fn is_leap(year: u64) -> bool {
+    year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))
+}
+
+fn days_in(year: u64, month: u64) -> u64 {
+    match month {
+        2 => 28 + u64::from(is_leap(year)),
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    }
 }
 
 /// The content of a valid token.
@@ -205,7 +277,7 @@ fn named(signer: &Signer<'_>, certificate: &Certificate) -> Result<(), TimeError
 /// The media type of a request.
 pub const REQUEST_TYPE: &str = "application/timestamp-query";
 /// The longest answer that is read, bytes.
-pub const LONGEST_ANSWER: usize = der::LARGEST_DER;
+pub const LONGEST_ANSWER: usize = LARGEST_DER;
 
 /// A request for a stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -219,10 +291,10 @@ pub struct Request {
 impl Request {
     /// As DER: SHA-256, the nonce, and a request for the authority's certificate.
     pub fn encode(&self) -> Vec<u8> {
-        let hash = der::put(SEQUENCE, &[&der::put(OBJECT, &[certificate::SHA_256]), &der::put(NULL, &[])]);
-        let imprint = der::put(SEQUENCE, &[&hash, &der::put(OCTETS, &[&self.imprint])]);
-        let (version, nonce) = (der::put(INTEGER, &[&[1]]), der::put(INTEGER, &[&self.nonce_integer()]));
-        der::put(SEQUENCE, &[&version, &imprint, &nonce, &der::put(BOOLEAN, &[&[0xff]])])
+        let hash = put(SEQUENCE, &[&put(OBJECT, &[certificate::SHA_256]), &put(NULL, &[])]);
+        let imprint = put(SEQUENCE, &[&hash, &put(OCTETS, &[&self.imprint])]);
+        let (version, nonce) = (put(INTEGER, &[&[1]]), put(INTEGER, &[&self.nonce_integer()]));
+        put(SEQUENCE, &[&version, &imprint, &nonce, &put(BOOLEAN, &[&[0xff]])])
     }
 
     /// The nonce as a positive integer in the shortest form.
@@ -239,7 +311,7 @@ impl Request {
 /// # Errors
 /// [`TimeError::NotGranted`] with its text, [`TimeError::Form`] if it is not an answer.
 pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
-    let mut outer = Der::only("answer", answer, SEQUENCE)?;
+    let mut outer = outer("answer", answer)?;
     let mut about = outer.inside(SEQUENCE)?;
     let status = about.small()?;
     // granted, and grantedWithMods.
@@ -341,7 +413,7 @@ impl<'a> Signer<'a> {
 
 impl<'a> Token<'a> {
     pub fn parse(bytes: &'a [u8]) -> Result<Self, TimeError> {
-        let mut outer = Der::only(PART, bytes, SEQUENCE)?;
+        let mut outer = outer(PART, bytes)?;
         if outer.object()? != certificate::SIGNED_DATA {
             return Err(form(PART, "it is not signed data"));
         }
@@ -461,13 +533,13 @@ impl<'a> Signer<'a> {
 }
 
 fn attributes(bytes: &[u8]) -> Result<Vec<(&[u8], Der<'_>)>, TimeError> {
-    let (mut all, mut found) = (Der::new(SIGNER, bytes)?, Vec::new());
+    let (mut all, mut found) = (Der::new(SIGNER, bytes), Vec::new());
     while !all.is_empty() {
         let mut one = all.inside(SEQUENCE)?;
         let name = one.object()?;
         let mut values = one.inside(SET)?;
         one.end()?;
-        let value = Der::new(SIGNER, values.any()?.whole)?;
+        let value = Der::new(SIGNER, values.any()?.whole);
         values.end()?;
         if found.len() >= MOST_ATTRIBUTES || found.iter().any(|(known, _)| *known == name) {
             return Err(form(SIGNER, "an attribute is a duplicate, or one too many"));
@@ -646,5 +718,40 @@ impl DraftStamp {
         }
         let Listed { top, count, roots, .. } = listed;
         Ok(BundledStamp { top, count, roots, tokens: self.tokens })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_has_a_bound() {
+        assert!(outer("test", &vec![0; LARGEST_DER + 1]).is_err());
+    }
+
+    #[test]
+    fn times_are_those_of_the_calendar() {
+        let at = |tag, text: &str| {
+            let (content, whole) = (text.as_bytes(), text.as_bytes());
+            seconds(Element { tag, content, whole }, "test", true).ok()
+        };
+        // date -u -d TIME +%s
+        assert_eq!(at(GENERALIZED_TIME, "20240229235959Z"), Some(1_709_251_199));
+        assert_eq!(at(GENERALIZED_TIME, "20000301000000Z"), Some(951_868_800));
+        assert_eq!(at(GENERALIZED_TIME, "20261123113000.5Z"), Some(1_795_433_401));
+        assert_eq!(at(UTC_TIME, "491231235959Z"), Some(2_524_607_999));
+        assert_eq!(at(UTC_TIME, "700101000000Z"), Some(0));
+        for bad in [
+            "20230229000000Z",
+            "20261323000000Z",
+            "20261123240000Z",
+            "20261123113000",
+            "20261123113000.50Z",
+            "2026Z",
+            "",
+        ] {
+            assert_eq!(at(GENERALIZED_TIME, bad), None, "{bad}");
+        }
     }
 }

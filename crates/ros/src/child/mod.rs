@@ -17,8 +17,6 @@ use crate::pipe::{receive, send};
 use crate::ros::RosError;
 use serde::Serialize;
 
-#[cfg(test)]
-
 /// The user and the group `nobody` of Linux.
 const NOBODY: u32 = 65534;
 /// Said where the kernel raises no walls around such a program.

@@ -16,7 +16,6 @@ use crate::ros::recording::{
     CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, Sent, kept_about, pack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
-use beside::{Beside, BesideContent};
 
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE, attach};
 pub(super) use beside::{attachment_record, metadata_record};

@@ -408,7 +408,7 @@ fn own_text(name: &str) -> Option<String> {
         return Some(HEADER_TEXT.1.to_owned());
     }
     let (package, bare) = name.split_once('/')?;
-    let text = ros2::interface(&format!("{package}/msg/{bare}"))?;
+    let text = ros2::text_of(&format!("{package}/msg/{bare}"))?;
     let lines = text.lines().filter(|line| !line.starts_with("===="));
     let in_ros1 = |line: &str| {
         let (kind, rest) = line.split_once(' ').unwrap_or((line, ""));

@@ -19,8 +19,6 @@ use crate::model::topic::LONGEST_NAME;
 use crate::ros::RosError;
 use sha2::{Digest as _, Sha256};
 
-pub(super) use text_of as interface;
-
 impl Definition {
     /// Parses the text of a ROS 2 definition, as in MCAP's `ros2msg`: the type's own lines, then `MSG: package/Type`
     /// sections.
@@ -160,7 +158,7 @@ fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
 
 /// The text of a type in MCAP's form. rosbag2 describes the event of a service (`package/srv/Type_Event`) by the service's own
 /// text, in which a line of dashes divides request and response.
-pub(in crate::ros) fn plain_text<'a>(type_name: &str, text: &'a str) -> Cow<'a, str> {
+pub(crate) fn plain_text<'a>(type_name: &str, text: &'a str) -> Cow<'a, str> {
     const RULE: &str = "================================================================================";
     let service = type_name.strip_suffix("_Event").filter(|name| name.contains("/srv/"));
     let headless = || text.strip_prefix(RULE)?.trim_start().strip_prefix("SRV: ")?.split_once('\n');
@@ -532,7 +530,7 @@ fn built_in_sections(text: &'static str) -> impl Iterator<Item = (&'static str, 
 }
 
 /// The own lines of a type that is named as `package/msg/Type`.
-pub(in crate::ros::message) fn text_of(name: &str) -> Option<&'static str> {
+pub(super) fn text_of(name: &str) -> Option<&'static str> {
     TEXTS.get(name).copied()
 }
 

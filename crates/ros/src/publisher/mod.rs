@@ -16,7 +16,7 @@ use crate::ros::graph::master_error;
 use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
 use crate::ros::xmlrpc::{CallError, Value, call};
 use crate::ros::{RosError, RosrustPublisher};
-use outlet::{Outlet, lock};
+use outlet::lock;
 
 pub(super) use outlet::Outlet;
 

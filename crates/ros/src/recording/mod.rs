@@ -9,7 +9,7 @@ pub mod tags;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
-use std::io::{BufRead, BufReader, BufWriter, Read, Result, Seek, SeekFrom, Write};
+use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -384,7 +384,7 @@ pub(crate) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Result<Vec<u8
 }
 
 /// Up to `length` bytes from a position on; fewer at the end of the file.
-pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) -> Result<Vec<u8>> {
+pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) -> std::io::Result<Vec<u8>> {
     go_to(file, at)?;
     let mut bytes = Vec::new();
     file.by_ref().take(length).read_to_end(&mut bytes)?;
@@ -392,7 +392,7 @@ pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) ->
 }
 
 /// Moves to a position, keeping the read-ahead.
-pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> Result<()> {
+pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> std::io::Result<()> {
     let here = file.stream_position()?;
     let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));
     file.seek_relative(step.unwrap_or(i64::MAX))

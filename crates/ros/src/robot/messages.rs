@@ -173,7 +173,6 @@ impl Message {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use super::*;
     use crate::ros::robot::Track;
     use crate::ros::{Definition, Limits, Value};
 

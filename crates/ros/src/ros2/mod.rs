@@ -17,10 +17,10 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::TopicName;
-use crate::pipe::read::{Counts, Told, Wish};
+use crate::pipe::read::{Told, Wish};
 use crate::pipe::write::Order;
 use crate::pipe::{LONGEST_PAYLOAD, receive, send};
-use crate::ros::child::{self, Declined, Errand, Run};
+use crate::ros::child::{self, Errand, Run};
 use crate::ros::{CaptureNotice, MessageSink, RosError};
 use state::{Outcome, State};
 

@@ -13,7 +13,7 @@ use crate::model::clean;
 use crate::ros::RosError;
 use crate::ros::mcap::{Beside, attachment_record};
 use crate::ros::recording::{Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, SPOILT, why};
-use metadata::{METADATA, Metadata};
+use metadata::Metadata;
 use tempfile::NamedTempFile;
 
 pub use db3::{Db3Reader, has_journal};

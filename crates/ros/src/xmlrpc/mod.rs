@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use crate::model::clean;
 use crate::ros::address::{Endpoint, connect, time_left};
-use value::{Response, Value, parse_call, parse_response, write_call, write_fault, write_response};
+use value::{Response, parse_call, parse_response, write_call, write_fault, write_response};
 
 pub(super) use value::Value;
 
@@ -321,9 +321,7 @@ fn chunks(from: &mut impl BufRead, most: usize) -> io::Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use super::{CallError, call};
     use crate::ros::address::Endpoint;
-    use std::io::Read as _;
 
     struct Echo;
 

@@ -181,7 +181,7 @@ fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Fa
     let (draft, out) = super::super::writing::Draft::begin(&copy)?;
     let title = proof.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let source = std::fs::File::open(path).map_err(failed)?;
-    mcap::beside(
+    mcap::attach(
         source,
         out,
         &mcap::AttachedFile {
