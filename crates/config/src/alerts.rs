@@ -29,7 +29,6 @@ pub enum AlertForm {
 pub enum AlertPlace {
     /// A server, over HTTP or HTTPS.
     Webhook {
-        /// Its URL.
         url: String,
         /// Its format.
         form: AlertForm,

@@ -40,11 +40,8 @@ impl fmt::Display for Source {
 /// One setting as printed by `config show`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SettingView {
-    /// Its name.
     pub name: &'static str,
-    /// Its value.
     pub value: String,
-    /// Its source.
     pub source: String,
     /// Its meaning.
     pub text: &'static str,

@@ -108,7 +108,6 @@ fn watched(tables: &Value, lines: &Lines) -> Result<Vec<TopicName>, ConfigError>
 /// The name of the tables.
 pub(super) const TABLE: &str = "topic";
 
-/// The most rules.
 const MOST_RULES: usize = 1000;
 /// The most tags of a rule.
 const MOST_TAGS: usize = 16;
@@ -116,9 +115,6 @@ const MOST_TAGS: usize = 16;
 const FASTEST: f64 = 100_000.0;
 
 /// Reads the rules from the value of `topic`.
-///
-/// # Errors
-/// [`ConfigError`] for the first invalid rule.
 pub(super) fn read(value: &toml::Value, lines: &Lines) -> Result<TopicRules, ConfigError> {
     let form = |place: &str| lines.fault(place, "write topic rules as [[topic]] tables");
     let tables = value.as_array().ok_or_else(|| form(TABLE))?;

@@ -119,7 +119,6 @@ const FORM: &str = "use { NAME = [\"look\", \"grant\"], \"@GROUP\" = [\"capture\
 /// Whom a rule is for, by the name in the user database.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Whom {
-    /// One user.
     User(OperatorName),
     /// Everybody in a group.
     Group(OperatorName),
@@ -208,7 +207,6 @@ fn rights_of(value: &toml::Value) -> Result<OperatorRights, String> {
     rights.ok_or_else(|| "give a list of rights: look, capture, grant".to_owned())
 }
 
-/// The most authorities.
 const MOST_AUTHORITIES: usize = 4;
 /// The form of the setting's value.
 const AUTHORITY_FORM: &str =

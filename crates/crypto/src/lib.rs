@@ -1,6 +1,7 @@
 //! SM2, SM3, SM4-GCM and HKDF-SM3, and what is built from them: records, envelopes, identities, and keys at rest. Three
 //! providers compute the algorithms; nothing here knows ROS, the chain or the ledger.
 #![doc = include_str!("../README.md")]
+#![warn(missing_docs, clippy::missing_errors_doc)]
 
 pub mod compression;
 pub mod der;

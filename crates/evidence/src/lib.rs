@@ -1,6 +1,7 @@
 //! Evidence bundles: one file with sealed records, their signatures and the proof of when they were anchored, checked
 //! offline by somebody who trusts neither the exporter nor a node.
 #![doc = include_str!("../README.md")]
+#![warn(missing_docs, clippy::missing_errors_doc)]
 
 pub mod archive;
 mod bundle;

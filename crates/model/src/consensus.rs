@@ -38,11 +38,8 @@ impl Consensus {
     pub const POW: Self = Self::Pow { difficulty: Self::PAPER_DIFFICULTY };
     /// One signer; a block as soon as a transaction waits, at most every 100 ms.
     pub const POA: Self = Self::Poa { signers: 1, period: Duration::from_millis(100) };
-    /// The most signers.
     pub const MOST_SIGNERS: u8 = 16;
-    /// The longest period.
     pub const LONGEST_PERIOD: Duration = Duration::from_secs(600);
-    /// The highest difficulty.
     pub const HIGHEST_DIFFICULTY: u64 = 1 << 40;
 
     /// `poa` or `pow`.

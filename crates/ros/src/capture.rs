@@ -74,58 +74,20 @@ pub enum CaptureNotice {
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// Its type.
         type_name: Arc<str>,
         /// Its origin, as far as can be seen.
         origin: Arc<Origin>,
     },
     /// A publisher that was being read is gone.
-    PublisherLost {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        /// Its number among those seen.
-        number: u64,
-        /// The reason.
-        reason: String,
-    },
+    PublisherLost { topic: Arc<str>, caller_id: String, number: u64, reason: String },
     /// Somebody told this node of a publisher that the master does not list; it is not contacted.
-    UnconfirmedPublisher {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The URI announced.
-        publisher: String,
-    },
+    UnconfirmedPublisher { topic: Arc<str>, publisher: String },
     /// The master lists a publisher that cannot be read; reported once until it can.
-    PublisherUnreachable {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's URI.
-        publisher: String,
-        /// The reason.
-        reason: String,
-    },
+    PublisherUnreachable { topic: Arc<str>, publisher: String, reason: String },
     /// A publisher sends another type than requested; it is not captured.
-    TypeMismatch {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        /// The type requested.
-        wanted: String,
-        /// The type it has.
-        found: String,
-    },
+    TypeMismatch { topic: Arc<str>, caller_id: String, wanted: String, found: String },
     /// A publisher's description of its messages is inconsistent; they are captured as sent.
-    Contradiction {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        /// The inconsistency.
-        contradiction: String,
-    },
+    Contradiction { topic: Arc<str>, caller_id: String, contradiction: String },
     /// Sequence numbers are missing: this many messages never arrived.
     LostInTransport {
         /// Topic name.
@@ -138,20 +100,10 @@ pub enum CaptureNotice {
         numbers: (u32, u32),
     },
     /// A publisher or an answer was refused, for example a message beyond the length cap.
-    Refused {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's URI.
-        publisher: String,
-        /// The reason.
-        reason: String,
-    },
+    Refused { topic: Arc<str>, publisher: String, reason: String },
     /// The program that reads ROS 2 ended and is restarted; what was missed meanwhile is reported by
     /// [`Self::LostInTransport`] when its publishers are heard again.
-    ReadingBroken {
-        /// Why.
-        reason: String,
-    },
+    ReadingBroken { reason: String },
     /// A publisher vanished while nothing could be read of it.
     EndUnknown {
         /// Topic name.
@@ -162,19 +114,11 @@ pub enum CaptureNotice {
         at_least: u64,
     },
     /// The master stopped answering; publishers that are connected are still read.
-    MasterLost {
-        /// What happened.
-        reason: String,
-    },
+    MasterLost { reason: String },
     /// The master answers (again).
     MasterBack,
     /// Somebody asked this node to shut down; it does not.
-    ShutdownAsked {
-        /// The caller.
-        by: String,
-        /// The reason it gave.
-        reason: String,
-    },
+    ShutdownAsked { by: String, reason: String },
 }
 
 /// The parameters of a capture.
@@ -191,7 +135,6 @@ pub struct CaptureOptions {
 /// The status of one topic's capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicCapture {
-    /// Topic name.
     pub topic: TopicName,
     /// The type requested, otherwise the one last seen.
     pub type_name: Option<String>,

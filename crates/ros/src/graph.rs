@@ -59,9 +59,6 @@ pub struct Graph {
 
 impl Graph {
     /// The master at `master_uri`, queried in the name of the node `node_name`. Nothing is sent yet.
-    ///
-    /// # Errors
-    /// [`RosError::Address`] if the URI is not `http://HOST:PORT`.
     pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
         let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
         Ok(Self { master, node_name: node_name.to_owned() })
@@ -89,9 +86,6 @@ impl Graph {
 
     /// [`Graph::topics`] for repeated polling: while the graph is as it was in the `last` answer and all types were
     /// known, types are queried only now and then.
-    ///
-    /// # Errors
-    /// See [`Graph::topics`].
     pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
@@ -167,9 +161,6 @@ pub struct Presence {
 
 impl Graph {
     /// The nodes on a topic now.
-    ///
-    /// # Errors
-    /// See [`Graph::topics`].
     pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
         let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
         let nodes = |index: usize| {
@@ -218,9 +209,6 @@ pub struct Unreached {
 
 impl Graph {
     /// Tries the addresses that publishers gave the master; returns how many were tried, and those that do not answer.
-    ///
-    /// # Errors
-    /// Errors of the master.
     pub fn unreached(&self) -> Result<(usize, Vec<Unreached>), RosError> {
         let nodes: BTreeSet<String> = self.topics()?.into_iter().flat_map(|topic| topic.publishers).collect();
         let mut found = Vec::new();

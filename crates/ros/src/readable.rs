@@ -35,7 +35,6 @@ pub struct Readable {
 /// A matrix or list.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Table {
-    /// Its title.
     pub title: String,
     /// Columns; may be empty.
     pub head: Vec<String>,
@@ -46,7 +45,6 @@ pub struct Table {
 /// Points in a plane.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Plot {
-    /// Its title.
     pub title: String,
     /// Names and units of both axes.
     pub axes: (String, String),

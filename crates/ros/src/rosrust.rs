@@ -190,9 +190,6 @@ impl RosrustPublisher {
     }
 
     /// Starts the program anew if it has ended, with all topics and what was latched.
-    ///
-    /// # Errors
-    /// See [`Self::start`].
     pub fn revive(&mut self) -> Result<(), RosError> {
         if self.run.broken().is_none() {
             return Ok(());

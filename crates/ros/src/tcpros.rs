@@ -161,7 +161,6 @@ pub(super) struct BusLink {
 
 /// What a node reports about itself. Nothing here may block.
 pub(super) trait Node: Send + Sync + 'static {
-    /// URI of its master.
     fn master_uri(&self) -> String;
     /// Topics and types it subscribes to.
     fn subscriptions(&self) -> Vec<(String, String)>;

@@ -356,9 +356,6 @@ impl<'a, W: Write> Child<'a, W> {
 }
 
 /// Starts reading. `None` arrives when the pipe has ended; every arrival wakes.
-///
-/// # Errors
-/// [`Ros2Error::System`] if no thread can be started.
 pub fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Option<Wish>>, Ros2Error> {
     let (sender, receiver) = channel();
     let read = move || {
@@ -381,9 +378,7 @@ const TURN_BYTES: usize = 4 << 20;
 
 /// A sample on its way to the site.
 pub struct Taken {
-    /// Its writer.
     pub writer: Id,
-    /// Its number.
     pub number: i64,
     /// When it was published, nanoseconds.
     pub sent: Option<u64>,
@@ -441,7 +436,6 @@ impl Port {
 pub struct Reading {
     /// What it reads.
     pub subject: Subject,
-    /// The request.
     pub request: Request,
     /// Whether there may be something to take.
     pub ready: bool,

@@ -49,7 +49,6 @@ pub struct Question {
     pub node: String,
     /// The type, `package/msg/Type`.
     pub type_name: String,
-    /// Its hash.
     pub type_hash: String,
 }
 
@@ -261,7 +260,6 @@ pub fn request(header: Option<Header>, type_name: &str, type_hash: &str) -> Vec<
     body.0
 }
 
-/// An answer.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Answer {
     /// The type with all the types it consists of, as in MCAP's `ros2msg`, twice: the texts that its package was built from, empty
@@ -413,7 +411,6 @@ impl<'a> Reader<'a> {
         Some(bytes)
     }
 
-    /// One byte.
     pub fn byte(&mut self) -> Option<u8> {
         self.aligned::<1>().map(|[byte]| byte)
     }
@@ -434,7 +431,6 @@ impl<'a> Reader<'a> {
         (count <= self.left() / least).then_some(count)
     }
 
-    /// A text.
     pub fn text(&mut self) -> Option<&'a str> {
         let length = self.number()? as usize;
         let bytes = self.take(length)?;

@@ -20,9 +20,7 @@ pub type Prefix = [u8; 12];
 /// A writer as DDS names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Found {
-    /// Its topic.
     pub dds_topic: String,
-    /// Its type.
     pub dds_type: String,
     /// Whether its type has a key.
     pub keyed: bool,
@@ -45,7 +43,6 @@ pub struct Graph {
 /// How much of a prefix the participants of one program have in common: its own, and those that say what of it is gone.
 pub const PROGRAM: usize = 8;
 
-/// The prefix of an id.
 pub fn prefix(id: &Id) -> Prefix {
     let mut prefix = [0; 12];
     prefix.copy_from_slice(&id[..12]);
@@ -333,7 +330,6 @@ pub fn vendor(id: [u8; 16]) -> String {
     }
 }
 
-/// Bytes as hex.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -154,9 +154,6 @@ fn form(act: Act) -> Form {
 }
 
 /// The question after a completed form.
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
     let party = |line: usize| -> Result<Party, (usize, String)> {
         form.text(line).trim().parse().map_err(|error| (line, format!("{error}")))

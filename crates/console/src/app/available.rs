@@ -9,9 +9,6 @@ use super::verb::{Tag, Verb, entry_of};
 use super::{Screen, State};
 
 /// Whether `verb` can be done now.
-///
-/// # Errors
-/// The reason why not.
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     let entry = entry_of(verb, state.screen).ok_or("unknown")?;
     if entry.changes && state.settings.read_only {

@@ -194,9 +194,6 @@ pub fn begin_extension(state: &mut State) {
 }
 
 /// The command of a completed form of [`begin_extension`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, String)> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
@@ -291,9 +288,6 @@ pub fn form() -> Form {
 }
 
 /// The command of a completed [`form`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read(form: &Form) -> Result<Errand, (usize, String)> {
     let name: ContactName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let address: Address = form.text(1).trim().parse().map_err(|error| (1, format!("{error}")))?;

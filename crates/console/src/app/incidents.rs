@@ -304,9 +304,6 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 }
 
 /// The command of a filled form.
-///
-/// # Errors
-/// The line that is wrong, and why.
 pub fn read(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
     let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     if state.incidents.rows.iter().any(|row| row.name == name) {
@@ -347,9 +344,6 @@ fn note_form(name: &IncidentName) -> Form {
 }
 
 /// The command of a filled form for a note.
-///
-/// # Errors
-/// The line that is wrong, and why.
 pub fn read_note(form: &Form) -> Result<Errand, (usize, String)> {
     let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let text = form.text(1).trim().to_owned();

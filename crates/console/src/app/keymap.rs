@@ -19,7 +19,6 @@ pub const LONGEST_CHORD: usize = 3;
 /// Keys that do something when pressed in sequence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binding {
-    /// The keys.
     pub on: Vec<Key>,
     /// What they do.
     pub entry: &'static Entry,
@@ -45,7 +44,6 @@ pub enum Meaning<'a> {
     Does(Verb),
     /// More keys must follow: these chords begin this way.
     Begins(Vec<&'a Binding>),
-    /// Nothing.
     Nothing,
 }
 
@@ -56,7 +54,6 @@ pub enum Place {
     Everywhere,
     /// On screens with a list.
     Lists,
-    /// On one screen.
     On(Screen),
 }
 
@@ -134,7 +131,6 @@ impl Keymap {
         Self { screens: Screen::ALL.map(of_screen) }
     }
 
-    /// All bindings of a screen.
     pub fn bindings(&self, screen: Screen) -> &[Binding] {
         &self.screens[screen.index()]
     }
@@ -238,7 +234,6 @@ const LONGEST_DESC: usize = 100;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file} line {line}: {what}")]
 pub struct KeymapError {
-    /// The file.
     pub file: String,
     /// The line, from 1.
     pub line: usize,
@@ -287,9 +282,6 @@ impl Source<'_> {
 }
 
 /// The preset, overridden by the file.
-///
-/// # Errors
-/// The line that is wrong, and why.
 pub fn read(file: &str, text: &str) -> Result<Keymap, KeymapError> {
     let source = Source { file, text };
     let lines = lines(&source)?;
@@ -408,9 +400,7 @@ pub enum Key {
     Control(char),
     /// Return.
     Enter,
-    /// Escape.
     Escape,
-    /// Tab.
     Tab,
     /// Shift and tab.
     BackTab,
@@ -426,13 +416,10 @@ pub enum Key {
     Left,
     /// Cursor right.
     Right,
-    /// One page up.
     PageUp,
-    /// One page down.
     PageDown,
     /// To the beginning.
     Home,
-    /// To the end.
     End,
 }
 

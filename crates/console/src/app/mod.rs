@@ -118,7 +118,6 @@ pub struct State {
     pub feeds: Feeds,
     /// The profile's public side.
     pub identity: Option<IdentityView>,
-    /// Its keys.
     pub keys: Option<KeysView>,
     /// The site at a glance.
     pub site: Option<SiteView>,
@@ -138,7 +137,6 @@ pub struct State {
     pub detail: Detail,
     /// What needs attention, or did recently.
     pub alerts: AlertBook,
-    /// The chain.
     pub chain: Option<ChainView>,
     /// The graph.
     pub topics: Topics,
@@ -146,7 +144,6 @@ pub struct State {
     pub uploads: Records,
     /// Records of others.
     pub shared: Records,
-    /// Grants.
     pub grants: Grants,
     /// Notices and audit.
     pub log: Log,
@@ -158,7 +155,6 @@ pub struct State {
     pub work: Vec<Tag>,
     /// Commands that wait for an identity.
     pub identity_path: Option<IdentityPath>,
-    /// The gateway.
     pub gateway: Gateway,
     /// The file that is being read for a form.
     pub reading: Option<PathBuf>,
@@ -400,9 +396,7 @@ pub enum Screen {
     Grants,
     /// Identity and keys.
     Keys,
-    /// The chain.
     Chain,
-    /// The gateway.
     Gateway,
     /// Notices and audit lines.
     Log,
@@ -422,7 +416,6 @@ impl Screen {
         Self::Log,
     ];
 
-    /// Its title.
     pub fn title(self) -> &'static str {
         match self {
             Self::Overview => "Overview",
@@ -475,12 +468,9 @@ impl Screen {
     }
 }
 
-/// One step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FirstStep {
-    /// Whether it is done.
     pub done: bool,
-    /// Its name.
     pub name: &'static str,
     /// The key to press.
     pub key: &'static str,

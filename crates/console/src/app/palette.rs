@@ -326,7 +326,6 @@ const WIDEST_NAME: usize = 60;
 pub enum PathKind {
     /// A file; folders are on the way to it.
     File,
-    /// A folder.
     Folder,
 }
 
@@ -348,7 +347,6 @@ pub struct Sought {
 pub struct Candidate {
     /// The name; it comes from others.
     pub name: String,
-    /// Whether it is a folder.
     pub folder: bool,
 }
 

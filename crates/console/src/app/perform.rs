@@ -464,9 +464,6 @@ pub fn open(state: &mut State) {
 }
 
 /// The profile of a completed form.
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
     form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))
 }
@@ -699,7 +696,6 @@ pub enum Capture {
     Watched,
     /// Not until the keyring is unlocked.
     WaitsForKey,
-    /// Paused.
     Paused,
     /// Waiting for somebody to publish it.
     NoPublisher,

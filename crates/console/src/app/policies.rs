@@ -239,9 +239,6 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 }
 
 /// What a completed form leads to: a question at once, or first the text of the file.
-///
-/// # Errors
-/// The field in error, and why.
 pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, (usize, String)> {
     let robot = named(state, form)?;
     match palette::of_line(form, FILE, &state.settings) {

@@ -29,11 +29,9 @@ pub enum Popup {
     Help(Help),
     /// Yes or no, default no.
     Confirm(Confirm),
-    /// A form.
     Form(Purpose, Form),
     /// A record's provenance and state.
     Provenance(Lookup<Provenance>),
-    /// An opened record.
     Record(Opening),
     /// The first keys of a chord; the possible next keys are shown.
     Chord(Vec<Key>),
@@ -55,7 +53,6 @@ pub enum Popup {
     Browse(Browse),
     /// The address book.
     Contacts(Book),
-    /// The incidents.
     Incidents(IncidentList),
     /// A robot: its policy, topics, losses.
     Robot(Lookup<RobotView>),

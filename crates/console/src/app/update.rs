@@ -556,7 +556,6 @@ impl Slot {
     }
 }
 
-/// All slots.
 #[derive(Debug, Clone)]
 pub struct Feeds([Slot; Feed::ALL.len()]);
 

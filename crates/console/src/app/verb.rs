@@ -17,19 +17,14 @@ use zeroize::Zeroizing;
 /// Something an operator can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Verb {
-    /// To a screen.
     Go(Screen),
-    /// To the next screen.
     NextScreen,
-    /// To the previous screen.
     PreviousScreen,
     /// Cursor up.
     Up,
     /// Cursor down.
     Down,
-    /// A page up.
     PageUp,
-    /// A page down.
     PageDown,
     /// To the first row.
     First,
@@ -43,7 +38,6 @@ pub enum Verb {
     Filter,
     /// To the next row that matches the filter.
     NextMatch,
-    /// To the previous one.
     PreviousMatch,
     /// Sort by the next column.
     Sort,
@@ -61,7 +55,6 @@ pub enum Verb {
     Check,
     /// Export the record's files for third parties to check.
     Export,
-    /// Create an identity.
     CreateIdentity,
     /// Open the keyring.
     Unlock,
@@ -99,7 +92,6 @@ pub enum Verb {
     SetPolicy,
     /// A new incident.
     Incident,
-    /// The incidents.
     Incidents,
     /// Speak for another profile.
     Profile,
@@ -147,13 +139,11 @@ pub enum Verb {
     Help,
     /// Dismiss the message.
     Dismiss,
-    /// Choose a theme.
     ChooseTheme,
     /// ASCII characters only, or all.
     Ascii,
     /// The mouse for the console, or for the terminal's own selection.
     Mouse,
-    /// Redraw.
     Redraw,
     /// Suspend, back to the shell.
     Suspend,
@@ -164,7 +154,6 @@ pub enum Verb {
 /// One entry of the list.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// The verb.
     pub verb: Verb,
     /// Its name in the palette.
     pub name: &'static str,
@@ -458,21 +447,11 @@ pub enum Action {
     /// Text was pasted.
     Paste(Zeroizing<String>),
     /// The terminal has a new size, in cells.
-    Resize {
-        /// Columns.
-        columns: u16,
-        /// Rows.
-        rows: u16,
-    },
+    Resize { columns: u16, rows: u16 },
     /// The current time.
     Tick(Timestamp),
     /// The site answered.
-    Answered {
-        /// Which question.
-        tag: Tag,
-        /// Its answer.
-        result: Box<Result<Reply, Failure>>,
-    },
+    Answered { tag: Tag, result: Box<Result<Reply, Failure>> },
     /// The site sent an event.
     Told(Event),
     /// Events were missed; everything is requested again.
@@ -486,17 +465,9 @@ pub enum Action {
     /// The theme is now this one.
     ThemeIs(String),
     /// The wheel was turned: up or down.
-    Wheel {
-        /// Away from the operator.
-        up: bool,
-    },
+    Wheel { up: bool },
     /// The left button was pressed on a cell, from 0.
-    Click {
-        /// Column.
-        column: u16,
-        /// Row.
-        row: u16,
-    },
+    Click { column: u16, row: u16 },
     /// The process was suspended and is running again.
     Resumed,
     /// A background task of this process failed.
@@ -539,7 +510,6 @@ pub enum Effect {
         base: Option<PathBuf>,
         /// Directory to create, if any.
         directory: Option<String>,
-        /// The files.
         files: Vec<Contents>,
     },
 }
@@ -567,7 +537,6 @@ impl From<ExportedFile> for Contents {
 /// A command to send, with the tag for its answer.
 #[derive(Debug, Clone)]
 pub struct Errand {
-    /// The command.
     pub command: Command,
     /// The tag of its answer.
     pub tag: Tag,
@@ -590,15 +559,11 @@ pub enum Tag {
     Watch(String),
     /// End of the watching of a topic.
     Unwatch(String),
-    /// A grant.
     Grant(Party),
     /// Extension of a grant.
     Extend(Address),
-    /// A revoke.
     Revoke(Address),
-    /// Loading of a key.
     LoadKey(KeyKind),
-    /// Export of a key.
     ExportKey(KeyKind),
     /// A new epoch.
     Rotate,

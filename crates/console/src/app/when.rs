@@ -9,9 +9,6 @@ use crate::service::reply::PartHealth;
 
 /// The moment `text` means, counted from `now` and rounded up to the whole second; `None` in the answer = no end
 /// (empty text).
-///
-/// # Errors
-/// What to write instead.
 pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     let text = text.trim();
     if text.is_empty() || text == "never" {

@@ -426,9 +426,6 @@ const LARGEST: u16 = 1000;
 pub const ADVICE: &str = "the terminal reports no size: stty rows 24 cols 80";
 
 /// Columns and rows, and whether the terminal reports them.
-///
-/// # Errors
-/// If the terminal cannot be asked.
 pub fn size() -> io::Result<((u16, u16), bool)> {
     let reported = crossterm::terminal::size()?;
     let known = known(reported, |name| std::env::var(name).ok());

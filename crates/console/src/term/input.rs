@@ -21,9 +21,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const REST: Duration = Duration::from_millis(200);
 
 /// Gives what is typed to `typed` until `stop` is set.
-///
-/// # Errors
-/// If the thread cannot be started.
 pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<thread::JoinHandle<()>> {
     let read = move || {
         while !stop.load(Ordering::Relaxed) {
@@ -122,9 +119,6 @@ pub struct Listener {
 
 impl Listener {
     /// Passes every signal to `heard`, from a thread of its own.
-    ///
-    /// # Errors
-    /// If the handlers cannot be installed.
     pub fn start(heard: impl Fn(i32) + Send + 'static) -> io::Result<Self> {
         let mut signals = Signals::new(ENDING.into_iter().chain([SIGTSTP, SIGCONT]))?;
         let handle = signals.handle();
@@ -145,9 +139,6 @@ impl Drop for Listener {
 }
 
 /// Stops this process until it is continued.
-///
-/// # Errors
-/// If the signal cannot be raised.
 pub fn stop_here() -> io::Result<()> {
     low_level::emulate_default_handler(SIGTSTP)
 }

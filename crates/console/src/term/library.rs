@@ -186,7 +186,6 @@ type Situation = (&'static str, fn(Size) -> Robot);
 const MINUTE: u64 = 60_000_000_000;
 const ODOMETRY: &str = "/robot1/odom";
 
-/// All situations.
 pub fn all() -> Vec<Situation> {
     [SCREENS, STATES, GRANTS, RECORDS, WINDOWS].concat()
 }

@@ -135,9 +135,6 @@ pub fn is_interactive() -> bool {
 ///
 /// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for some seconds afterwards, and
 /// forever if the terminal is gone: the caller should end the process soon.
-///
-/// # Errors
-/// [`TermError`] if the terminal fails.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     Session::open(client, handle, options)?.run()
 }
@@ -452,7 +449,6 @@ fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {
 pub enum Message {
     /// An action for `app::update`.
     Act(Action),
-    /// A signal.
     Signal(i32),
     /// The terminal takes no more bytes.
     TerminalFailed,
@@ -565,9 +561,6 @@ impl Guard {
     /// Takes the terminal; when it is given back, `take_pictures` is written first. A panic of the console restores it
     /// before anything is printed; if the panic was not in the caller's thread, `broken` is called, because nothing
     /// draws or reads any more. A panic of any other thread is passed to `fault` and leaves the terminal alone.
-    ///
-    /// # Errors
-    /// If the terminal refuses.
     pub fn enter(
         take_pictures: &'static str,
         fault: impl Fn(String) + Send + Sync + 'static,
@@ -602,9 +595,6 @@ impl Drop for Guard {
 }
 
 /// Takes the terminal, at the beginning or after a suspension.
-///
-/// # Errors
-/// If the terminal refuses.
 pub fn take() -> io::Result<()> {
     if ENTERED.load(Ordering::SeqCst) {
         // The shell may have changed the modes behind our back; enabling them twice has no effect.
@@ -645,9 +635,6 @@ pub fn abandon() {
 }
 
 /// Writes to the terminal, bypassing our buffers.
-///
-/// # Errors
-/// If the terminal is gone.
 pub fn write(bytes: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(bytes.as_bytes())?;
@@ -679,9 +666,6 @@ impl Drop for Kept<'_> {
 
 /// Asks for a secret at the terminal that controls this process; `None` if standard input is not a terminal, or the
 /// answer is Ctrl-C, Ctrl-D or nothing.
-///
-/// # Errors
-/// Errors of the terminal.
 pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     if !io::stdin().is_terminal() {
         return Ok(None);

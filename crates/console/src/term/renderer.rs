@@ -82,9 +82,6 @@ fn cells((columns, rows): (u16, u16)) -> Size {
 }
 
 /// Starts the thread; `failed` is called when the terminal takes no more bytes.
-///
-/// # Errors
-/// If the thread cannot be started.
 pub fn start(
     stage: Arc<Stage>,
     mut painter: Painter,

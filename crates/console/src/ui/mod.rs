@@ -371,7 +371,6 @@ fn append_word(lines: &mut Vec<String>, word: &str, width: usize) {
     }
 }
 
-/// Draws it.
 pub fn draw_tour(canvas: &mut Canvas, area: Rect, tour: &Tour) {
     let Some([name, act, why]) = tour.lines() else { return };
     let (place, of) = tour.count();

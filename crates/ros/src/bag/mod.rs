@@ -325,9 +325,6 @@ impl<W: Write + Seek> BagWriter<W> {
     }
 
     /// Writes the last chunk and the index, and returns the file.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written.
     pub fn finish(mut self) -> Result<W, RosError> {
         self.end_chunk()?;
         let index_position = self.position;

@@ -553,9 +553,6 @@ pub(super) fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression>
 }
 
 /// The first position at or after `from` where a chunk record begins.
-///
-/// # Errors
-/// Errors of the file.
 pub(super) fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
     let mut at = from;
     let mut window = Vec::with_capacity(WINDOW);

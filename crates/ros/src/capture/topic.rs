@@ -323,7 +323,6 @@ pub(crate) fn next_number() -> u64 {
 /// A publisher with the same caller id that was still being read when another one registered.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rival {
-    /// Its number.
     pub number: u64,
     /// Its URI, as the master listed it.
     pub uri: String,

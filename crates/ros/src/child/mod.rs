@@ -40,7 +40,6 @@ pub fn find(name: &str, given: Option<&Path>) -> Result<PathBuf, PathBuf> {
 pub struct Errand {
     /// The program's path.
     pub program: PathBuf,
-    /// Its arguments.
     pub arguments: Vec<String>,
     /// Its whole environment.
     pub environment: Vec<(&'static str, String)>,
@@ -354,9 +353,6 @@ impl Run {
     }
 
     /// Sends an order with its payload.
-    ///
-    /// # Errors
-    /// Why the program does not get it.
     pub fn order<T: Serialize>(&self, order: &Order<T>, payload: &[u8]) -> Result<(), String> {
         let mut to = locked(&self.shared.to_child);
         let sent = to.as_mut().map(|to| send(to, order, payload).and_then(|()| Ok(to.flush()?)));
@@ -389,9 +385,6 @@ impl Run {
     }
 
     /// Waits until the state has something, at most for `patience`.
-    ///
-    /// # Errors
-    /// Why the program has ended.
     pub fn wait<T>(
         &self,
         patience: Duration,

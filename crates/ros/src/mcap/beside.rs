@@ -47,7 +47,6 @@ pub struct AttachedFile<'a> {
 pub enum BesideContent<'a> {
     /// An attachment.
     File(AttachedFile<'a>),
-    /// Metadata.
     Metadata {
         /// Its name, as written.
         name: Arc<str>,

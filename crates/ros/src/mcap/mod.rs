@@ -517,9 +517,6 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     /// Writes the last chunk and the summary, and returns the file.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written.
     pub fn finish(mut self) -> Result<W, RosError> {
         self.put_header("ros1")?;
         self.end_chunk()?;

@@ -47,9 +47,6 @@ impl Definition {
     }
 
     /// Like [`Definition::decode`]; its steps are subtracted from `limits`, so that several bodies share them.
-    ///
-    /// # Errors
-    /// See [`Definition::decode`].
     pub fn decode_from(&self, body: &[u8], limits: &mut Limits) -> Result<Value, RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let mut walk = self.walk(body, *limits).map_err(failed)?;
@@ -454,7 +451,6 @@ impl<'a> Cursor<'a> {
         Ok(if self.is_cdr() { bytes.strip_suffix(&[0]).unwrap_or(bytes) } else { bytes })
     }
 
-    /// A wide text.
     pub fn wide_text(&mut self) -> Result<String, WireError> {
         let length = self.length()?;
         let (size, count) = match self.cdr.map_or(Wide::Bytes, |cdr| cdr.wide) {
@@ -481,7 +477,6 @@ impl<'a> Cursor<'a> {
         self.odd
     }
 
-    /// Begins a message.
     pub fn begin_message(&mut self) -> Result<Part, Failure> {
         self.begin(self.cdr.is_some_and(|cdr| cdr.delimited))
     }
@@ -546,7 +541,6 @@ pub enum Value {
     Time(u32, u32),
     /// A span of time: seconds and nanoseconds.
     Duration(i32, i32),
-    /// An array.
     Array(Vec<Value>),
     /// An array too large to expand.
     Large {

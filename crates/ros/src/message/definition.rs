@@ -244,7 +244,6 @@ impl Primitive {
         })
     }
 
-    /// Whether it is a text.
     pub fn is_text(self) -> bool {
         matches!(self, Self::Text | Self::Wide)
     }
@@ -352,9 +351,6 @@ impl<'a, T> Nesting<'a, T> {
     }
 
     /// Index and height of a type's layout.
-    ///
-    /// # Errors
-    /// As in [`Nesting::layouts_of`].
     pub fn resolve(&mut self, name: &str, make: Make<'a, T>) -> Result<(usize, usize), String> {
         if self.path.iter().any(|above| above == name) {
             return Err(format!("{name} contains itself"));

@@ -82,7 +82,6 @@ fn field(member: &Member) -> Field {
 enum Of {
     Plain {
         primitive: Primitive,
-        /// Its number in type descriptions.
         number: u8,
     },
     /// Index of an interface.
@@ -447,9 +446,6 @@ impl Folders {
     }
 
     /// A type's text, completed with the sections of nested types that it lacks; and the names of these types.
-    ///
-    /// # Errors
-    /// See [`Folders::text_of`].
     pub fn complete(&self, type_name: &str, text: &str) -> Result<(String, Vec<String>), RosError> {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;

@@ -273,9 +273,6 @@ fn broken(error: impl std::fmt::Display) -> PictureError {
 }
 
 /// Decodes a JPEG or PNG file within [`MOST_PIXELS`] and [`DECODER_MEMORY`].
-///
-/// # Errors
-/// [`PictureError::Large`] before anything is decoded, [`PictureError::Broken`].
 pub fn decode(data: &[u8]) -> Result<Rgb, PictureError> {
     if data.starts_with(PNG_MAGIC) { decode_png(data) } else { decode_jpeg(data) }
 }
@@ -415,10 +412,6 @@ impl Raster {
         fitted((self.width, self.height), largest)
     }
 
-    /// As a PNG.
-    ///
-    /// # Errors
-    /// [`PictureError`] if it has no pixels.
     pub fn png(&self) -> Result<Vec<u8>, PictureError> {
         png_file(&self.rgb, (self.width, self.height), ColorType::Rgb, BitDepth::Eight)
     }

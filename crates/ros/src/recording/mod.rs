@@ -70,10 +70,7 @@ pub enum Encoding {
     /// As in ROS 1.
     Ros1,
     /// CDR, as in ROS 2; with the schema's encoding as named by MCAP (`ros2msg`, `ros2idl`).
-    Cdr {
-        /// Whether the schema is IDL.
-        idl: bool,
-    },
+    Cdr { idl: bool },
     /// No message: MCAP's own bytes of what the recording holds beside its messages.
     Beside(Beside),
 }
@@ -119,7 +116,6 @@ pub struct Sent {
     pub sequence: u32,
 }
 
-/// One message of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordedMessage {
     /// Topic, type, publisher.
@@ -332,9 +328,6 @@ fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<
 pub(crate) const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// The body of a message: rosbag2 with `compression_mode: MESSAGE` makes a zstd frame of each. What is sealed is the message.
-///
-/// # Errors
-/// Why the frame cannot be unpacked.
 pub(crate) fn unpacked_body(encoding: Encoding, body: Vec<u8>) -> Result<Vec<u8>, String> {
     if !matches!(encoding, Encoding::Cdr { .. }) || !body.starts_with(&ZSTD) {
         return Ok(body);
@@ -356,9 +349,6 @@ fn drain(source: impl Read, limit: usize, out: &mut Vec<u8>) -> Result<(), Strin
 }
 
 /// Compresses the bytes of a chunk.
-///
-/// # Errors
-/// The compressor's error text.
 pub(crate) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Result<Vec<u8>, String> {
     match compression {
         ChunkCompression::None => Ok(bytes.to_vec()),
@@ -401,20 +391,17 @@ pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> std::io::Resul
 /// Bytes read ahead.
 const BUFFER: usize = 256 * 1024;
 
-/// The formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingFormat {
     /// rosbag 2.0.
     Bag,
-    /// MCAP.
     Mcap,
     /// A folder of rosbag2 with one MCAP file.
     Rosbag2,
 }
 
 impl RecordingFormat {
-    /// Its word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Bag => "bag",
@@ -476,9 +463,6 @@ fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
 
 /// The content of a file, by which it is known: of one that is compressed as a whole, what comes out of it, if it can be
 /// unpacked. A recorder compresses what it has closed, which may have been sealed before.
-///
-/// # Errors
-/// [`RosError::Recording`] if it cannot be read.
 pub fn content_of(path: &Path) -> Result<File, RosError> {
     let (file, magic) = begin(path)?;
     let whole = if magic.starts_with(&ZSTD) { unpacked(path).ok() } else { None };
@@ -488,9 +472,7 @@ pub fn content_of(path: &Path) -> Result<File, RosError> {
 
 /// A recording being read, message by message in file order.
 pub enum Recording {
-    /// A bag.
     Bag(BagReader<BufReader<File>>),
-    /// MCAP.
     Mcap(McapReader<BufReader<File>>),
     /// A closed `.db3` file of rosbag2.
     Db3(Box<Db3Reader>),
@@ -577,17 +559,12 @@ impl Recording {
 
 /// A recording being written.
 pub enum RecordingWriter {
-    /// A bag.
     Bag(Box<BagWriter<BufWriter<File>>>),
-    /// MCAP.
     Mcap(Box<McapWriter<BufWriter<File>>>),
 }
 
 impl RecordingWriter {
     /// Starts a recording in an empty file.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written.
     pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self, RosError> {
         let out = BufWriter::with_capacity(BUFFER, file);
         Ok(match format {
@@ -617,9 +594,6 @@ impl RecordingWriter {
     }
 
     /// Writes the index; the file is then on disk.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written.
     pub fn finish(self) -> Result<(), RosError> {
         let out = match self {
             Self::Bag(writer) => writer.finish()?,

@@ -88,7 +88,6 @@ fn lives_beside(elder: &Publisher, came: Instant, now: Instant) -> Option<bool> 
     elder.pulse.telling(came).is_some_and(|enough| quiet >= enough).then_some(false)
 }
 
-/// The place of a publisher now.
 pub fn place(publisher: &Publisher, all: &BTreeMap<String, Publisher>, now: Instant) -> Place {
     let patience = if publisher.writer.naming { NAMING } else { UNNAMED };
     let waited = now.saturating_duration_since(publisher.came);

@@ -47,7 +47,6 @@ fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
 /// A topic of the domain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ros2Topic {
-    /// Its name.
     pub name: String,
     /// Its type, `package/msg/Type`.
     pub type_name: String,
@@ -104,7 +103,6 @@ impl Ros2Capture {
         self.shared.settle(topic);
     }
 
-    /// The watched topics.
     pub fn watched(&self) -> Vec<TopicName> {
         self.shared.state().watched.iter().cloned().collect()
     }
@@ -145,18 +143,13 @@ pub enum Reading {
     /// It reads.
     Up,
     /// It does not; it is restarted.
-    Down {
-        /// Why.
-        reason: String,
-    },
+    Down { reason: String },
 }
 
 /// The state of reading.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Standing {
-    /// The domain.
     pub domain: u16,
-    /// Whether it is read.
     pub reading: Reading,
     /// The participants.
     pub counts: Counts,
@@ -214,7 +207,6 @@ const BEGAN_WELL: Duration = Duration::from_secs(10);
 
 /// Shared by the threads of a capture.
 pub struct Shared {
-    /// The domain.
     pub domain: u16,
     program: PathBuf,
     sink: Arc<dyn MessageSink>,
@@ -424,9 +416,6 @@ pub fn keep_reading(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
 }
 
 /// Kills a program that no longer reports.
-///
-/// # Errors
-/// See [`keep_reading`].
 pub fn keep_watch(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
     let shared = Arc::clone(shared);
     thread("ros2 watch", move || shared.watch_over())
@@ -499,16 +488,12 @@ impl Ros2Publisher {
         self.run.is_confined()
     }
 
-    /// The domain.
     pub fn domain(&self) -> u16 {
         self.domain
     }
 
     /// Announces a topic whose first message has `size` bytes, and waits for the subscribers that are known if `patient`.
     /// Refused, with the reason, if it is no ROS 2 topic, or somebody else publishes it and it is to be `alone`.
-    ///
-    /// # Errors
-    /// [`RosError::NotPublished`] if the program does not run.
     pub fn advertise(
         &mut self,
         topic: &Offered,
@@ -577,9 +562,6 @@ impl Ros2Publisher {
     }
 
     /// Starts the program anew if it has ended, with all topics and what was latched.
-    ///
-    /// # Errors
-    /// See [`Self::start`].
     pub fn revive(&mut self) -> Result<(), RosError> {
         if self.run.broken().is_none() {
             return Ok(());

@@ -35,7 +35,6 @@ pub struct Outcome {
     pub notices: Vec<CaptureNotice>,
     /// Questions for the program that reads.
     pub wishes: Vec<Wish>,
-    /// Messages.
     pub messages: Vec<Message>,
     /// Definitions that came after messages to which they belong.
     pub definitions: Vec<Message>,

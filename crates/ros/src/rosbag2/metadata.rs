@@ -46,9 +46,6 @@ pub(super) struct Metadata {
 
 impl Metadata {
     /// Reads the text of the file.
-    ///
-    /// # Errors
-    /// What is wrong with it.
     pub fn parse(text: &str) -> Result<Self, String> {
         let document = parse(text)?;
         let root = document.get("rosbag2_bagfile_information").ok_or("it does not describe a recording of rosbag2")?;
@@ -203,7 +200,6 @@ const LONGEST: usize = 4 << 20;
 const DEEPEST: usize = 24;
 const MOST: usize = 400_000;
 
-/// A value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Value {
     /// Any scalar as text; nothing is empty.
@@ -238,9 +234,6 @@ impl Value {
 }
 
 /// Reads a document.
-///
-/// # Errors
-/// What cannot be read, with its line.
 pub(super) fn parse(text: &str) -> Result<Value, String> {
     if text.len() > LONGEST {
         return Err(format!("it is longer than {LONGEST} bytes"));

@@ -154,9 +154,6 @@ pub struct Writing {
 
 impl Writing {
     /// Announces a topic, whose messages have about this size; all others keep `others` bytes.
-    ///
-    /// # Errors
-    /// The reason, as a clause.
     pub fn begin(
         (participant, publisher, socket): (&DomainParticipant, &Publisher, &Rc<UdpSocket>),
         topic: &Topic,

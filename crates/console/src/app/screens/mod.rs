@@ -47,7 +47,6 @@ pub struct Member<'a> {
 }
 
 impl Member<'_> {
-    /// Its name.
     pub fn name(&self) -> String {
         let sender = self.sender.map(|sender| &sender.name);
         sender.or(self.robot.map(|robot| &robot.name)).map(ToString::to_string).unwrap_or_default()
@@ -226,12 +225,10 @@ pub fn is_active(row: &GrantRow) -> bool {
     row.state == GrantState::Active
 }
 
-/// The other side of a grant.
 pub fn other_side(row: &GrantRow) -> Address {
     if is_given(row) { row.grantee } else { row.owner }
 }
 
-/// The key of a row.
 pub fn key(row: &GrantRow) -> String {
     format!("{}{}{}{}", row.transaction, row.direction.word(), row.grantee, row.epoch)
 }
@@ -347,18 +344,14 @@ pub const MOST_AUDIT: usize = 300;
 /// Columns kept of a text.
 const WIDEST: usize = 400;
 
-/// One line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogLine {
     /// When.
     pub at: Timestamp,
     /// How urgent.
     pub level: NoticeLevel,
-    /// Its key.
     pub key: String,
-    /// Its source.
     pub source: Source,
-    /// Its text.
     pub text: String,
     /// Its subject, if a later notice about the same replaces it.
     pub about: Option<String>,
@@ -388,7 +381,6 @@ impl Source {
     /// All, in the filter's order.
     pub const ALL: [Self; 3] = [Self::Console, Self::Site, Self::Audit];
 
-    /// In a word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Console => "console",
@@ -498,7 +490,6 @@ impl Log {
     }
 }
 
-/// A level in one word.
 pub fn level_word(level: NoticeLevel) -> &'static str {
     match level {
         NoticeLevel::Info => "info",

@@ -16,7 +16,6 @@ pub const ROWS: u16 = 4;
 pub struct Cast {
     /// The owner, whose records are captured and shared.
     pub owner: ProfileName,
-    /// The reader.
     pub reader: ProfileName,
 }
 
@@ -133,11 +132,9 @@ pub enum Step {
 pub struct StepText {
     /// What it waits for.
     pub step: Step,
-    /// Its name.
     pub name: &'static str,
     /// What to do.
     pub act: &'static str,
-    /// Why.
     pub why: &'static str,
 }
 

@@ -177,7 +177,6 @@ pub fn draw_themes(canvas: &mut Canvas, area: Rect, state: &State, choice: &Them
 /// Columns of the names.
 const NAME: u16 = 18;
 
-/// Draws the palette.
 pub fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palette) {
     let inner = framed(canvas, area, "Commands", 72, 14);
     canvas.puts(inner, &[(": ", Role::Key), (palette.field.text(), Role::Accent)]);
@@ -211,10 +210,8 @@ fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry, her
 const WIDTH: u16 = 66;
 /// Columns of the cursor and the box.
 const BOX: u16 = 5;
-/// Columns of a name.
 const COLUMNS_NAME: u16 = 12;
 
-/// Draws the choice.
 pub fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnChoice) {
     let Some(table) = state.table() else { return };
     let all = match state.screen {
@@ -340,7 +337,6 @@ const ROWS: u16 = 12;
 /// Columns of a form.
 const FORM_WIDTH: u16 = 68;
 
-/// Draws a form.
 pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
     let width = FORM_WIDTH.min(area.width.saturating_sub(6));
     let notes: Vec<String> = form.notes.iter().flat_map(|note| wrap(&clean(note, 500), width)).collect();

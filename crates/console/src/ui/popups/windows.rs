@@ -563,7 +563,6 @@ const ROBOT_WIDEST: u16 = 110;
 /// Columns of the numbers of a topic.
 const NUMBER: usize = 9;
 
-/// Draws a robot.
 pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<RobotView>) {
     let width = width(area);
     let lines = match &lookup.answer {
