@@ -1,6 +1,5 @@
 //! Popups over a screen: a frame in its middle. The small ones are here, the large ones in a file each.
 
-mod incidents;
 mod windows;
 
 pub(in crate::ui) use windows::{
@@ -50,7 +49,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Tasks => windows::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => draw_browse(canvas, area, state, browse),
         Popup::Contacts(book) => draw_contacts(canvas, area, state, book),
-        Popup::Incidents(list) => incidents::draw(canvas, area, state, list),
+        Popup::Incidents(list) => windows::draw_incidents(canvas, area, state, list),
         Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
 }

@@ -1,23 +1,24 @@
 //! The large popups: a record, where it comes from, and opened, its description and below it one of its faces (values, plot,
-//! picture, fields, bytes); and the present state: who can read, who publishes a topic, what is running, how a robot is.
+//! picture, fields, bytes); the present state: who can read, who publishes a topic, what is running, how a robot is; and the
+//! incidents: a line for each, and below what the one under the cursor holds.
 
 use super::framed;
-use super::incidents::draw_told;
+use crate::app::incidents::IncidentList;
 use crate::app::opening::{BYTES_A_LINE, Face, Opening};
 use crate::app::popup::{Lookup, readers};
 use crate::app::screens::{LogLine, day, end, is_active, is_given, level_word, scope};
 use crate::app::update::Feed;
-use crate::app::{State, Tag};
-use crate::model::{Verdict, clean};
+use crate::app::{State, Tag, counted};
+use crate::model::{Timestamp, Verdict, clean};
 use crate::pipeline::sender::LaneState;
 use crate::ros::readable::{Readable, Table};
 use crate::service::NoticeLevel;
 use crate::service::reply::{
-    AlarmView, GrantRow, OpenedView, PinView, PinsView, Provenance, RecordView, RobotView, ShownState, TaskState,
-    TaskView,
+    AlarmView, GrantRow, IncidentNoteView, IncidentView, OpenedView, PinView, PinsView, Provenance, RecordView,
+    RobotView, ShownState, SpanCoverageView, TaskState, TaskView,
 };
 use crate::ui::gateway::{self, Fact};
-use crate::ui::lists::state_role;
+use crate::ui::lists::{empty, state_role};
 use crate::ui::theme::Role;
 use crate::ui::{self, Canvas, bars, below, columns, count, plot, right_of, row, size, wrap};
 use ratatui::layout::Rect;
@@ -636,6 +637,128 @@ fn robot_text(view: &RobotView, width: u16) -> Vec<GatewayLine> {
     let parts = view.policy.trim_end().lines().flat_map(|line| wrap(&clean(line, 500), width));
     lines.extend(parts.map(|line| (line, Role::Body)));
     lines
+}
+
+/// Columns of a name.
+const INCIDENT_NAME: u16 = 22;
+/// Columns of a state.
+const STATE: u16 = 8;
+/// The widest the list grows.
+const INCIDENT_WIDEST: u16 = 110;
+/// Seconds of a day.
+const DAY: u64 = 86_400;
+
+/// Draws the list, and below it what the incident under the cursor holds.
+pub fn draw_incidents(canvas: &mut Canvas, area: Rect, state: &State, list: &IncidentList) {
+    let width = INCIDENT_WIDEST.min(area.width.saturating_sub(6));
+    let Some(chosen) = list.chosen(state) else {
+        let inner = framed(canvas, area, "Incidents", width.min(72), 2);
+        let nothing = "None yet: n opens one, to keep the records of a time span.";
+        canvas.put(inner, empty(state, Feed::Incidents, nothing), Role::Dim);
+        return;
+    };
+    let rows = &state.incidents.rows;
+    let told: Vec<Line> = holdings(state, chosen)
+        .into_iter()
+        .flat_map(|(text, role)| ui::wrap(&text, width).into_iter().map(move |line| (line, role)))
+        .collect();
+    let number = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
+    // A third is the list's, however many there are.
+    let listed = number(rows.len()).min((area.height.saturating_sub(4) / 3).max(1));
+    let inner = framed(canvas, area, "Incidents", width, number(told.len()).saturating_add(listed + 1));
+    let selected = list.selected.min(rows.len().saturating_sub(1));
+    let height = usize::from(listed);
+    let first = selected - selected % height.max(1);
+    for (place, (index, incident)) in (0u16..).zip(rows.iter().enumerate().skip(first).take(height)) {
+        draw_incident(canvas, row(inner, place), incident, index == selected);
+    }
+    draw_told(canvas, below(inner, listed + 1), &told, list.scroll);
+}
+
+fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here: bool) {
+    canvas.put(line, if here { "▌" } else { " " }, Role::Accent);
+    let name = Rect { width: INCIDENT_NAME.min(line.width.saturating_sub(1)), ..right_of(line, 1) };
+    canvas.put(name, incident.name.as_str(), if here { Role::Selection } else { Role::Body });
+    let rest = right_of(line, INCIDENT_NAME + 2);
+    let (word, role) = if incident.open { ("open", Role::Good) } else { ("closed", Role::Dim) };
+    canvas.put(rest, word, role);
+    let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
+    let held = format!("{} in {}", records(incident.records), counted(topics, "topic"));
+    canvas.puts(right_of(rest, STATE), &[(&held, Role::Body), (&format!(", {}", ui::size(incident.bytes)), Role::Dim)]);
+}
+
+/// Draws lines from the `scroll`-th on, and says how many are above and below.
+pub(super) fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Line], scroll: usize) {
+    let height = usize::from(area.height);
+    let first = scroll.min(told.len().saturating_sub(height));
+    for (place, (line, role)) in (0..area.height).zip(told.iter().skip(first)) {
+        canvas.put(row(area, place), line, *role);
+    }
+    let left = told.len().saturating_sub(first + height);
+    if first > 0 || left > 0 {
+        let edge = Rect { y: area.bottom(), height: 1, ..area };
+        canvas.put_right(edge, &format!(" {first} above, {left} below "), Role::Dim);
+    }
+}
+
+fn records(count: u64) -> String {
+    format!("{} {}", ui::count(count), if count == 1 { "record" } else { "records" })
+}
+
+/// Its span, its notes, and what there is of each topic.
+fn holdings(state: &State, incident: &IncidentView) -> Vec<Line> {
+    let to = match incident.until {
+        Some(until) => format!("to {} UTC", day(until)),
+        None => "UTC, until it is closed".to_owned(),
+    };
+    let about = match incident.topics.len() {
+        0 => "all topics".to_owned(),
+        count => counted(count as u64, "topic"),
+    };
+    let mut lines = vec![(format!("From {} {to}, {about}", day(incident.since)), Role::Title)];
+    lines.extend(incident.notes.iter().flat_map(note));
+    lines.push(Line::default());
+    if incident.coverage.is_empty() {
+        lines.push(("Nothing was recorded in that time.".to_owned(), Role::Dim));
+    }
+    lines.extend(incident.coverage.iter().flat_map(|one| topic(state, one)));
+    lines
+}
+
+fn note(note: &IncidentNoteView) -> Vec<Line> {
+    let mut lines = note.text.lines().map(|line| clean(line, 2_000));
+    let first = lines.next().unwrap_or_default();
+    let rest = lines.map(|line| (format!("  {line}"), Role::Body));
+    std::iter::once((format!("{}  {first}", day(note.at)), Role::Body)).chain(rest).collect()
+}
+
+fn topic(state: &State, one: &SpanCoverageView) -> Vec<Line> {
+    let name = clean(&one.topic, 255);
+    let mut lines = match (one.first, one.last) {
+        (Some(first), Some(last)) => {
+            vec![(format!("{name}  {}, {}", records(one.records), from_to(state, first, last)), Role::Body)]
+        }
+        _ if one.quarantined > 0 => vec![(format!("{name}  no record"), Role::Warning)],
+        _ => vec![(format!("{name}  nothing in that time: check the name and whether it is watched"), Role::Warning)],
+    };
+    let missing =
+        [(one.lost, "lost"), (one.quarantined, "in quarantine"), (one.deleted, "deleted earlier by retention")];
+    let missing: Vec<String> = missing
+        .into_iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, word)| format!("{} {word}", ui::count(count)))
+        .collect();
+    if !missing.is_empty() {
+        lines.push((format!("  {}", missing.join(", ")), Role::Warning));
+    }
+    lines
+}
+
+fn from_to(state: &State, first: Timestamp, last: Timestamp) -> String {
+    if first.seconds() / DAY == last.seconds() / DAY {
+        return format!("{} to {}", state.clock(first), state.clock(last));
+    }
+    format!("{} to {}", day(first), day(last))
 }
 
 #[cfg(test)]
