@@ -277,7 +277,6 @@ impl Lines {
 
 /// Why the settings cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum ConfigError {
     /// The file is not TOML.
     #[error("{file} is not valid TOML: {what}; correct it, or move it away to use the defaults")]

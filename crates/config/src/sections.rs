@@ -70,7 +70,6 @@ impl ConsoleSettings {
 
 /// Where figures are served.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum FiguresPlace {
     /// An address; on this machine only, unless `open` allows others to reach it.
     Address { address: SocketAddr, open: bool },

@@ -13,7 +13,6 @@ use crate::wire::{Reader, WireError};
 /// How an embedded chain seals its blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Consensus {
     /// Proof of authority as in Clique (EIP-225): 1 to 16 signers take turns. The period is the least
     /// time between two blocks, whole milliseconds, at most 10 minutes.
