@@ -120,7 +120,7 @@ pub trait Provider: Send + Sync {
 pub const LARGEST_SM2_PLAIN: usize = 1024 * 1024;
 
 /// Refuses what SM2 encryption cannot or should not take: nothing at all, or more than it is meant for.
-pub(super) fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
+fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
     if (1..=LARGEST_SM2_PLAIN).contains(&plain.len()) {
         return Ok(());
     }
@@ -331,7 +331,7 @@ const MODULUS: [u8; 32] = [
 ];
 
 /// Starts a thread, once, that builds libsm's table of multiples of the generator.
-pub(super) fn warm_up_libsm() {
+fn warm_up_libsm() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {
         // If no thread can be started, the first call builds the table instead.

@@ -16,7 +16,7 @@ use authros_model::{Address, Digest, Hash, Header, Timestamp};
 use rlp::{Rlp, RlpStream};
 
 /// The mix hash of such a header.
-pub(crate) const MIX: [u8; 32] = *b"ctical byzantine fault tolerance";
+const MIX: [u8; 32] = *b"ctical byzantine fault tolerance";
 /// Rounds tried if the seals do not fit the header's own, to say what is wrong.
 const ROUNDS_TRIED: u32 = 16;
 
@@ -224,7 +224,7 @@ pub fn validators_in(extra: &[u8]) -> Vec<Address> {
 }
 
 /// The account whose key made a seal (r, s, parity) over a hash.
-pub(crate) fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address> {
+fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address> {
     let mut seal = *seal;
     let parity = seal.last_mut()?;
     *parity = parity.checked_add(27)?;
@@ -232,7 +232,7 @@ pub(crate) fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address>
 }
 
 /// The hash of a header with other extra data.
-pub(crate) fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
+fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
     let fields = header.item_count().ok()?;
     let mut out = RlpStream::new_list(fields);
     for at in 0..fields {
@@ -247,11 +247,11 @@ pub(crate) fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
 /// The longest header, bytes; including a list of a hundred validators and the seals of two thirds of them.
 pub const LONGEST_HEADER: usize = 8192;
 /// The part of the extra data before the seal.
-pub(crate) const VANITY: usize = 32;
+const VANITY: usize = 32;
 /// Length of a seal: r, s, parity.
-pub(crate) const SEAL: usize = 65;
+const SEAL: usize = 65;
 /// The field with the extra data.
-pub(crate) const EXTRA: usize = 12;
+const EXTRA: usize = 12;
 /// Length of a signer's address.
 const ADDRESS: usize = 20;
 /// The vanity of a block of AuthROS's own chain.

@@ -553,7 +553,7 @@ pub(crate) struct Signed {
 }
 
 /// Level (b) of a record whose anchor is shown by the state.
-pub(crate) fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
+fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
     check.known.right(header.owner, header.signer, anchored, || right(check, header, anchored))
 }
 

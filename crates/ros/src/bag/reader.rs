@@ -461,7 +461,7 @@ fn record_in(bytes: &[u8]) -> Option<(&[u8], &[u8], usize)> {
 }
 
 /// Bytes of an entry: a time, and the message's offset in its chunk.
-pub(super) const ENTRY: usize = 12;
+const ENTRY: usize = 12;
 
 /// The messages of a chunk, or an index's entries, of one connection; in any order.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
@@ -524,7 +524,7 @@ impl ChunkMessages {
 }
 
 /// The position that the index at the end gives for a chunk; `None` if it is not as rosbag writes it.
-pub(super) fn chunk_position(fields: &Fields<'_>, length: u64) -> Option<u64> {
+fn chunk_position(fields: &Fields<'_>, length: u64) -> Option<u64> {
     let is_whole = fields.u32("ver") == Some(1)
         && fields.u32("count").is_some_and(|count| u64::from(count) * 8 == length)
         && ["start_time", "end_time"].iter().all(|name| fields.time(name).is_some());
@@ -543,7 +543,7 @@ const LONGEST: usize = 128;
 const WINDOW: usize = 64 * 1024;
 
 /// The compression of a chunk, from its header; `None` if it is unknown.
-pub(super) fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression> {
+fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression> {
     match fields.bytes("compression")? {
         b"none" => Some(ChunkCompression::None),
         b"bz2" => Some(ChunkCompression::Bz2),
@@ -553,7 +553,7 @@ pub(super) fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression>
 }
 
 /// The first position at or after `from` where a chunk record begins.
-pub(super) fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
+fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
     let mut at = from;
     let mut window = Vec::with_capacity(WINDOW);
     loop {

@@ -183,7 +183,7 @@ impl Outlet {
 }
 
 /// The most a queue holds, bytes; a single longer message is accepted nevertheless.
-pub(super) const LONGEST_QUEUE: usize = 32 << 20;
+const LONGEST_QUEUE: usize = 32 << 20;
 
 /// A message with its length before it, shared by all that send it.
 pub(super) type Frame = Arc<Vec<u8>>;

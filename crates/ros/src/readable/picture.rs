@@ -255,7 +255,7 @@ pub const MOST_PIXELS: u64 = 12_000_000;
 pub const DECODER_MEMORY: usize = 128 << 20;
 
 /// The start of every PNG.
-pub(super) const PNG_MAGIC: &[u8] = b"\x89PNG";
+const PNG_MAGIC: &[u8] = b"\x89PNG";
 
 /// A picture, three bytes a pixel.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -360,7 +360,7 @@ pub(super) fn png_file(
 }
 
 /// Writes a JPEG of RGB without chroma subsampling.
-pub(super) fn jpeg_file(data: &[u8], size: (usize, usize), quality: u8) -> Result<Vec<u8>, PictureError> {
+fn jpeg_file(data: &[u8], size: (usize, usize), quality: u8) -> Result<Vec<u8>, PictureError> {
     let side = |length: usize| u16::try_from(length).map_err(|_| broken("it is too large"));
     let mut out = Vec::new();
     let mut encoder = JpegEncoder::new(&mut out, quality);

@@ -325,7 +325,7 @@ fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<
 }
 
 /// What every zstd frame begins with; no message in CDR does.
-pub(crate) const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// The body of a message: rosbag2 with `compression_mode: MESSAGE` makes a zstd frame of each. What is sealed is the message.
 pub(crate) fn unpacked_body(encoding: Encoding, body: Vec<u8>) -> Result<Vec<u8>, String> {

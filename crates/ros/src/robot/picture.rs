@@ -274,7 +274,7 @@ impl Canvas {
 }
 
 /// Columns of a letter, including the gap.
-pub(super) const ADVANCE: i32 = 6;
+const ADVANCE: i32 = 6;
 
 /// Rows of a letter, top first; bit 4 is the left column. Unknown characters are blank.
 pub(super) fn rows(letter: char) -> [u8; 7] {

@@ -309,7 +309,7 @@ pub(in crate::ui) fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
     lines
 }
 
-pub(super) fn verdict_line(verdict: Verdict) -> Vec<Piece> {
+fn verdict_line(verdict: Verdict) -> Vec<Piece> {
     let (text, role) = match verdict {
         Verdict::Verified => ("verified: digest matches the chain, signature valid", Role::Good),
         Verdict::Unanchored => ("unanchored: signature valid, but the digest is not on the chain yet", Role::Warning),
@@ -322,11 +322,11 @@ pub(super) fn verdict_line(verdict: Verdict) -> Vec<Piece> {
     vec![(text.to_owned(), role)]
 }
 
-pub(super) fn labelled(label: &str, value: String, role: Role) -> Vec<Piece> {
+fn labelled(label: &str, value: String, role: Role) -> Vec<Piece> {
     vec![(pad(label, 10), Role::Dim), (value, role)]
 }
 
-pub(super) fn pad(text: &str, width: u16) -> String {
+fn pad(text: &str, width: u16) -> String {
     let missing = usize::from(width.saturating_sub(columns(text)));
     format!("{text}{}", " ".repeat(missing))
 }
@@ -688,7 +688,7 @@ fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here:
 }
 
 /// Draws lines from the `scroll`-th on, and says how many are above and below.
-pub(super) fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Line], scroll: usize) {
+fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Line], scroll: usize) {
     let height = usize::from(area.height);
     let first = scroll.min(told.len().saturating_sub(height));
     for (place, (line, role)) in (0..area.height).zip(told.iter().skip(first)) {
