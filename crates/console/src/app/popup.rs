@@ -10,7 +10,7 @@ use super::identity_path::{self, Need};
 use super::incidents::{self, IncidentList};
 use super::keymap::{Key, Meaning, chord_label};
 use super::opening::{self, Opening};
-use super::perform::{Leaving, copy, perform};
+use super::perform::{self, Leaving, copy, perform};
 use super::screens::{LogLine, day, earlier, end, scope};
 use super::verb::{Effect, Entry, Errand, Tag, VERBS, Verb, kind_word};
 use super::{State, palette, policies};

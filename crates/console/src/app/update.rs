@@ -3,7 +3,7 @@
 
 use super::answer::answered;
 use super::keymap::{Key, Meaning, chord_label};
-use super::perform::{perform, wants_grants};
+use super::perform::{self, perform, wants_grants};
 use super::popup::{Popup, Purpose, popup_key, popup_paste};
 use super::screens::MOST_AUDIT;
 use super::verb::{Action, Effect, Errand, Tag, Verb};

@@ -8,26 +8,13 @@ use std::sync::Arc;
 use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, sized};
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, TOO_LARGE,
-    go_to, read_at, unpack,
+    Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
+    TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
 /// The most positions of chunks that are remembered from the index.
 const MOST_PLACES: usize = 1 << 20;
-
-/// The chunk being read.
-#[derive(Debug, Default)]
-struct Chunk {
-    bytes: Vec<u8>,
-    at: usize,
-    /// Its offset in the file.
-    position: u64,
-    /// Whether its end is missing, which was already reported.
-    cut: bool,
-    /// Whether a checksum covered its bytes.
-    guarded: bool,
-}
 
 /// What is at a position of the file.
 enum Found {
@@ -440,16 +427,9 @@ impl<R: BufRead + Seek> BagReader<R> {
     }
 
     /// The rest of a chunk cannot be read.
-    fn end_chunk(&mut self, mut chunk: Chunk) {
+    fn end_chunk(&mut self, chunk: Chunk) {
         self.chunk_messages = None;
-        if !chunk.cut {
-            let left = chunk.bytes.len() - chunk.at;
-            let text = format!("the last {left} bytes of a chunk were skipped: they are not bag records");
-            self.findings.note(chunk.position, &text);
-        }
-        // The memory is reused for the next one.
-        chunk.bytes.clear();
-        self.chunk = Chunk { bytes: chunk.bytes, ..Chunk::default() };
+        self.chunk = chunk.end(&mut self.findings, "bag");
     }
 }
 

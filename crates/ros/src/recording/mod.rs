@@ -31,6 +31,32 @@ pub const LARGEST_CHUNK: usize = LONGEST_MESSAGE + (64 << 20);
 /// A chunk is closed when it holds this many bytes, as in `rosbag record`.
 pub(super) const CHUNK_THRESHOLD: usize = 768 * 1024;
 
+/// The chunk being read.
+#[derive(Debug, Default)]
+pub(super) struct Chunk {
+    pub bytes: Vec<u8>,
+    pub at: usize,
+    /// Its offset in the file.
+    pub position: u64,
+    /// Whether its end is missing, which was already reported.
+    pub cut: bool,
+    /// Whether a checksum covered its bytes.
+    pub guarded: bool,
+}
+
+impl Chunk {
+    /// Its rest cannot be read. The memory is reused for the next one.
+    pub fn end(mut self, findings: &mut Findings, format: &str) -> Self {
+        if !self.cut {
+            let left = self.bytes.len() - self.at;
+            let text = format!("the last {left} bytes of a chunk were skipped: they are not {format} records");
+            findings.note(self.position, &text);
+        }
+        self.bytes.clear();
+        Self { bytes: self.bytes, ..Self::default() }
+    }
+}
+
 /// The most channels of a recording.
 pub(super) const MOST_CHANNELS: usize = 16_384;
 

@@ -217,63 +217,6 @@ fn length(grid: &Raster) -> usize {
     data + data.div_ceil(PIECE) * AROUND
 }
 
-#[cfg(test)]
-mod tests {
-    use super::tests::noise;
-    use super::*;
-    use proptest::prelude::*;
-
-    /// A picture as a terminal reads it: its size, its cells, its pixels.
-    pub fn decode(text: &str) -> ((usize, usize), (usize, usize), Vec<u8>) {
-        let mut data = String::new();
-        let mut first = String::new();
-        let mut more = true;
-        for command in text.split_terminator("\x1b\\") {
-            assert!(more, "something behind the last piece");
-            let (control, piece) = command.strip_prefix("\x1b_G").and_then(|c| c.split_once(';')).expect("a command");
-            assert!(piece.len() <= PIECE && control.len() <= AROUND - 8, "{} {}", control.len(), piece.len());
-            more = key(control, "m") == 1;
-            assert!(!more || piece.len() % 4 == 0, "a piece ends between bytes");
-            assert_eq!(key(control, "q"), 2, "the terminal would answer");
-            if first.is_empty() {
-                first = control.to_owned();
-            }
-            data.push_str(piece);
-        }
-        assert!(!more && first.starts_with("a=T,f=24,") && key(&first, "C") == 1, "{first}");
-        assert_eq!(key(&first, "i"), usize::try_from(IMAGE).expect("fits"));
-        let pair = |one, other| (key(&first, one), key(&first, other));
-        (pair("s", "v"), pair("c", "r"), STANDARD.decode(data).expect("base64"))
-    }
-
-    fn key(control: &str, name: &str) -> usize {
-        let found = control.split(',').filter_map(|pair| pair.split_once('=')).find(|(key, _)| *key == name);
-        found.and_then(|(_, value)| value.parse().ok()).unwrap_or_else(|| panic!("no {name} in {control}"))
-    }
-
-    #[test]
-    fn it_is_taken_away_by_the_number_it_was_put_under() {
-        assert_eq!(TAKE_AWAY, format!("\x1b_Ga=d,d=I,i={IMAGE},q=2\x1b\\"));
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
-        #[test]
-        fn every_pixel_arrives(width in 1usize..=200, height in 1usize..=120, seed in any::<u8>()) {
-            let raster = noise((width, height), seed);
-            let text = encode_kitty(&raster, (20, 10), 256 * 1024);
-            prop_assert_eq!(decode(&text), ((width, height), (20, 10), raster.rgb.clone()));
-            let text = encode_kitty(&raster, (20, 10), 16 * 1024);
-            prop_assert!(text.len() <= 16 * 1024, "{}", text.len());
-            let (size, _, rgb) = decode(&text);
-            let mut sizes = std::iter::successors(Some(raster.clone()), |grid| Some(coarser(&raster, grid))).take(50);
-            let wanted = sizes.find(|grid| (grid.width, grid.height) == size).expect("a coarser one");
-            prop_assert_eq!(rgb, wanted.rgb);
-            prop_assert!(size.0 * size.1 * 2 >= (width * height).min(3_900), "{:?}", size);
-        }
-    }
-}
-
 /// Steps of red, green and blue.
 const STEPS: [u32; 3] = [6, 7, 6];
 /// All mixtures of them.
@@ -380,7 +323,64 @@ fn repeat(text: &mut String, character: char, times: usize) {
 }
 
 #[cfg(test)]
-mod tests {
+mod kitty_tests {
+    use super::tests::noise;
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A picture as a terminal reads it: its size, its cells, its pixels.
+    pub fn decode(text: &str) -> ((usize, usize), (usize, usize), Vec<u8>) {
+        let mut data = String::new();
+        let mut first = String::new();
+        let mut more = true;
+        for command in text.split_terminator("\x1b\\") {
+            assert!(more, "something behind the last piece");
+            let (control, piece) = command.strip_prefix("\x1b_G").and_then(|c| c.split_once(';')).expect("a command");
+            assert!(piece.len() <= PIECE && control.len() <= AROUND - 8, "{} {}", control.len(), piece.len());
+            more = key(control, "m") == 1;
+            assert!(!more || piece.len() % 4 == 0, "a piece ends between bytes");
+            assert_eq!(key(control, "q"), 2, "the terminal would answer");
+            if first.is_empty() {
+                first = control.to_owned();
+            }
+            data.push_str(piece);
+        }
+        assert!(!more && first.starts_with("a=T,f=24,") && key(&first, "C") == 1, "{first}");
+        assert_eq!(key(&first, "i"), usize::try_from(IMAGE).expect("fits"));
+        let pair = |one, other| (key(&first, one), key(&first, other));
+        (pair("s", "v"), pair("c", "r"), STANDARD.decode(data).expect("base64"))
+    }
+
+    fn key(control: &str, name: &str) -> usize {
+        let found = control.split(',').filter_map(|pair| pair.split_once('=')).find(|(key, _)| *key == name);
+        found.and_then(|(_, value)| value.parse().ok()).unwrap_or_else(|| panic!("no {name} in {control}"))
+    }
+
+    #[test]
+    fn it_is_taken_away_by_the_number_it_was_put_under() {
+        assert_eq!(TAKE_AWAY, format!("\x1b_Ga=d,d=I,i={IMAGE},q=2\x1b\\"));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+        #[test]
+        fn every_pixel_arrives(width in 1usize..=200, height in 1usize..=120, seed in any::<u8>()) {
+            let raster = noise((width, height), seed);
+            let text = encode_kitty(&raster, (20, 10), 256 * 1024);
+            prop_assert_eq!(decode(&text), ((width, height), (20, 10), raster.rgb.clone()));
+            let text = encode_kitty(&raster, (20, 10), 16 * 1024);
+            prop_assert!(text.len() <= 16 * 1024, "{}", text.len());
+            let (size, _, rgb) = decode(&text);
+            let mut sizes = std::iter::successors(Some(raster.clone()), |grid| Some(coarser(&raster, grid))).take(50);
+            let wanted = sizes.find(|grid| (grid.width, grid.height) == size).expect("a coarser one");
+            prop_assert_eq!(rgb, wanted.rgb);
+            prop_assert!(size.0 * size.1 * 2 >= (width * height).min(3_900), "{:?}", size);
+        }
+    }
+}
+
+#[cfg(test)]
+mod sixel_tests {
     use super::tests::noise;
     use super::*;
     use proptest::prelude::*;
