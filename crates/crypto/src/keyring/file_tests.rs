@@ -1,3 +1,5 @@
+//! The file of a keyring: written, read, damaged, and written by two at once.
+
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::sync::LazyLock;
