@@ -363,9 +363,9 @@ fn libsm_point(public: &PublicKey) -> Result<Pubkey, CryptoError> {
     if x >= &MODULUS[..] || y >= &MODULUS[..] {
         return Err(CryptoError::PublicPoint);
     }
-    let libsm_point = CONTEXT.load_pubkey(&bytes).map_err(|_| CryptoError::PublicPoint)?;
-    match CONTEXT.serialize_pubkey(&libsm_point, false) {
-        Ok(again) if again == bytes => Ok(libsm_point),
+    let point = CONTEXT.load_pubkey(&bytes).map_err(|_| CryptoError::PublicPoint)?;
+    match CONTEXT.serialize_pubkey(&point, false) {
+        Ok(again) if again == bytes => Ok(point),
         _ => Err(CryptoError::PublicPoint),
     }
 }
@@ -470,8 +470,8 @@ impl Provider for LibsmProvider {
 
     fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError> {
         let internal = |_| CryptoError::Internal("SM2");
-        let libsm_point = CONTEXT.pk_from_sk(&scalar(secret)?).map_err(internal)?;
-        let bytes = CONTEXT.serialize_pubkey(&libsm_point, false).map_err(internal)?;
+        let point = CONTEXT.pk_from_sk(&scalar(secret)?).map_err(internal)?;
+        let bytes = CONTEXT.serialize_pubkey(&point, false).map_err(internal)?;
         bytes.get(1..).and_then(PublicKey::from_slice).ok_or(CryptoError::Internal("SM2"))
     }
 
