@@ -1,25 +1,21 @@
-//! What each verb does, and how the last act is undone, if it can be.
-
+//! What each verb does, and how the last act is undone, if it can be: also speaking for another profile of the same home,
+//! playing shared records into the reader's own ROS, and leaving: what stops with this console and what goes on without it;
+//! at once, when all is verified, or after the capture was paused so that it can be.
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::action::{Contents, Effect, Errand, Tag};
 use super::available::available;
 use super::choosing::{self, Browse};
-use super::feed::Feed;
+use super::form::{self, Field, Form, Line};
 use super::identity_path::{self, Need};
-use super::leaving::{self, Leaving};
+use super::keymap::Key;
 use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
-use super::screen::Screen;
-use super::screens::grants::other_side;
-use super::screens::log::LogLine;
-use super::state::State;
-use super::verb::Verb;
-use super::{
-    administration, contacts, form, granting, incidents, opening, palette, paths, playing, policies, profiles, table,
-    update,
-};
-use crate::model::TopicName;
-use crate::service::reply::TopicRow;
+use super::screens::{LogLine, other_side};
+use super::update::{self, Feed, start};
+use super::verb::{Contents, Effect, Errand, Tag, Verb};
+use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
+use crate::model::{Address, Party, ProfileName, TopicName};
+use crate::service::command::{Pace, PlayWishes};
+use crate::service::reply::{HeldUp, PlayEnd, PlayedView, TopicRow};
 use crate::service::{Command, Operation};
 
 /// Performs `verb`, or says why that is not possible now.
@@ -33,14 +29,14 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Details => return details(state),
         Verb::Open => return record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
         Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
-        Verb::Export => paths::begin(state),
+        Verb::Export => palette::begin(state),
         Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
         Verb::CopyCommand => return palette::copy_last(state),
         Verb::Quit => return quit(state),
-        Verb::Play => return playing::toggle(state),
+        Verb::Play => return toggle(state),
         Verb::Publishers => return publishers(state),
         Verb::Inspect => return policies::open(state),
         Verb::Lock => return update::lock(state),
@@ -71,11 +67,11 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Read => read_line(state),
         Verb::Tasks => tasks(state),
         Verb::Readers => readers(state),
-        Verb::Contacts => contacts::open(state),
+        Verb::Contacts => granting::open_contacts(state),
         Verb::SetPolicy => policies::begin(state),
         Verb::Incident => incidents::begin(state),
         Verb::Incidents => incidents::open(state),
-        Verb::Profile => profiles::open(state),
+        Verb::Profile => open(state),
         Verb::EndTour => state.tour = None,
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,
@@ -95,7 +91,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Extend => granting::begin_extension(state),
         Verb::Revoke => revoke(state),
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, form::load_key())),
-        Verb::ExportKey => paths::begin_key(state),
+        Verb::ExportKey => palette::begin_key(state),
         Verb::Rotate => state.popups.push(Popup::Confirm(popup::rotate())),
     }
     Vec::new()
@@ -286,7 +282,7 @@ fn revoke(state: &mut State) {
 }
 
 fn quit(state: &mut State) -> Vec<Effect> {
-    if !leaving::asks(state) {
+    if !asks(state) {
         return vec![Effect::Quit];
     }
     state.popups.push(Popup::Quit(Leaving::Asked));
@@ -394,7 +390,7 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
         Some(Undo::Granted(grantee)) => {
             let row = state.grants.rows.iter().find(|row| {
                 let is_it = row.grantee.to_string() == grantee || row.name.as_deref() == Some(grantee.as_str());
-                is_it && super::screens::grants::is_given(row) && super::screens::grants::is_active(row)
+                is_it && super::screens::is_given(row) && super::screens::is_active(row)
             });
             match row.map(|row| popup::revoke(state, row)) {
                 Some(question) => state.popups.push(Popup::Confirm(question)),
@@ -405,4 +401,351 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
         None => state.inform("nothing to undo"),
     }
     Vec::new()
+}
+
+/// Plays the selected record's topic under `/shared/NAME`, or ends the playback.
+pub fn toggle(state: &mut State) -> Vec<Effect> {
+    if state.work.iter().any(|tag| matches!(tag, Tag::Play(_))) {
+        return vec![state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay })];
+    }
+    let key = state.row_key();
+    let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
+    let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
+    let Some((owner, name, topic)) = found else { return Vec::new() };
+    let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {
+        state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
+        return Vec::new();
+    };
+    let played = format!("{prefix}{topic}");
+    let wishes = PlayWishes {
+        owner: Some(Party::Address(owner)),
+        topics: vec![pattern],
+        pace: Pace::Follow,
+        prefix: Some(prefix),
+        ..PlayWishes::default()
+    };
+    identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }])
+}
+
+/// `/shared/` and the owner's name in a form that a graph allows, or else the beginning of the address.
+fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
+    let plain = |name: &str| name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
+    let of_name = name.and_then(|name| format!("/shared/{}", plain(name)).parse().ok());
+    of_name.or_else(|| {
+        let digits: String = owner.to_string().chars().skip(2).take(8).collect();
+        format!("/shared/x{digits}").parse().ok()
+    })
+}
+
+/// The message when it has ended.
+pub fn ended(state: &mut State, view: &PlayedView) {
+    let published = view.published;
+    let not = view.refused + view.missing;
+    let rest = if not > 0 { format!(", {not} records NOT published") } else { String::new() };
+    let text = |why: &str| format!("playback ended ({why}): {published} messages published{rest}");
+    match view.ended_by {
+        PlayEnd::Asked | PlayEnd::Whole => state.inform(text(view.ended_by.word())),
+        PlayEnd::Revoked => state.complain(text("the grant was revoked")),
+        PlayEnd::Expired => state.complain(text("the grant has expired")),
+        PlayEnd::Locked => state.complain(text("the keyring was locked")),
+        PlayEnd::Site => state.complain(text("the site stopped")),
+    }
+}
+
+/// Asks for which profile.
+pub fn open(state: &mut State) {
+    let lines = vec![Line::text("Profile", "name of a profile in this home", Field::default())];
+    let known: Vec<String> = state.settings.profiles.iter().map(ToString::to_string).collect();
+    let mut notes = vec![format!("Now: {}. A keyring opened here stays open until you quit.", state.settings.profile)];
+    if !known.is_empty() {
+        notes.push(format!("Profiles: {}", known.join(" ")));
+    }
+    state.popups.push(Popup::Form(Purpose::Profile, Form::new("Switch to another profile", notes, lines)));
+}
+
+/// The profile of a completed form.
+pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
+    form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))
+}
+
+/// Switches to another profile: everything known belongs to the previous one and is requested anew.
+pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
+    if profile == state.settings.profile {
+        state.inform(format!("this console already uses profile {profile}"));
+        return Vec::new();
+    }
+    if let Some(work) = state.work.iter().find(|tag| tag.is_work()) {
+        let text = format!("{} is still running; wait until it ends, then switch to {profile}", work.words());
+        state.inform(text);
+        return Vec::new();
+    }
+    let mut settings = state.settings.clone();
+    settings.profile.clone_from(&profile);
+    // The successor would be given the flags of the start, with another profile.
+    settings.leaves_site = false;
+    let mut next = State::new(settings);
+    (next.now, next.touched, next.size) = (state.now, state.now, state.size);
+    (next.mouse, next.local_time, next.period) = (state.mouse, state.local_time, state.period);
+    next.theme = std::mem::take(&mut state.theme);
+    next.tour = state.tour.take();
+    next.log = std::mem::take(&mut state.log);
+    next.screen = Screen::Overview;
+    next.former = Some(state.settings.profile.clone());
+    // Requests of the previous profile are still answered, but not for this one.
+    next.feeds.follow(&state.feeds);
+    *state = next;
+    state.inform(format!("this console now uses profile {profile}"));
+    let mut effects = vec![Effect::SpeakFor(profile)];
+    effects.extend(start(state));
+    effects
+}
+
+/// How far leaving has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Leaving {
+    /// The question is on screen.
+    Asked,
+    /// When everything is verified.
+    WhenVerified,
+    /// The capture is paused; when everything is verified.
+    Held,
+}
+
+/// What a console leaves behind.
+struct Behind {
+    /// What is captured, in words.
+    captured: Option<String>,
+    /// Whether the site ends with this console.
+    ends: bool,
+    pending: u64,
+}
+
+impl Behind {
+    fn of(state: &State) -> Self {
+        let ends = !matches!(Standing::of(state), Some(Standing::Joined(_)));
+        Self { captured: captured(state), ends, pending: state.pending_records() }
+    }
+
+    /// The fate of the capture.
+    fn capture(&self, state: &State) -> Vec<String> {
+        let site = match Standing::of(state) {
+            Some(Standing::Joined(0)) | None => "in the site".to_owned(),
+            Some(Standing::Joined(process)) => format!("in the site (process {process})"),
+            Some(Standing::Host) => String::new(),
+        };
+        let mut lines: Vec<String> = match &self.captured {
+            Some(what) if self.ends => vec![
+                format!("Quitting stops {what}."),
+                if state.settings.tour.is_some() {
+                    "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
+                } else if can_leave_site(state) {
+                    "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
+                } else {
+                    "To keep it running without a console, use: authros serve".to_owned()
+                },
+            ],
+            Some(what) => vec![format!("{} continues {site}.", super::sentence(what))],
+            None => Vec::new(),
+        };
+        lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
+        lines
+    }
+
+    fn records(&self, state: &State) -> Vec<String> {
+        let records = match self.pending {
+            0 => return Vec::new(),
+            1 => "1 record is not verified yet".to_owned(),
+            more => format!("{more} records are not verified yet"),
+        };
+        if !self.ends {
+            return vec![format!("{records}; the site continues with them.")];
+        }
+        if state.settings.tour.is_some() {
+            return vec![format!("{records}.")];
+        }
+        vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
+    }
+}
+
+impl Leaving {
+    /// What stops, what goes on, and what is waited for.
+    pub fn lines(self, state: &State) -> Vec<String> {
+        let behind = Behind::of(state);
+        let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
+        lines.extend(behind.records(state));
+        lines
+            .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
+        if lines.is_empty() {
+            lines.push("Nothing is pending any more.".to_owned());
+        }
+        match self {
+            Self::Asked => {}
+            Self::WhenVerified => lines.push("Quitting when everything is verified…".to_owned()),
+            Self::Held => lines.push("Capture is stopped. Quitting when everything is verified…".to_owned()),
+        }
+        lines
+    }
+
+    /// The keys, with a word each.
+    pub fn hints(self, state: &State) -> Vec<(&'static str, &'static str)> {
+        let behind = Behind::of(state);
+        let mut hints = vec![("y", "quit now")];
+        if self == Self::Asked && behind.can_drain() {
+            hints.push(("d", "stop capture, finish, quit"));
+            hints.extend(can_leave_site(state).then_some(("s", "leave it running")));
+        } else if self == Self::Asked && state.has_pending_work() {
+            hints.push(("w", "quit when verified"));
+        }
+        hints.push(("esc", "stay"));
+        hints
+    }
+}
+
+impl Behind {
+    /// Whether all records can be verified only once the capture is paused.
+    fn can_drain(&self) -> bool {
+        self.ends && self.captured.is_some()
+    }
+}
+
+/// Whether a site can go on in this console's place.
+fn can_leave_site(state: &State) -> bool {
+    let is_host = matches!(Standing::of(state), Some(Standing::Host));
+    is_host && state.settings.leaves_site && state.identity.as_ref().is_some_and(|identity| identity.exists)
+}
+
+/// Whether leaving now would stop something, or leave something undone.
+pub fn asks(state: &State) -> bool {
+    state.has_pending_work() || Behind::of(state).can_drain()
+}
+
+/// A key while the question is on screen.
+pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
+    match key {
+        Key::Char('y') | Key::Control('c') => return vec![Effect::Quit],
+        Key::Char('d') if leaving == Leaving::Asked && Behind::of(state).can_drain() => {
+            state.popups.push(Popup::Quit(Leaving::Held));
+            return vec![hold(state, true)];
+        }
+        Key::Char('s') if leaving == Leaving::Asked && Behind::of(state).can_drain() && can_leave_site(state) => {
+            return vec![Effect::LeaveSite];
+        }
+        Key::Char('w') if leaving == Leaving::Asked && !Behind::of(state).can_drain() => {
+            state.popups.push(Popup::Quit(Leaving::WhenVerified));
+        }
+        Key::Char('?') => state.popups.push(Popup::Quit(leaving)),
+        _ if leaving == Leaving::Held => return vec![hold(state, false)],
+        _ => {}
+    }
+    Vec::new()
+}
+
+fn hold(state: &mut State, hold: bool) -> Effect {
+    let command = Command::Operate(Operation::HoldCapture { hold });
+    state.send(Errand { command, tag: Tag::HoldCapture })
+}
+
+/// Whether what was waited for is done.
+pub fn is_over(state: &State) -> bool {
+    let site = state.feeds.slot(Feed::Site);
+    let known = !site.stale && !site.outstanding;
+    match state.popups.last() {
+        Some(Popup::Quit(Leaving::WhenVerified)) => !state.has_pending_work(),
+        Some(Popup::Quit(Leaving::Held)) => known && !state.has_pending_work() && waiting(state) == 0,
+        _ => false,
+    }
+}
+
+/// Messages in memory that are not records yet; those of other profiles do not keep this one.
+fn waiting(state: &State) -> u64 {
+    state.site.as_ref().filter(|site| site.profiles.len() <= 1).map_or(0, |site| site.queue.messages)
+}
+
+/// Where the site runs, seen from this console.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Standing {
+    /// In this process: it ends with the console.
+    Host,
+    /// In another process, which continues; 0 = one that does not report its number.
+    Joined(u32),
+}
+
+impl Standing {
+    /// Where the site of this console runs; `None` = it has not answered yet.
+    pub fn of(state: &State) -> Option<Self> {
+        let process = state.site.as_ref()?.process;
+        Some(if process == state.settings.process { Self::Host } else { Self::Joined(process) })
+    }
+
+    /// The header's text for it.
+    pub fn badge(self) -> String {
+        match self {
+            Self::Host => "HOST".to_owned(),
+            Self::Joined(0) => "JOINED".to_owned(),
+            Self::Joined(process) => format!("JOINED {process}"),
+        }
+    }
+}
+
+/// Whether a topic is captured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Capture {
+    /// Not watched.
+    Unwatched,
+    /// Captured.
+    Watched,
+    /// Not until the keyring is unlocked.
+    WaitsForKey,
+    Paused,
+    /// Waiting for somebody to publish it.
+    NoPublisher,
+}
+
+impl Capture {
+    /// The state of a topic; the worst one wins.
+    pub fn of(row: &TopicRow) -> Self {
+        match row {
+            TopicRow { watched: false, .. } => Self::Unwatched,
+            TopicRow { held_up: Some(HeldUp::WaitsForKey), .. } => Self::WaitsForKey,
+            TopicRow { held_up: Some(HeldUp::Paused), .. } => Self::Paused,
+            TopicRow { publishers, .. } if publishers.is_empty() => Self::NoPublisher,
+            _ => Self::Watched,
+        }
+    }
+
+    /// In a word or two.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Unwatched => "-",
+            Self::Watched => "watched",
+            Self::WaitsForKey => "waits for key",
+            Self::Paused => "paused",
+            Self::NoPublisher => "no publisher",
+        }
+    }
+}
+
+/// How many topics are in this state.
+pub fn count(state: &State, capture: Capture) -> usize {
+    state.topics.rows.iter().filter(|row| Capture::of(row) == capture).count()
+}
+
+/// `the capture of /robot1/odom`, `the capture of 4 topics`; `None` = of none.
+pub fn captured(state: &State) -> Option<String> {
+    let mut rows = state.topics.rows.iter().filter(|row| Capture::of(row) == Capture::Watched);
+    let first = rows.next()?;
+    Some(match rows.count() {
+        0 => format!("the capture of {}", first.topic),
+        more => format!("the capture of {} topics", more + 1),
+    })
+}
+
+/// What is watched but not captured, and why; `None` = there is none.
+pub fn not_captured(state: &State) -> Option<String> {
+    let topics = |count: usize| if count == 1 { "1 topic".to_owned() } else { format!("{count} topics") };
+    match (count(state, Capture::WaitsForKey), count(state, Capture::Paused)) {
+        (0, 0) => None,
+        (0, paused) => Some(format!("capture of {} is paused", topics(paused))),
+        (waiting, _) => Some(format!("capture of {} waits for the key", topics(waiting))),
+    }
 }
