@@ -290,7 +290,7 @@ impl Intake<'_> {
             return Err(Reason::AnotherOwner.into());
         }
         let proof = self.examine(&header, digest, (&record.signer, &record.proof)).await?;
-        let is_new = block_in_place(|| self.plant.ledger.record(digest))?.is_none();
+        let is_new = block_in_place(|| self.plant.ledger.records.find(digest))?.is_none();
         if is_new {
             self.keep(reader, header, digest, record, proof.block).await?;
         }
@@ -311,7 +311,7 @@ impl Intake<'_> {
         let sealed = SealedRecord { header, blob: record.blob, digest, signature: record.signature };
         let row = NewRecord::foreign(sealed, self.keeper).named(&opened.head);
         let claim = Claim::of(&row);
-        match block_in_place(|| self.plant.keep([row], |row| self.plant.ledger.append(row.into()))) {
+        match block_in_place(|| self.plant.keep([row], |row| self.plant.ledger.records.append(row.into()))) {
             Err(StoreError::Conflict { .. }) => {
                 if let Some(claim) = claim {
                     block_in_place(|| equivocation::tell(self.plant, &claim))?;
@@ -325,14 +325,18 @@ impl Intake<'_> {
     fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, Stop> {
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let ledger = &self.plant.ledger;
-        if ledger.record(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
+        if ledger.records.find(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
             return Ok(false);
         }
         let Some(inclusion) = inclusion else {
-            return Ok(ledger.mined(&[Sighting { owner, digest, transaction, block, block_hash }])? > 0);
+            return Ok(ledger.batches.mined(&[Sighting { owner, digest, transaction, block, block_hash }])? > 0);
         };
         let (root, count) = (inclusion.root, inclusion.count);
-        match ledger.take_in(digest, inclusion, RootSighting { account, root, count, transaction, block, block_hash }) {
+        match ledger.batches.take_in(
+            digest,
+            inclusion,
+            RootSighting { account, root, count, transaction, block, block_hash },
+        ) {
             // The chain replaced that block since it was asked: it is asked again.
             Err(StoreError::Replaced { .. }) => {
                 self.anchors.forget();
@@ -374,7 +378,7 @@ impl Intake<'_> {
         let taken = taken_erased(record.blob, &statement);
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: record.signature };
         let row = NewRecord { blob: None, ..NewRecord::foreign(sealed, self.keeper) };
-        block_in_place(|| match self.plant.ledger.take_erased(row, taken) {
+        block_in_place(|| match self.plant.ledger.erasures.take(row, taken) {
             Err(StoreError::Conflict { .. }) => Err(Reason::Number.into()),
             noted => Ok(noted? && self.prove(owner, digest, proof)?),
         })
@@ -434,7 +438,7 @@ pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish,
     if entry.fact == Fact::Stored || entry.fact == Fact::Erased && !entry.kind.is_content() {
         return Ok(Wish::Pass);
     }
-    Ok(match block_in_place(|| reader.plant.ledger.record(entry.digest))? {
+    Ok(match block_in_place(|| reader.plant.ledger.records.find(entry.digest))? {
         Some(row) if entry.fact == Fact::Verified && row.state == RecordState::Stored => Wish::Ask,
         Some(_) => Wish::Pass,
         None if block_in_place(|| reader.topic_key(&row_of_entry(entry))).is_ok() => Wish::Ask,

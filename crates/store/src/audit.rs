@@ -9,8 +9,7 @@ use serde::{Deserialize, Serialize};
 use sm3::{Digest as _, Sm3};
 
 use super::StoreError;
-use super::database::whole;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, whole};
 use crate::ledger::Database;
 use crate::model::{Digest, Timestamp};
 
@@ -175,7 +174,6 @@ impl AuditLog {
     pub fn list(&self, query: &AuditQuery) -> Result<Vec<AuditLine>, StoreError> {
         let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
-        let limit = i64::try_from(query.limit).unwrap_or(i64::MAX);
         self.0.read(|connection| {
             let sql = format!(
                 "SELECT {COLUMNS} FROM audit WHERE line < ?1 AND at >= ?2 AND (?3 IS NULL OR action = ?3) \
@@ -184,7 +182,7 @@ impl AuditLog {
                  ORDER BY line DESC LIMIT ?5"
             );
             let mut statement = connection.prepare_cached(&sql)?;
-            let values = params![before, since, query.action, query.profile, limit, query.operator];
+            let values = params![before, since, query.action, query.profile, capped(query.limit), query.operator];
             let rows = statement.query_map(values, line_of)?;
             let mut lines = rows.collect::<Result<Vec<_>, _>>()?;
             lines.reverse();

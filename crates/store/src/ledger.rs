@@ -30,23 +30,28 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use rusqlite::{Connection, OptionalExtension as _};
+use rusqlite::{Connection, OptionalExtension as _, Params, Row};
 
-pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
+pub use self::append::Records;
+pub use self::batches::{
+    Anchors, BatchPlace, Batches, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch,
+};
 pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, Proofs, StampCounts, UnprovenBatch};
-pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
+pub use self::counts::{Counts, Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
 pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StandingRights, WaitingSigner};
-pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
+pub use self::erasures::{
+    Erasure, ErasurePage, Erasures, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated,
+};
 pub use self::feed::{Feed, FeedFilter, FeedPage, FeedPlace, FeedRow};
 pub use self::filters::FilterChoice;
-pub use self::forwarding::{Bindings, ForwardedPage, KeptBinding, KeptReceipt};
+pub use self::forwarding::{Bindings, ForwardedPage, Forwarding, KeptBinding, KeptReceipt, Names};
 pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, Incidents, SpanCoverage};
 pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Inspection, Sequence};
 pub use self::quarantine::{
     AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, Losses, PinRow, Pins, Quarantine,
 };
 pub use self::query::{Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
-pub use self::retention::{KeptTopic, OldRecord, Retained};
+pub use self::retention::{KeptTopic, OldRecord, Retained, Retention};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
 pub use self::sightings::{KeptStanding, Sighting, Trail};
 pub use self::transactions::{
@@ -65,7 +70,21 @@ const READERS_KEPT: usize = 8;
 /// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
 #[derive(Debug, Clone)]
 pub struct Ledger {
-    database: Database,
+    pub(super) database: Database,
+    /// Records, and their states.
+    pub records: Records,
+    /// The way of records to the chain and back: who may sign, Merkle batches, and what blocks say of them.
+    pub batches: Batches,
+    /// What is counted: records by state, topic, owner and signer, and their ages.
+    pub counts: Counts,
+    /// Records whose ciphertext is deleted by a rule.
+    pub retention: Retention,
+    /// Records that somebody had erased, and what is stated of them.
+    pub erasures: Erasures,
+    /// What a gateway took over, and what it stated.
+    pub forwarding: Forwarding,
+    /// What pseudonyms of topics and types mean.
+    pub names: Names,
     /// Incidents, and what they hold.
     pub incidents: Incidents,
     /// Transactions, account by account.
@@ -157,31 +176,16 @@ impl Ledger {
             quarantine: Quarantine(database.clone()),
             rights: Rights(database.clone()),
             lanes: Lanes(database.clone()),
+            records: Records(database.clone()),
+            batches: Batches(database.clone()),
+            counts: Counts(database.clone()),
+            retention: Retention(database.clone()),
+            erasures: Erasures(database.clone()),
+            forwarding: Forwarding(database.clone()),
+            names: Names(database.clone()),
             incidents: Incidents(database.clone()),
             database,
         })
-    }
-
-    /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
-    pub fn recorder(&self) -> RecorderPrefix {
-        self.database.shared.recorder
-    }
-
-    /// Holds new records back until the guard is dropped: the space left on a full disk is needed for something else.
-    pub fn hold_records(&self) -> RecordsHeld {
-        self.database.shared.held.fetch_add(1, Ordering::AcqRel);
-        RecordsHeld(self.clone())
-    }
-
-    /// Whether new records are accepted now.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] while they are held back.
-    pub fn takes_records(&self) -> Result<(), StoreError> {
-        match self.database.shared.held.load(Ordering::Acquire) {
-            0 => Ok(()),
-            _ => Err(StoreError::DiskFull { file: self.path().to_owned() }),
-        }
     }
 
     /// The file's path.
@@ -197,27 +201,26 @@ impl Ledger {
     pub fn close(self) -> Result<(), StoreError> {
         self.database.shared.writer.close()
     }
+}
 
-    /// See [`Database::write`].
-    pub(super) fn write<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
-        self.database.write(work)
+impl Records {
+    /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
+    pub fn recorder(&self) -> RecorderPrefix {
+        self.0.shared.recorder
     }
 
-    /// See [`Database::write_many`].
-    pub(super) fn write_many<T: Send + 'static>(
-        &self,
-        records: usize,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
-        self.database.write_many(records, work)
+    /// Holds new records back until the guard is dropped: the space left on a full disk is needed for something else.
+    pub fn hold(&self) -> RecordsHeld {
+        self.0.shared.held.fetch_add(1, Ordering::AcqRel);
+        RecordsHeld(self.0.clone())
     }
 
-    /// See [`Database::read`].
-    pub(super) fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
-        self.database.read(work)
+    /// Whether new records are accepted now.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] while they are held back.
+    pub fn takes_records(&self) -> Result<(), StoreError> {
+        self.0.takes_records()
     }
 }
 
@@ -225,6 +228,14 @@ impl Database {
     /// The file's path.
     pub fn path(&self) -> &Path {
         &self.shared.path
+    }
+
+    /// See [`Records::takes_records`].
+    pub fn takes_records(&self) -> Result<(), StoreError> {
+        match self.shared.held.load(Ordering::Acquire) {
+            0 => Ok(()),
+            _ => Err(StoreError::DiskFull { file: self.path().to_owned() }),
+        }
     }
 
     /// While this is held, nobody else changes a note by what it said before.
@@ -265,6 +276,56 @@ impl Database {
         result
     }
 
+    /// The one row of a query.
+    pub fn one<T>(
+        &self,
+        sql: &str,
+        values: impl Params,
+        read: impl FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<T, StoreError> {
+        self.read(|connection| Ok(connection.one(sql, values, read)?))
+    }
+
+    /// The first row of a query, if there is one.
+    pub fn find<T>(
+        &self,
+        sql: &str,
+        values: impl Params,
+        read: impl FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Option<T>, StoreError> {
+        self.read(|connection| Ok(connection.find(sql, values, read)?))
+    }
+
+    /// All rows of a query.
+    pub fn list<T, All: FromIterator<T>>(
+        &self,
+        sql: &str,
+        values: impl Params,
+        read: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<All, StoreError> {
+        self.read(|connection| Ok(connection.list(sql, values, read)?))
+    }
+
+    /// Whether a query has a row.
+    pub fn has(&self, sql: &str, values: impl Params) -> Result<bool, StoreError> {
+        self.read(|connection| Ok(connection.has(sql, values)?))
+    }
+
+    /// Executes a statement for each of these in one commit, and says how many rows that changed.
+    pub fn run_each<P: Params + Send + 'static>(&self, sql: &'static str, each: Vec<P>) -> Result<u64, StoreError> {
+        self.write_many(each.len(), move |session| Ok(session.connection.run_each(sql, each)?))
+    }
+
+    /// Executes a statement, and says how many rows it changed.
+    pub fn changed(&self, sql: &'static str, values: impl Params + Send + 'static) -> Result<u64, StoreError> {
+        self.run_each(sql, vec![values])
+    }
+
+    /// Executes a statement.
+    pub fn run(&self, sql: &'static str, values: impl Params + Send + 'static) -> Result<(), StoreError> {
+        self.changed(sql, values).map(drop)
+    }
+
     fn reader(&self) -> Result<Connection, StoreError> {
         let kept = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner).pop();
         kept.map_or_else(|| database::open_reader(&self.shared.path), Ok)
@@ -273,11 +334,11 @@ impl Database {
 
 /// New records are held back while this lives.
 #[derive(Debug)]
-pub struct RecordsHeld(Ledger);
+pub struct RecordsHeld(Database);
 
 impl Drop for RecordsHeld {
     fn drop(&mut self) {
-        self.0.database.shared.held.fetch_sub(1, Ordering::AcqRel);
+        self.0.shared.held.fetch_sub(1, Ordering::AcqRel);
     }
 }
 

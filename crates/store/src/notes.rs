@@ -475,11 +475,8 @@ impl Notes {
     /// [`StoreError::DiskFull`] and the like; the note is then unchanged.
     pub fn forget<N: Note>(&self, note: &N, value: &N::Value) -> Result<(), StoreError> {
         let row = row(note, value)?;
-        self.0.write(move |session| {
-            let sql = "DELETE FROM notes WHERE kind = ?1 AND about = ?2 AND value = ?3";
-            session.connection.run(sql, row)?;
-            Ok(())
-        })
+        let sql = "DELETE FROM notes WHERE kind = ?1 AND about = ?2 AND value = ?3";
+        self.0.run(sql, row)
     }
 }
 

@@ -6,7 +6,7 @@ use std::collections::{HashMap, HashSet};
 use rusqlite::{Connection, params};
 
 use super::rows::{By, may};
-use super::{Foreign, Ledger, NewRecord, Session, own_prefix};
+use super::{Database, Foreign, NewRecord, Session, own_prefix};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::header::LARGEST_SEQ;
@@ -17,13 +17,13 @@ type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 
 /// Keys of the names seen so far; only a cache of the tables.
 #[derive(Default)]
-pub(crate) struct Names {
+pub(crate) struct KnownNames {
     topics: HashMap<TopicKey, (i64, String)>,
     streams: HashMap<StreamKey, i64>,
     filters: HashSet<(FilterId, i64)>,
 }
 
-impl Names {
+impl KnownNames {
     /// Clears it: a rollback may have removed some of them.
     pub(super) fn clear(&mut self) {
         self.topics.clear();
@@ -32,15 +32,19 @@ impl Names {
     }
 }
 
-impl Ledger {
+/// Records, and their states.
+#[derive(Debug, Clone)]
+pub struct Records(pub(super) Database);
+
+impl Records {
     /// The highest acknowledged sequence number of a topic that `signer` gave in this ledger, plus 1. Records from
     /// elsewhere never count.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn next_seq(&self, owner: Address, signer: SignerId, topic: TopicId) -> Result<u64, StoreError> {
-        let recorder = self.recorder().of_signer(&signer);
-        self.read(|connection| {
+        let recorder = self.0.shared.recorder.of_signer(&signer);
+        self.0.read(|connection| {
             let sql = "SELECT max(seq) FROM records WHERE topic =
                      (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
                       AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
@@ -59,8 +63,8 @@ impl Ledger {
     /// [`StoreError::IllegalEdge`] if a record cannot begin in its state, [`StoreError::DiskFull`] and the like; then
     /// nothing is acknowledged.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
-        self.takes_records()?;
-        self.write_many(records.len(), move |session| {
+        self.0.takes_records()?;
+        self.0.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             records.iter().try_for_each(|record| add(session, record, now))
         })
@@ -74,20 +78,9 @@ impl Ledger {
         if !may(By::Worker, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
-        let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
-            let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
-            let mut statement = session.connection.prepare_cached(sql)?;
-            digests.iter().try_fold(0, |moved, digest| {
-                Ok(moved + count(statement.execute(params![digest.0, from.code(), to.code()])?))
-            })
-        })
+        let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
+        self.0.run_each(sql, digests.iter().map(|digest| (digest.0, from.code(), to.code())).collect())
     }
-}
-
-/// A number of changed rows.
-pub(super) fn count(rows: usize) -> u64 {
-    u64::try_from(rows).unwrap_or(u64::MAX)
 }
 
 /// Whether a record may have its number: within bounds, and of this ledger's own recorders only if it was recorded here.
@@ -178,13 +171,9 @@ fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreE
 }
 
 fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -> Result<bool, StoreError> {
-    let found = connection
-        .prepare_cached(
-            "SELECT digest = ?1, topic = ?2 AND seq = ?3 FROM records
-             WHERE digest = ?1 OR (topic = ?2 AND seq = ?3)",
-        )?
-        .query_map(params![record.digest.0, topic, seq], |row| Ok((row.get(0)?, row.get(1)?)))?
-        .collect::<Result<Vec<(bool, bool)>, _>>()?;
+    let sql = "SELECT digest = ?1, topic = ?2 AND seq = ?3 FROM records WHERE digest = ?1 OR (topic = ?2 AND seq = ?3)";
+    let found: Vec<(bool, bool)> =
+        connection.list(sql, params![record.digest.0, topic, seq], |row| Ok((row.get(0)?, row.get(1)?)))?;
     match found.as_slice() {
         [] => Ok(false),
         [(true, true)] => Ok(true),

@@ -7,9 +7,9 @@ use rusqlite::{Connection, params};
 
 use super::append::add;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
-use super::{Erasure, Ledger, NewRecord, database::whole};
+use super::{Database, Erasure, NewRecord};
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, Erased};
 
@@ -63,31 +63,35 @@ pub struct Retained {
     pub stated: Option<Vec<u8>>,
 }
 
-impl Ledger {
+/// Records whose ciphertext is deleted by a rule.
+#[derive(Debug, Clone)]
+pub struct Retention(pub(super) Database);
+
+impl Retention {
     /// An owner's topics here: what the owner records, and what its robots bring to a gateway of this home. One whose name
     /// is not known yet has its pseudonym in place of it, which no rule is about.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn kept_topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(&format!(
+    pub fn topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
+        let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
+        self.0.list(
+            &format!(
                 "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
                      (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
                  FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
                  WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
-            ))?;
-            let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
-            let rows = statement.query_map(values, |row| {
+            ),
+            values,
+            |row| {
                 Ok(KeptTopic {
                     key: row.get(0)?,
                     topic_id: TopicId(row.get(1)?),
                     name: row.get(2)?,
                     bytes: unsigned(row, 3)?,
                 })
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
-        })
+            },
+        )
     }
 
     /// The oldest verified messages of a topic not yet deleted by retention, captured from `since` on and before
@@ -102,38 +106,36 @@ impl Ledger {
         limit: usize,
     ) -> Result<Vec<OldRecord>, StoreError> {
         let key = topic.key;
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT digest, seq, bytes, captured_at FROM records
+        let time = |at: Timestamp| capped(at.0);
+        let values = params![
+            RecordState::Verified.code(),
+            key,
+            RecordKind::Data.code(),
+            time(since),
+            time(until),
+            capped(limit)
+        ];
+        self.0.list(
+            "SELECT digest, seq, bytes, captured_at FROM records
                  WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
                  AND captured_at >= ?4 AND captured_at < ?5
                  AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6",
-            )?;
-            let time = |at: Timestamp| i64::try_from(at.0).unwrap_or(i64::MAX);
-            let values = params![
-                RecordState::Verified.code(),
-                key,
-                RecordKind::Data.code(),
-                time(since),
-                time(until),
-                i64::try_from(limit).unwrap_or(i64::MAX)
-            ];
-            let rows = statement.query_map(values, |row| {
+            values,
+            |row| {
                 Ok(OldRecord {
                     digest: Digest(row.get(0)?),
                     seq: unsigned(row, 1)?,
                     bytes: unsigned(row, 2)?,
                     captured_at: Timestamp(unsigned(row, 3)?),
                 })
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
-        })
+            },
+        )
     }
 
     /// Acknowledges a retention record and notes the records it names, with their public headers, in one commit.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of them is no longer verified, or already named.
+    /// See [`Records::append`]; [`StoreError::NotReady`] if one of them is no longer verified, or already named.
     pub fn give_up(
         &self,
         topic: &KeptTopic,
@@ -141,7 +143,7 @@ impl Ledger {
         records: Vec<(OldRecord, Vec<u8>)>,
     ) -> Result<(), StoreError> {
         let key = topic.key;
-        self.write_many(records.len(), move |session| {
+        self.0.write_many(records.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             add(session, &report, now)?;
             let mut bytes = 0;
@@ -162,19 +164,19 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(&format!(
+        let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
+        let values = params![owner.0, confirmed, verified, capped(limit)];
+        self.0.list(
+            &format!(
                 "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
                  JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
                  WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
                  ORDER BY record LIMIT ?4",
                 is_held()
-            ))?;
-            let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
-            let values = params![owner.0, confirmed, verified, i64::try_from(limit).unwrap_or(i64::MAX)];
-            let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
-            Ok(rows.collect::<Result<_, _>>()?)
-        })
+            ),
+            values,
+            |row| row.get(0).map(Digest),
+        )
     }
 
     /// Notes that the ciphertext of these is deleted.
@@ -183,7 +185,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like.
     pub fn deleted(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
+        self.0.write_many(digests.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             for digest in &digests {
                 for sql in [
@@ -206,8 +208,8 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn retained(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
-        self.read(|connection| {
+    pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
+        self.0.read(|connection| {
             let found = connection.find("SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
                      told.n IS NOT NULL,
                      (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
@@ -241,11 +243,8 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn given_up(&self, owner: Address) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let sql =
-                "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
-            Ok(connection.one(sql, [owner.0], |row| unsigned(row, 0))?)
-        })
+        let sql = "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
+        self.0.one(sql, [owner.0], |row| unsigned(row, 0))
     }
 }
 

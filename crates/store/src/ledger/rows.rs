@@ -5,10 +5,10 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 use rusqlite::types::Value;
-use rusqlite::{Connection, Row, params, params_from_iter};
+use rusqlite::{Connection, Row, params_from_iter};
 use serde::{Deserialize, Serialize};
 
-use super::Ledger;
+use super::{Ledger, Records};
 use crate::chain::merkle::Leaf;
 use crate::crypto::SealedRecord;
 use crate::database::Statements as _;
@@ -219,6 +219,16 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
     })?)
 }
 
+/// All streams, by key.
+pub(super) fn all_streams(connection: &Connection) -> Result<HashMap<i64, Stream>, StoreError> {
+    Ok(by_key(streams(connection, &Which::All)?))
+}
+
+/// Streams by key.
+pub(super) fn by_key(streams: Vec<Stream>) -> HashMap<i64, Stream> {
+    streams.into_iter().map(|stream| (stream.key, stream)).collect()
+}
+
 /// The streams with these keys, by key: looking up a few records costs the same however many streams there are.
 pub(super) fn keyed_streams(
     connection: &Connection,
@@ -227,7 +237,7 @@ pub(super) fn keyed_streams(
     let mut found = HashMap::new();
     for key in keys {
         if !found.contains_key(&key) {
-            found.extend(streams(connection, &Which::Key(key))?.into_iter().map(|stream| (stream.key, stream)));
+            found.extend(by_key(streams(connection, &Which::Key(key))?));
         }
     }
     Ok(found)
@@ -395,40 +405,34 @@ pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
 
 // Finding one record by its digest or a prefix of it.
 
-impl Ledger {
+impl Records {
     /// The record with this digest.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
-        Ok(self.records(&[digest])?.pop().flatten())
+    pub fn find(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
+        Ok(self.find_all(&[digest])?.pop().flatten())
     }
 
     /// The records with these digests, in this order, as of one moment.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn records(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
-        self.read(|connection| rows_of(connection, digests))
+    pub fn find_all(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
+        self.0.read(|connection| rows_of(connection, digests))
     }
 
     /// The record whose digest begins with `id` (4 to 64 hex characters).
     ///
     /// # Errors
     /// [`StoreError::Id`] if `id` is malformed, [`StoreError::Ambiguous`] if several records match.
-    pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
+    pub fn by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
         let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
-        self.read(|connection| {
-            let found: Vec<i64> = connection
-                .prepare_cached("SELECT stream FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2")?
-                .query_map(params![low.0, high.0], |row| row.get(0))?
-                .collect::<Result<_, _>>()?;
-            let by_key = keyed_streams(connection, found)?;
+        self.0.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2");
-            let mut found = connection
-                .prepare_cached(&sql)?
-                .query_map(params![low.0, high.0], |row| record(row, &by_key))?
-                .collect::<Result<Vec<_>, _>>()?;
+            let found: Vec<i64> = connection.list(&sql, [low.0, high.0], |row| row.get(0))?;
+            let by_key = keyed_streams(connection, found)?;
+            let mut found: Vec<RecordRow> = connection.list(&sql, [low.0, high.0], |row| record(row, &by_key))?;
             if found.len() > 1 { Err(StoreError::Ambiguous(id.to_owned())) } else { Ok(found.pop()) }
         })
     }
@@ -439,7 +443,7 @@ pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec
     let mut find = connection.prepare_cached(&format!("SELECT {COLUMNS} FROM records WHERE digest = ?1"))?;
     let mut by_key = HashMap::new();
     let one = |digest: &Digest| {
-        let mut found = find.query(params![digest.0])?;
+        let mut found = find.query([digest.0])?;
         let Some(row) = found.next()? else { return Ok(None) };
         learn_stream(connection, row, &mut by_key)?;
         Ok(Some(record(row, &by_key)?))
@@ -536,26 +540,26 @@ mod place_tests {
         let home = tempfile::tempdir().expect("a folder");
         let (path, copy) = (home.path().join("ledger.db"), home.path().join("copy.db"));
         let (ledger, copied) = Ledger::open_in_place(&path).expect("made");
-        let recorder = ledger.recorder();
+        let recorder = ledger.records.recorder();
         assert!(!copied);
         let (owner, signer) = (Address([1; 20]), SignerId([1; 32]));
-        ledger.append(vec![record(1, 1, 1)]).expect("recorded");
+        ledger.records.append(vec![record(1, 1, 1)]).expect("recorded");
         ledger.close().expect("closed");
         std::fs::copy(&path, &copy).expect("copied");
         let (ledger, copied) = Ledger::open_in_place(&path).expect("opened again");
-        assert!(!copied && ledger.recorder() == recorder, "the first is as it was");
-        assert_eq!(ledger.predecessor(owner, signer).expect("read"), None);
+        assert!(!copied && ledger.records.recorder() == recorder, "the first is as it was");
+        assert_eq!(ledger.counts.predecessor(owner, signer).expect("read"), None);
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened");
-        assert!(copied && other.recorder() != recorder);
+        assert!(copied && other.records.recorder() != recorder);
         let before = recorder.of_signer(&signer);
-        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before), "it says whose copy it is");
-        assert_eq!(other.next_seq(owner, signer, TopicId([1; 16])), Ok(1), "and numbers anew");
-        other.append(vec![NewRecord { digest: Digest([9; 32]), ..record(1, 1, 1) }]).expect("recorded");
-        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before));
-        let renewed = other.recorder();
+        assert_eq!(other.counts.predecessor(owner, signer).expect("read"), Some(before), "it says whose copy it is");
+        assert_eq!(other.records.next_seq(owner, signer, TopicId([1; 16])), Ok(1), "and numbers anew");
+        other.records.append(vec![NewRecord { digest: Digest([9; 32]), ..record(1, 1, 1) }]).expect("recorded");
+        assert_eq!(other.counts.predecessor(owner, signer).expect("read"), Some(before));
+        let renewed = other.records.recorder();
         other.close().expect("closed");
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened again");
-        assert!(!copied && other.recorder() == renewed, "once is enough");
+        assert!(!copied && other.records.recorder() == renewed, "once is enough");
     }
 
     #[test]
@@ -563,10 +567,10 @@ mod place_tests {
         let home = tempfile::tempdir().expect("a folder");
         let path = home.path().join("ledger.db");
         let ledger = Ledger::open(&path).expect("made as before");
-        let recorder = ledger.recorder();
+        let recorder = ledger.records.recorder();
         ledger.close().expect("closed");
         let (ledger, copied) = Ledger::open_in_place(&path).expect("opened");
-        assert!(!copied && ledger.recorder() == recorder);
+        assert!(!copied && ledger.records.recorder() == recorder);
     }
 
     #[test]
@@ -574,10 +578,10 @@ mod place_tests {
         let home = tempfile::tempdir().expect("a folder");
         let (path, moved) = (home.path().join("ledger.db"), home.path().join("moved.db"));
         let (ledger, _) = Ledger::open_in_place(&path).expect("made");
-        let recorder = ledger.recorder();
+        let recorder = ledger.records.recorder();
         ledger.close().expect("closed");
         std::fs::rename(&path, &moved).expect("moved");
         let (ledger, copied) = Ledger::open_in_place(&moved).expect("opened");
-        assert!(!copied && ledger.recorder() == recorder);
+        assert!(!copied && ledger.records.recorder() == recorder);
     }
 }

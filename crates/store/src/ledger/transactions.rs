@@ -3,11 +3,10 @@
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::database::whole;
 use super::rows::{self, By, may, out_of_range, unsigned};
 use super::{Anchors, Database, batches};
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
 
 /// A signed transaction, before it is sent.
@@ -123,10 +122,8 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
-        self.0.read(|connection| {
-            let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
-            Ok(connection.list(&sql, [account.0], transaction_row)?)
-        })
+        let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
+        self.0.list(&sql, [account.0], transaction_row)
     }
 
     /// The transaction with this hash.
@@ -134,10 +131,8 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
-        self.0.read(|connection| {
-            let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
-            Ok(connection.find(&sql, [hash.0], transaction_row)?)
-        })
+        let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
+        self.0.find(&sql, [hash.0], transaction_row)
     }
 
     /// Replaces an open transaction with another of the same account and nonce, in one commit: records that the new one
@@ -252,17 +247,14 @@ fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     if let Some(root) = batch {
         return batches::release(connection, Hash(root), hash);
     }
-    let mut statement = connection.prepare_cached(
-        "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state
+    let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state
              WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
-         WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)",
-    )?;
+         WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)";
     let [submitted, stored, tampered, batched] =
         [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched]
             .map(RecordState::code);
-    for digest in digests.chunks_exact(Digest::LENGTH) {
-        statement.execute(params![digest, hash.0, submitted, stored, tampered, batched])?;
-    }
+    let digests = digests.chunks_exact(Digest::LENGTH);
+    connection.run_each(sql, digests.map(|digest| (digest, hash.0, submitted, stored, tampered, batched)))?;
     Ok(())
 }
 
@@ -382,21 +374,19 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.list(
-                "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
+        self.0.list(
+            "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
                  WHERE state = 0 AND account = ?1 ORDER BY nonce",
-                [account.0],
-                |row| {
-                    Ok(OpenTransaction {
-                        hash: Hash(row.get(0)?),
-                        nonce: unsigned(row, 1)?,
-                        purpose: row.get(2)?,
-                        anchors: row.get(3)?,
-                    })
-                },
-            )?)
-        })
+            [account.0],
+            |row| {
+                Ok(OpenTransaction {
+                    hash: Hash(row.get(0)?),
+                    nonce: unsigned(row, 1)?,
+                    purpose: row.get(2)?,
+                    anchors: row.get(3)?,
+                })
+            },
+        )
     }
 
     /// The signed bytes of a transaction; `None` if the ledger does not hold it.
@@ -404,9 +394,7 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))?)
-        })
+        self.0.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))
     }
 
     /// Hash and bytes of every transaction ever signed here with this nonce, whatever its outcome, newest first.
@@ -415,14 +403,12 @@ impl Lanes {
     /// [`StoreError::Database`] and the like.
     pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
         let nonce = whole("nonce", nonce)?;
-        self.0.read(|connection| {
-            let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
-            Ok(connection.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))?)
-        })
+        let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
+        self.0.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))
     }
 
     /// Records how transactions ended, in one commit. If one failed or was replaced, its submitted records are stored (or
-    /// batched) again; if it was mined they wait for the watcher ([`super::Ledger::mined`]).
+    /// batched) again; if it was mined they wait for the watcher ([`Batches::mined`]).
     ///
     /// # Errors
     /// [`StoreError::Transaction`] if the ledger does not hold one of them; then none is closed.
@@ -485,11 +471,8 @@ fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreE
                  (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)";
         connection.run(sql, [root, from.0, to.0])?;
     }
-    let mut statement =
-        connection.prepare_cached("UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL")?;
-    for digest in digests.chunks_exact(crate::model::Digest::LENGTH) {
-        statement.execute(params![digest, from.0, to.0])?;
-    }
+    let sql = "UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL";
+    connection.run_each(sql, digests.chunks_exact(Digest::LENGTH).map(|digest| (digest, from.0, to.0)))?;
     Ok(())
 }
 

@@ -73,7 +73,7 @@ impl GatewayDesk {
     /// What can be said of it without a look at any signature.
     fn known(&self, network: &Network, header: &Header, digest: Digest) -> Result<Option<Judged>, Refusal> {
         let (ledger, internal) = (&self.gateway.plant.ledger, Refusal::because(Code::Internal));
-        let Some(row) = block_in_place(|| ledger.record(digest)).map_err(&internal)? else { return Ok(None) };
+        let Some(row) = block_in_place(|| ledger.records.find(digest)).map_err(&internal)? else { return Ok(None) };
         if let Some(field) = header_difference(&row, header) {
             let text = format_args!("what is told of record {} differs from it in its {field}", row.id);
             return Err(Refusal::new(Code::Tampered, text));
@@ -83,7 +83,7 @@ impl GatewayDesk {
             let current = statement.is_ok_and(|stated| is_owners(network, header.owner, &stated.signer));
             kept.account.is_some() && current
         };
-        let is_known = match block_in_place(|| ledger.kept_erasure(digest)).map_err(&internal)? {
+        let is_known = match block_in_place(|| ledger.erasures.kept(digest)).map_err(&internal)? {
             // This home decided about it.
             None => row.deleted_at.is_some(),
             Some(kept) => !kept.taken || stands(&kept),
@@ -128,7 +128,7 @@ impl GatewayDesk {
         let row = NewRecord::foreign(sealed, self.keeper.address);
         let row = NewRecord { blob: None, ..row };
         let stated = (taken, account_signature.0.to_vec());
-        match block_in_place(|| plant.ledger.take_told(row, stated, (inclusion, anchor))) {
+        match block_in_place(|| plant.ledger.erasures.take_told(row, stated, (inclusion, anchor))) {
             Ok(ToldErased::Listed | ToldErased::Named) => {
                 self.gateway.hub.confirmed.notify_one();
                 self.gateway.hub.changed(Part::Uploads);
@@ -158,7 +158,7 @@ impl GatewayDesk {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
-        let retained = plant.ledger.retained(row.digest).map_err(&internal)?;
+        let retained = plant.ledger.retention.find(row.digest).map_err(&internal)?;
         let retained = retained.filter(|retained| retained.deleted_at.is_some());
         let none = || Refusal::new(Code::NotFound, format_args!("record {} was not erased by its owner", row.id));
         let retained = retained.ok_or_else(none)?;
@@ -177,7 +177,7 @@ impl GatewayDesk {
         retained: &Retained,
     ) -> Result<Option<ErasedStatement>, Refusal> {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
-        let kept = plant.ledger.kept_erasure(row.digest).map_err(&internal)?;
+        let kept = plant.ledger.erasures.kept(row.digest).map_err(&internal)?;
         let kept = kept.and_then(|kept| ErasedStatement::parse(&kept.statement).ok());
         if let Some(kept) = kept.filter(|kept| is_owners(network, row.owner, &kept.signer)) {
             return Ok(Some(kept));
@@ -198,7 +198,7 @@ impl GatewayDesk {
         let when = (retained.report, erasure.at);
         let stated = retention::stated(plant, keys, about, when).map_err(Refusal::because(Code::Internal))?;
         let statement = ErasedStatement::parse(&stated.statement).map_err(Refusal::because(Code::Internal))?;
-        plant.ledger.keep_erasures(vec![stated]).map_err(&internal)?;
+        plant.ledger.erasures.keep(vec![stated]).map_err(&internal)?;
         Ok(Some(statement))
     }
 }

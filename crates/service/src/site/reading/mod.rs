@@ -62,7 +62,7 @@ impl Reading {
             Ok(network) => return Ok(network),
             Err(failure) => failure,
         };
-        blocking(self, move |reading| match network_pin(&reading.plant.ledger)? {
+        blocking(self, move |reading| match network_pin(&reading.plant.ledger.rights)? {
             Some(pin) => Ok(Network::kept(&reading.plant, pin, &clean(&failure.message, 400))?),
             None => Err(failure),
         })
@@ -107,7 +107,7 @@ impl Reading {
             let enrolled = enrolled::of_account(&reading.plant.ledger.notes, owner)?;
             let signers = asked.map(|robot| devices_of(&enrolled, &robot)).transpose()?;
             let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
-            let found = reading.plant.ledger.coverage(&query)?;
+            let found = reading.plant.ledger.counts.coverage(&query)?;
             let robots = names(&enrolled, &found.signers);
             Ok((found, robots))
         })

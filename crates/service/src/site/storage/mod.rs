@@ -108,7 +108,7 @@ impl Storage {
             let Ok(free) = blocking(&self, |storage| Ok(free_bytes(storage.home.root())?)).await else { continue };
             pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
             if free < reserve && held.is_none() {
-                held = Some(self.plant.ledger.hold_records());
+                held = Some(self.plant.ledger.records.hold());
                 self.tell_room(NoticeLevel::Error, &self.full_text(free));
             }
             if free < reserve.min(LAST) && self.states.is_held() {
@@ -145,7 +145,7 @@ impl Storage {
 
     /// How the store's health is reported while records are refused.
     pub(in crate::site) fn room_health(&self) -> Option<(HealthLevel, String)> {
-        let held: Result<(), Failure> = self.plant.ledger.takes_records().map_err(Failure::from);
+        let held: Result<(), Failure> = self.plant.ledger.records.takes_records().map_err(Failure::from);
         held.err().map(|_| {
             let free = free_bytes(self.home.root()).unwrap_or(0);
             (HealthLevel::Failed, self.full_text(free))
@@ -176,7 +176,7 @@ impl Storage {
 
     /// Checks once, in the background, if the previous run did not close its files.
     pub(in crate::site) async fn check_after_crash(self: Arc<Self>) {
-        if self.plant.ledger.ended_cleanly() {
+        if self.plant.ledger.inspection.ended_cleanly() {
             return;
         }
         match blocking(&self, contradictions).await {
@@ -199,11 +199,12 @@ fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
     let plant = &storage.plant;
     let mut found: Vec<String> = plant
         .ledger
+        .inspection
         .contradictions()?
         .into_iter()
         .map(|text| format!("after an unclean shutdown, in the ledger: {text}; keep a copy of the home"))
         .collect();
-    for digest in plant.ledger.newest_stored(NEWEST)? {
+    for digest in plant.ledger.inspection.newest_stored(NEWEST)? {
         let blob = plant.ciphertext.get(digest)?;
         if blob.is_none_or(|blob| plant.provider.sm3(&[&blob]) != digest.0) {
             found.push(format!("after an unclean shutdown: record {digest} is not in the store as it was written"));

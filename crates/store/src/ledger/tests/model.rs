@@ -236,17 +236,17 @@ impl Pair {
         match step {
             Step::Append { owner, topics, data, whole } => {
                 let added = self.model.append(owner, &topics, data, whole);
-                assert_eq!(self.ledger().append(added), Ok(()));
+                assert_eq!(self.ledger().records.append(added), Ok(()));
             }
             Step::AppendTwin(picked) => {
                 let new = picked.get(&self.model.records).new.clone();
-                assert_eq!(self.ledger().append(vec![new.clone()]), Ok(()));
+                assert_eq!(self.ledger().records.append(vec![new.clone()]), Ok(()));
                 let twin = NewRecord { digest: Digest([3; 32]), ..new };
-                assert!(self.ledger().append(vec![twin]).is_err());
+                assert!(self.ledger().records.append(vec![twin]).is_err());
             }
             Step::Advance { picked, from, to } => {
                 let (picked, from, to) = (self.model.pick(&picked), STATES[from], STATES[to]);
-                let answer = self.ledger().advance(&self.model.digests(&picked), from, to);
+                let answer = self.ledger().records.advance(&self.model.digests(&picked), from, to);
                 match answer {
                     Ok(moved) => assert_eq!(moved, self.model.advance(&picked, from, to), "{from:?} {to:?}"),
                     Err(_) => assert!(!rows::may(rows::By::Worker, from, to)),
@@ -306,7 +306,7 @@ impl Pair {
 
     /// The counters equal a full recount, and the conservation law holds.
     fn recount(&self) {
-        let counts = self.ledger().counts(None).expect("counts");
+        let counts = self.ledger().counts.by_state(None).expect("counts");
         let dropped: u64 = self.model.dropped.values().sum();
         for (data, found) in [(true, &counts.data), (false, &counts.others)] {
             let mut model: BTreeMap<RecordState, u64> = BTreeMap::new();
@@ -339,7 +339,7 @@ fn all_rows(ledger: &Ledger, limit: usize) -> Vec<RecordRow> {
     let mut query = RecordQuery { limit, ..RecordQuery::default() };
     let mut rows = Vec::new();
     loop {
-        let page = ledger.list(&query).expect("page");
+        let page = ledger.records.list(&query).expect("page");
         rows.extend(page.rows);
         query.after = Some(match page.next {
             Some(next) => next,
