@@ -11,7 +11,7 @@ use authros::gateway::{
     Account, Binding, Cabinet, Caller, Code, Context, Desk, Feed, FeedEntry, FeedPage, Found, Limits, NetworkName,
     Notice, Received, Refusal, Schedule, Server,
 };
-use authros::model::{Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use authros::model::{Address, Digest, Fact, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use authros::store::{Ciphertext, Ledger};
 use serde_json::Value;
 use tokio::sync::watch;

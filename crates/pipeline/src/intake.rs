@@ -1,5 +1,5 @@
-//! The one way in for records that were not sealed here: a reader's, and what their owners had erased. Every claim is compared with
-//! the chain, in the same steps and with the same words whoever brings it; then the record is stored as if it had been captured here.
+//! The one way in for records that were not sealed here: a reader's, an owner's uploads to a gateway, and what their owners had
+//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words whoever brings it; then the record is stored as if it had been captured here.
 //! A gateway that lies gets nothing in.
 
 use std::collections::BTreeMap;
@@ -13,6 +13,7 @@ use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
 use crate::crypto::{CryptoError, ErasedStatement, SealedRecord, check_deleted, signer_id};
 use crate::equivocation::{self, Claim};
+use crate::gateway::desk::Received;
 use crate::gateway::{ErasedRecord, FeedEntry, Fetched};
 use crate::model::{Address, Digest, Fact, Hash, Header, PublicKey, RecordState, Timestamp};
 use crate::reader::Reader;
@@ -100,31 +101,16 @@ impl From<Reason> for Stop {
     }
 }
 
-impl From<PipelineError> for Stop {
-    fn from(error: PipelineError) -> Self {
-        match error {
+impl<E> From<E> for Stop
+where
+    PipelineError: From<E>,
+{
+    fn from(error: E) -> Self {
+        match error.into() {
             PipelineError::Crypto(CryptoError::FalseName(what)) => Self::Refused(Reason::FalseName(what)),
             PipelineError::Crypto(error) => Self::Refused(Reason::Crypto(error)),
             error => Self::Failed(error),
         }
-    }
-}
-
-impl From<CryptoError> for Stop {
-    fn from(error: CryptoError) -> Self {
-        Self::from(PipelineError::Crypto(error))
-    }
-}
-
-impl From<StoreError> for Stop {
-    fn from(error: StoreError) -> Self {
-        Self::Failed(error.into())
-    }
-}
-
-impl From<crate::chain::ChainError> for Stop {
-    fn from(error: crate::chain::ChainError) -> Self {
-        Self::Failed(error.into())
     }
 }
 
@@ -310,16 +296,7 @@ impl Intake<'_> {
         let opened = opener.open_bytes(&asked, &record.blob).await?;
         let sealed = SealedRecord { header, blob: record.blob, digest, signature: record.signature };
         let row = NewRecord::foreign(sealed, self.keeper).named(&opened.head);
-        let claim = Claim::of(&row);
-        match block_in_place(|| self.plant.keep([row], |row| self.plant.ledger.records.append(row.into()))) {
-            Err(StoreError::Conflict { .. }) => {
-                if let Some(claim) = claim {
-                    block_in_place(|| equivocation::tell(self.plant, &claim))?;
-                }
-                Err(Reason::Number.into())
-            }
-            done => Ok(done?),
-        }
+        Ok(block_in_place(|| store(self.plant, vec![row]))??)
     }
 
     fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, Stop> {
@@ -415,6 +392,34 @@ impl Intake<'_> {
         }
         let proof = self.examine(&header, digest, (&record.signer, &record.proof)).await?;
         Ok((header, proof))
+    }
+}
+
+/// Takes an owner's uploads in, all or none: their signatures and their signers' rights were checked when they came, and `keeper`
+/// anchors them from here.
+///
+/// # Errors
+/// Errors of the store.
+pub fn accept_uploads(
+    plant: &Plant,
+    keeper: Address,
+    uploads: Vec<Received>,
+) -> Result<Result<(), Reason>, PipelineError> {
+    store(plant, uploads.into_iter().map(|upload| NewRecord::foreign(upload.into(), keeper)).collect())
+}
+
+/// Stores records that were not sealed here. Where one has the number of another, none is stored, and both signatures are kept.
+fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>, PipelineError> {
+    let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
+    match plant.keep(rows, |rows| plant.ledger.records.append(rows)) {
+        Err(error @ StoreError::Conflict { .. }) => {
+            let told: Vec<bool> = claims.iter().map(|claim| equivocation::tell(plant, claim)).collect::<Result<_, _>>()?;
+            if !told.contains(&true) {
+                plant.observer.alert(true, format!("a sender's record contradicts another one: {error}"));
+            }
+            Ok(Err(Reason::Number))
+        }
+        done => Ok(Ok(done?)),
     }
 }
 

@@ -86,11 +86,7 @@ async fn compare_page(
         }
         // The chain may have been replaced below us, or a node have answered that is behind: what the ledger and the next
         // answer say now counts.
-        let now = inspection
-            .audit_batches(batch.key - 1, 1)?
-            .pop()
-            .filter(|now| now.key == batch.key)
-            .unwrap_or(batch);
+        let now = inspection.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key).unwrap_or(batch);
         if now.block.is_none() {
             continue;
         }

@@ -46,8 +46,8 @@ impl Records {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         self.0.read(|connection| {
             let sql = "SELECT max(seq) FROM records WHERE topic =
-                     (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
-                      AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
+                (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
+                 AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
             let highest: Option<i64> =
                 connection.one(sql, params![owner.0, topic.0, recorder.0, signer.0], |row| row.get(0))?;
             Ok(highest.map_or(1, |seq| seq.cast_unsigned() + 1))
@@ -116,7 +116,7 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
     let stream = stream_key(session, record, topic)?;
     session.connection.run(
         "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
-             acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+            acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
         params![
             record.digest.0,
             topic,
@@ -164,8 +164,8 @@ fn store(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), St
 fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
     let Some(blob) = &record.blob else { return Ok(()) };
     let sql = "INSERT INTO ciphertext SELECT n, ?2 FROM records WHERE digest = ?1 AND deleted_at IS NULL
-             AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
-             ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
+        AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
+        ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
     connection.run(sql, params![record.digest.0, blob.as_slice()])?;
     Ok(())
 }
@@ -210,7 +210,7 @@ fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, Strin
     let recorder = recorder_key(connection, record)?;
     let keeper = record.foreign.map(|foreign| foreign.keeper.0);
     let sql = "INSERT INTO topics (owner, recorder, topic_id, name, keeper) VALUES (?1, ?2, ?3, ?4, ?5)
-             ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
+        ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
     connection.run(sql, params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
     let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3";
     Ok(connection

@@ -109,8 +109,8 @@ impl Batches {
     pub fn waiting(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
         self.0.list(
             "SELECT root, count FROM batches INDEXED BY batches_waiting
-                 WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
-                 ORDER BY key LIMIT ?2",
+                WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
+                ORDER BY key LIMIT ?2",
             params![owner.0, capped(limit)],
             |row| Ok(WaitingBatch { root: Hash(row.get(0)?), count: unsigned(row, 1)? }),
         )
@@ -140,9 +140,9 @@ impl Batches {
                 return Ok((0, None));
             }
             let sql = "SELECT coalesce(sum(coalesce((SELECT records FROM counters WHERE stream = streams.key AND state = ?2), 0)), 0),
-                     min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
-                          WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
-                     FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1";
+                min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
+                     WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
+                FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1";
             Ok(connection.one(sql, params![keeper.0, stored], |row| {
                 Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
             })?)
@@ -157,9 +157,9 @@ impl Batches {
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         self.0.list(
             "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
-                 JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
-                 JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
-                 WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
+                JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
+                JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
+                WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
             params![keeper.0, RecordState::Stored.code(), capped(limit)],
             leaf,
         )
@@ -187,8 +187,8 @@ impl Batches {
         self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
             let sql = "SELECT 1 FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL
-                       AND NOT EXISTS (SELECT 1 FROM leaves JOIN passed_over ON passed_over.record = leaves.record
-                                       WHERE leaves.batch = batches.key AND passed_over.block = ?3)";
+                AND NOT EXISTS (SELECT 1 FROM leaves JOIN passed_over ON passed_over.record = leaves.record
+                                WHERE leaves.batch = batches.key AND passed_over.block = ?3)";
             let values = |one: RootSighting| {
                 Ok::<_, StoreError>((one.root.0, whole("count", one.count)?, whole("block", one.block)?))
             };
@@ -227,8 +227,8 @@ pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<V
     let rows = rows::rows_of(connection, digests)?;
     let mut find = connection.prepare_cached(&format!(
         "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
-         batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
-         WHERE digest = ?1",
+            batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
+            WHERE digest = ?1",
         branches::JOINED
     ))?;
     let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
@@ -292,8 +292,8 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
     let changed = connection.run(
         "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
-             state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
-             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
+            state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
+            WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
         params![
             key,
             sighting.transaction.0,
@@ -319,7 +319,7 @@ pub(super) fn see_record(
         return Ok(());
     }
     let sql = "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block, block_hash FROM batches WHERE key = ?2),
-             state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
+        state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
     connection.run(sql, params![record, batch, RecordState::Mined.code()])?;
     Ok(())
 }
@@ -339,7 +339,7 @@ pub(super) fn submit(
         return Err(detail("anchors a batch that another transaction anchors"));
     }
     let sql = "UPDATE records SET tx = ?2, state = CASE state WHEN ?3 THEN ?4 ELSE state END
-             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+        WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![key, transaction.0, RecordState::Batched.code(), RecordState::Submitted.code()])?;
     Ok(())
 }
@@ -353,7 +353,7 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
         return Ok(());
     }
     let sql = "UPDATE records SET tx = NULL, state = CASE state WHEN ?3 THEN ?4 ELSE state END
-             WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+        WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![key, transaction.0, RecordState::Submitted.code(), RecordState::Batched.code()])?;
     Ok(())
 }
@@ -362,9 +362,9 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
 /// transactions that does so continues.
 pub(super) fn take_back(connection: &Connection, block: i64) -> Result<(), StoreError> {
     let sql = "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
-             (SELECT hash, transactions.account FROM transactions
-              WHERE transactions.batch = root AND state = 0 ORDER BY nonce, transactions.key LIMIT 1)
-             WHERE block >= ?1";
+        (SELECT hash, transactions.account FROM transactions
+         WHERE transactions.batch = root AND state = 0 ORDER BY nonce, transactions.key LIMIT 1)
+        WHERE block >= ?1";
     connection.run(sql, [block])?;
     Ok(())
 }
@@ -418,7 +418,7 @@ fn batch_of(
     }
     connection.run(
         "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
-             VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING",
+            VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING",
         params![
             inclusion.root.0,
             anchor.account.0,
@@ -433,7 +433,7 @@ fn batch_of(
 /// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.
 fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
     let sql = "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
-                 OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
+        OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
     Ok(connection.one(
         sql,
         params![whole("block", anchor.block)?, anchor.block_hash.0, whole("block", sightings::DENSE)?],
@@ -463,10 +463,10 @@ impl Counts {
         self.0.read(|connection| {
             let sql = format!(
                 "SELECT r.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
-                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-                     JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                     WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
-                     GROUP BY r.signer, {TOPIC_NAME}, c.state"
+                    JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                    JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
+                    GROUP BY r.signer, {TOPIC_NAME}, c.state"
             );
             let mut found: BTreeMap<(SignerId, String), BTreeMap<RecordState, u64>> = BTreeMap::new();
             connection.each(&sql, params![owner.0, RecordKind::Data.code(), own.0], |row| {

@@ -66,8 +66,8 @@ impl Proofs {
         self.0.read(|connection| {
             let mut batches: Vec<UnprovenBatch> = connection.list(
                 "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
-                 WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
-                 AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2",
+                    WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
+                    AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2",
                 params![up_to, limit],
                 |row| {
                     let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
@@ -173,7 +173,7 @@ impl Proofs {
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
         self.0.one(
             "SELECT (SELECT max(block) FROM chain_proofs),
-                 (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)",
+                (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)",
             [],
             |row| {
                 let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
@@ -185,8 +185,8 @@ impl Proofs {
 
 fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId)>, StoreError> {
     let sql = "SELECT DISTINCT topics.owner, recorders.signer FROM leaves JOIN records ON records.n = leaves.record
-         JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic
-         JOIN recorders ON recorders.key = topics.recorder WHERE leaves.batch = ?1";
+        JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic
+        JOIN recorders ON recorders.key = topics.recorder WHERE leaves.batch = ?1";
     Ok(connection.list(sql, [batch], |row| Ok((Address(row.get(0)?), SignerId(row.get(1)?))))?)
 }
 
@@ -245,7 +245,7 @@ impl Proofs {
         self.0.write(move |session| {
             let connection = session.connection;
             let sql = "SELECT key, root FROM batches WHERE key > coalesce((SELECT max(upto) FROM stamps), 0)
-                       ORDER BY key LIMIT ?1";
+                ORDER BY key LIMIT ?1";
             let found: Vec<(i64, [u8; 32])> = connection.list(sql, [most], |row| Ok((row.get(0)?, row.get(1)?)))?;
             let Some((upto, _)) = found.last() else { return Ok(0) };
             let roots: Vec<u8> = found.iter().flat_map(|(_, root)| *root).collect();
@@ -265,10 +265,10 @@ impl Proofs {
     /// [`StoreError::Database`] and its kin.
     pub fn waiting_stamps(&self, authority: Hash, limit: usize) -> Result<Vec<KeptStamp>, StoreError> {
         let sql = "SELECT key, roots FROM stamps
-                       WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
-                       AND (key > (SELECT max(key) FROM stamps) - ?2
-                            OR NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key))
-                       ORDER BY key LIMIT ?3";
+            WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
+            AND (key > (SELECT max(key) FROM stamps) - ?2
+                 OR NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key))
+            ORDER BY key LIMIT ?3";
         self.0.list(sql, params![authority.0, NEWEST, capped(limit)], |row| {
             Ok(KeptStamp { key: unsigned(row, 0)?, roots: hashes(&row.get::<_, Vec<u8>>(1)?), tokens: Vec::new() })
         })
@@ -313,7 +313,7 @@ impl Proofs {
     /// [`StoreError::Database`] and its kin.
     pub fn stamp_counts(&self) -> Result<StampCounts, StoreError> {
         let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
-                       (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
+            (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
         self.0.one(sql, [], |row| {
             let time =
                 |at| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(at)?.map(|at| Timestamp(at.cast_unsigned())));

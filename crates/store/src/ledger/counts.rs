@@ -133,8 +133,8 @@ impl Counts {
         topics: Option<&[TopicId]>,
     ) -> Result<(u64, Option<Timestamp>), StoreError> {
         let sql = "SELECT topics.topic_id, epoch_records.records, first_at FROM epoch_records
-                 JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
-                 WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3";
+            JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
+            WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3";
         let values = params![owner.0, whole("epoch", epoch)?, RecordKind::Data.code()];
         let mut found: Vec<(TopicId, u64, Timestamp)> = self
             .0
@@ -290,7 +290,7 @@ pub struct CoverageQuery {
 }
 
 /// The records in a part of the span.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoveragePart {
     /// Its beginning.
     pub at: Timestamp,
@@ -302,6 +302,19 @@ pub struct CoveragePart {
     pub tampered: bool,
     /// Messages that were lost, as far as noticed in this part; what is spread over several counts in each.
     pub lost: u64,
+}
+
+impl CoveragePart {
+    /// The sign of a part: the worst of its findings.
+    pub fn sign(&self) -> char {
+        match self {
+            Self { tampered: true, .. } => 'T',
+            Self { quarantined: true, .. } => 'Q',
+            Self { lost: 1.., .. } => 'L',
+            Self { data: true, .. } => '█',
+            _ => '·',
+        }
+    }
 }
 
 /// When there are records of a topic.
@@ -403,7 +416,7 @@ impl Lane {
     fn walk(&self, connection: &Connection, until: Timestamp, parts: &mut [CoveragePart]) -> Result<(), StoreError> {
         let mut statement = connection.prepare_cached(
             "SELECT captured_at FROM records INDEXED BY records_by_state
-             WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1",
+                WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1",
         )?;
         let mut from = parts.first().map(|part| part.at);
         while let Some(at) = from {
@@ -440,7 +453,7 @@ fn add_losses(connection: &Connection, query: &CoverageQuery, parts: &mut [Cover
     let Some(since) = parts.first().map(|part| part.at) else { return Ok(()) };
     let mut statement = connection.prepare_cached(
         "SELECT count, first_at, last_at FROM gaps WHERE owner = ?1 AND topic = ?2 AND last_at >= ?3 AND first_at < ?4
-         ORDER BY key DESC LIMIT ?5",
+            ORDER BY key DESC LIMIT ?5",
     )?;
     let (since, until) = (whole("time", since.0)?, whole("time", query.until.0)?);
     let mut found = statement.query(params![query.owner.0, query.topic, since, until, MOST_LOSSES])?;
@@ -473,8 +486,8 @@ impl Counts {
     /// [`StoreError::Database`] and the like.
     pub fn usage(&self, owner: Address) -> Result<OwnerUsage, StoreError> {
         let sql = "SELECT count(DISTINCT s.key), coalesce(sum(c.bytes), 0)
-                     FROM topics t JOIN streams s ON s.topic = t.key LEFT JOIN counters c ON c.stream = s.key
-                     WHERE t.owner = ?1";
+            FROM topics t JOIN streams s ON s.topic = t.key LEFT JOIN counters c ON c.stream = s.key
+            WHERE t.owner = ?1";
         self.0.one(sql, [owner.0], |row| Ok(OwnerUsage { streams: unsigned(row, 0)?, bytes: unsigned(row, 1)? }))
     }
 
@@ -489,9 +502,9 @@ impl Counts {
         (kind, type_name, signer): (RecordKind, &str, SignerId),
     ) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM topics t JOIN streams s ON s.topic = t.key
-                     WHERE t.owner = ?1 AND t.topic_id = ?2
-                     AND t.recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?6)
-                     AND s.kind = ?4 AND s.type_name = ?5)";
+            WHERE t.owner = ?1 AND t.topic_id = ?2
+            AND t.recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?6)
+            AND s.kind = ?4 AND s.type_name = ?5)";
         self.0.one(sql, params![owner.0, topic.0, recorder.0, kind.code(), type_name, signer.0], |row| row.get(0))
     }
 }

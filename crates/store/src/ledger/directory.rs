@@ -92,12 +92,12 @@ pub struct KeptEnvelope {
 /// grant.
 pub(super) const ENDING: [&str; 3] = [
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?3
-     WHERE owner = ?1 AND kind = 3 AND grantee = ?2 AND replaced IS NULL AND revoked IS NULL",
+        WHERE owner = ?1 AND kind = 3 AND grantee = ?2 AND replaced IS NULL AND revoked IS NULL",
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?2
-     WHERE owner = ?1 AND kind = 4 AND replaced IS NULL AND revoked IS NULL",
+        WHERE owner = ?1 AND kind = 4 AND replaced IS NULL AND revoked IS NULL",
     "UPDATE rights INDEXED BY rights_standing SET revoked = ?4, revoked_at = ?3
-     WHERE owner = ?1 AND kind IN (1, 2, 3) AND grantee = ?2
-     AND replaced IS NULL AND revoked IS NULL",
+        WHERE owner = ?1 AND kind IN (1, 2, 3) AND grantee = ?2
+        AND replaced IS NULL AND revoked IS NULL",
 ];
 /// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
@@ -167,7 +167,7 @@ impl Rights {
         self.0.read(|connection| {
             let (block, place) = last_event(connection)?;
             let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
-                       WHERE replaced IS NULL AND revoked IS NULL ORDER BY block, place";
+                WHERE replaced IS NULL AND revoked IS NULL ORDER BY block, place";
             let events = connection.list(sql, [], kept)?;
             let last = (place >= 0).then_some((block.cast_unsigned(), place.cast_unsigned()));
             Ok(StandingRights { last, events })
@@ -180,7 +180,7 @@ impl Rights {
     /// [`StoreError::Database`] and the like.
     pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
-                       WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
+            WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
         self.0.list(sql, [account.0], kept)
     }
 
@@ -214,8 +214,7 @@ impl Rights {
     /// [`StoreError::Database`] and the like.
     pub fn rights_in(&self, from: u64, to: u64) -> Result<Vec<KeptRight>, StoreError> {
         let (from, to) = (whole("block", from)?, whole("block", to)?);
-        let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2
-                       ORDER BY block, place";
+        let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2 ORDER BY block, place";
         self.0.list(sql, [from, to], kept)
     }
 
@@ -252,7 +251,7 @@ impl Rights {
             for (side, index) in [("owner", "rights_given"), ("grantee", "rights_received")] {
                 let sql = format!(
                     "SELECT block, place, event, revoked FROM rights INDEXED BY {index}
-                     WHERE {side} = ?1 AND revoked IS NOT NULL AND replaced IS NULL AND kind IN (1, 3)"
+                        WHERE {side} = ?1 AND revoked IS NOT NULL AND replaced IS NULL AND kind IN (1, 3)"
                 );
                 let one: Vec<_> = connection.list(&sql, [account.0], kept)?;
                 found.extend(one);
@@ -281,9 +280,9 @@ impl Rights {
         };
         let sql = format!(
             "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY {index}
-                 JOIN envelopes e ON e.block = r.block AND e.place = r.place
-                 WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
-                 ORDER BY r.block, r.place"
+                JOIN envelopes e ON e.block = r.block AND e.place = r.place
+                WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
+                ORDER BY r.block, r.place"
         );
         self.0.list(&sql, params![owner.0, grantee.0, asked], |row| {
             Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
@@ -297,8 +296,8 @@ impl Rights {
     pub fn own_envelopes(&self, owner: Address, from: u64, to: u64) -> Result<Vec<KeptEnvelope>, StoreError> {
         let (from, to) = (whole("epoch", from)?, whole("epoch", to)?);
         let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
-                       JOIN envelopes e ON e.block = r.block AND e.place = r.place
-                       WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
+            JOIN envelopes e ON e.block = r.block AND e.place = r.place
+            WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
         self.0.list(sql, params![owner.0, from, to], |row| {
             Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
         })
@@ -321,8 +320,8 @@ impl Rights {
     pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
         let sql = "SELECT token FROM rights INDEXED BY rights_tokens
-                       WHERE owner = ?1 AND epoch = ?2 AND token IS NOT NULL
-                       ORDER BY block, place LIMIT 1";
+            WHERE owner = ?1 AND epoch = ?2 AND token IS NOT NULL
+            ORDER BY block, place LIMIT 1";
         self.0.find(sql, params![owner.0, epoch], |row| row.get(0).map(Token))
     }
 
@@ -331,8 +330,7 @@ impl Rights {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn ever_had_token(&self, owner: Address, token: Token) -> Result<bool, StoreError> {
-        let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens
-                       WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
+        let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
         self.0.has(sql, params![owner.0, token.0])
     }
 }
@@ -389,7 +387,7 @@ fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreErro
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
     connection.run(
         "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
         params![
             block,
             place,
@@ -430,7 +428,7 @@ pub struct WaitingSigner {
 /// The streams of one signer and owner that an account anchors.
 const STREAMS: &str =
     "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-     WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
+        WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
 
 impl Batches {
     /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
@@ -442,10 +440,10 @@ impl Batches {
             [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
         self.0.list(
             "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
-                 FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-                 JOIN counters c ON c.stream = s.key
-                 WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
-                 GROUP BY t.owner, r.signer",
+                FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                JOIN counters c ON c.stream = s.key
+                WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
+                GROUP BY t.owner, r.signer",
             params![keeper.0, held, stored, batched],
             |row| {
                 let (owner, signer) = (Address(row.get(0)?), SignerId(row.get(1)?));
@@ -499,9 +497,9 @@ impl Batches {
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         self.0.list(
             "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
-                 JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
-                 JOIN recorders ON recorders.key = topics.recorder
-                 WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3",
+                JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
+                JOIN recorders ON recorders.key = topics.recorder
+                WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3",
             params![keeper.0, RecordState::Stored.code(), capped(limit)],
             batches::leaf,
         )
@@ -520,7 +518,7 @@ fn shift(
     }
     let sql = format!(
         "UPDATE records SET state = ?5 WHERE n IN (SELECT n FROM records INDEXED BY records_by_state
-         WHERE state = ?4 AND stream IN ({STREAMS}) LIMIT {MOST})"
+            WHERE state = ?4 AND stream IN ({STREAMS}) LIMIT {MOST})"
     );
     let values = params![keeper.0, owner.0, signer.0, from.code(), to.code()];
     Ok(count(connection.run(&sql, values)?))
@@ -535,8 +533,8 @@ fn unsent_batches(
 ) -> Result<Vec<i64>, StoreError> {
     let sql = format!(
         "SELECT DISTINCT batch FROM records INDEXED BY records_by_state JOIN leaves ON record = n
-         JOIN batches ON key = batch WHERE state = ?4 AND stream IN ({STREAMS})
-         AND batches.tx IS NULL AND batches.block IS NULL"
+            JOIN batches ON key = batch WHERE state = ?4 AND stream IN ({STREAMS})
+            AND batches.tx IS NULL AND batches.block IS NULL"
     );
     let values = params![keeper.0, owner.0, signer.0, RecordState::Batched.code()];
     Ok(connection.list(&sql, values, |row| row.get(0))?)
@@ -583,7 +581,7 @@ pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, S
     }
     connection.run("DELETE FROM left_places WHERE batch = ?1", [batch])?;
     let sql = "UPDATE batches SET tx = NULL, account = NULL, block = NULL, block_hash = NULL, closed_here = 1
-             WHERE key = ?1";
+        WHERE key = ?1";
     connection.run(sql, [batch])?;
     Ok(true)
 }

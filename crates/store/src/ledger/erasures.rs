@@ -89,8 +89,8 @@ impl Erasures {
     /// [`StoreError::DiskFull`] and the like; then none is noted.
     pub fn keep(&self, stated: Vec<StatedErasure>) -> Result<(), StoreError> {
         let sql = "REPLACE INTO erasures (record, statement, account, taken)
-                 SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
-                 FROM records WHERE digest = ?1";
+            SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
+            FROM records WHERE digest = ?1";
         self.0
             .run_each(sql, stated.into_iter().map(|one| (one.digest.0, one.statement, one.account)).collect())
             .map(drop)
@@ -112,7 +112,7 @@ impl Erasures {
     pub fn list(&self, after: u64, limit: usize) -> Result<ErasurePage, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT erasures.n, digest, statement, account FROM erasures JOIN records one ON one.n = record
-                 WHERE erasures.n > ?1 AND account IS NOT NULL AND deleted_at IS NOT NULL ORDER BY erasures.n LIMIT ?2";
+                WHERE erasures.n > ?1 AND account IS NOT NULL AND deleted_at IS NOT NULL ORDER BY erasures.n LIMIT ?2";
             let rows: Vec<_> = connection.list(sql, params![capped(after), capped(limit)], |row| {
                 Ok((unsigned(row, 0)?, (Digest(row.get(1)?), row.get(2)?, row.get(3)?)))
             })?;
@@ -130,11 +130,11 @@ impl Erasures {
         self.0.read(|connection| {
             // P_C is behind the retention record (32) and the time (8) of a statement.
             let sql = "SELECT one.digest, report, header FROM retained JOIN records one ON one.n = retained.record
-                 JOIN topics t ON t.key = one.topic
-                 JOIN notes ON notes.kind = 'erased' AND about = lower(hex(report))
-                 LEFT JOIN erasures ON erasures.record = retained.record
-                 WHERE t.owner = ?1 AND retained.deleted_at IS NOT NULL
-                 AND (account IS NULL OR substr(statement, 41, 64) <> ?2) LIMIT ?3";
+                JOIN topics t ON t.key = one.topic
+                JOIN notes ON notes.kind = 'erased' AND about = lower(hex(report))
+                LEFT JOIN erasures ON erasures.record = retained.record
+                WHERE t.owner = ?1 AND retained.deleted_at IS NOT NULL
+                AND (account IS NULL OR substr(statement, 41, 64) <> ?2) LIMIT ?3";
             let rows: Vec<_> = connection.list(sql, params![owner.0, key.0, capped(limit)], |row| {
                 Ok((Digest(row.get(0)?), Digest(row.get(1)?), row.get(2)?))
             })?;
@@ -174,7 +174,7 @@ impl Erasures {
                 return Ok(told);
             }
             let sql = "REPLACE INTO erasures (record, statement, account, taken)
-                     SELECT n, ?2, ?3, 1 FROM records WHERE digest = ?1";
+                SELECT n, ?2, ?3, 1 FROM records WHERE digest = ?1";
             connection.run(sql, params![digest.0, taken.statement, account])?;
             take_in(connection, digest, &inclusion, &anchor)?;
             Ok(told)
@@ -275,8 +275,8 @@ fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Resu
     let is_named = "SELECT 1 FROM retained WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     let is_named = connection.has(is_named, [digest.0])?;
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records WHERE digest = ?1
-             ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
-             WHERE NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(retained.report)))";
+        ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
+        WHERE NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(retained.report)))";
     let named = connection.run(sql, params![digest.0, taken.report.0, taken.header])?;
     if named == 0 {
         return Ok(ToldErased::Unchanged);
@@ -331,8 +331,8 @@ impl Erasure {
 /// Makes a record that a rule has named, and whose bytes are still here, this erasure's; `false` if it is not such a one.
 fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Result<bool, StoreError> {
     let sql = "UPDATE retained SET report = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)
-             AND deleted_at IS NULL
-             AND NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))";
+        AND deleted_at IS NULL
+        AND NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))";
     let taken = connection.run(sql, params![digest.0, report.0])?;
     Ok(taken > 0)
 }
@@ -340,7 +340,7 @@ fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Re
 /// Counts a record among those of its topic whose ciphertext is given up.
 pub(super) fn count_given_up(connection: &Connection, digest: Digest) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
-             ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
+        ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
     connection.run(sql, [digest.0])?;
     Ok(())
 }
@@ -390,7 +390,7 @@ impl Erasures {
             add(session, &record, whole("time", Timestamp::now().0)?)?;
             let (connection, at) = (session.connection, whole("time", taken.at.0)?);
             let sql = "INSERT INTO retained (record, report, header, deleted_at) SELECT n, ?2, ?3, ?4 FROM records
-                     WHERE digest = ?1 ON CONFLICT DO NOTHING";
+                WHERE digest = ?1 ON CONFLICT DO NOTHING";
             let named = connection.run(sql, params![digest, taken.report.0, taken.header, at])?;
             if named > 0 {
                 count_given_up(connection, record.digest)?;
@@ -398,7 +398,7 @@ impl Erasures {
             let sql = "UPDATE records SET deleted_at = ?2 WHERE digest = ?1 AND deleted_at IS NULL";
             connection.run(sql, params![digest, at])?;
             let sql = "INSERT INTO erasures (record, statement, taken) SELECT n, ?2, 1 FROM records WHERE digest = ?1
-                     ON CONFLICT DO NOTHING";
+                ON CONFLICT DO NOTHING";
             connection.run(sql, params![digest, taken.statement])?;
             Ok(true)
         })
@@ -411,8 +411,8 @@ impl Erasures {
     pub fn erased_among(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT 1 FROM retained JOIN records ON records.n = retained.record WHERE digest = ?1
-                 AND (EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))
-                     OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = records.n AND taken = 1))";
+                AND (EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))
+                    OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = records.n AND taken = 1))";
             connection.among(sql, digests, |digest| Ok([digest.0]), true)
         })
     }

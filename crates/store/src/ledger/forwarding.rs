@@ -55,7 +55,7 @@ impl Forwarding {
             let moved = shift(session, &receipt.digests, RecordState::Stored, RecordState::Submitted)?;
             let before = held(session, &receipt.digests)?;
             let sql = "INSERT INTO receipted SELECT n, ?2 FROM records WHERE digest = ?1
-                 ON CONFLICT DO UPDATE SET receipt = excluded.receipt";
+                ON CONFLICT DO UPDATE SET receipt = excluded.receipt";
             session.connection.run_each(sql, receipt.digests.iter().map(|digest| (digest.0, key)))?;
             sweep(session, before)?;
             Ok(moved)
@@ -71,7 +71,7 @@ impl Forwarding {
         self.0.read(|connection| {
             let sql = format!(
                 "SELECT {}, n FROM receipted JOIN records ON n = record WHERE record > ?1 AND state = ?2
-                 ORDER BY record LIMIT ?3",
+                    ORDER BY record LIMIT ?3",
                 rows::COLUMNS
             );
             let values = params![after.unwrap_or(0), RecordState::Submitted.code(), capped(limit)];
@@ -123,7 +123,7 @@ impl Forwarding {
     pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
-                     WHERE record = (SELECT n FROM records WHERE digest = ?1))";
+                WHERE record = (SELECT n FROM records WHERE digest = ?1))";
             let row: Option<(i64, Vec<u8>, [u8; 64])> =
                 connection.find(sql, params![digest.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
             Ok(row.map(|(at, digests, signature)| KeptReceipt {
@@ -302,7 +302,7 @@ impl Names {
     pub fn keep_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
         let is_here = self.0.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
-                 AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))";
+                AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))";
             Ok(connection.one(sql, params![owner.0, topic.0], |row| row.get::<_, bool>(0))?)
         })?;
         if is_here { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
@@ -314,7 +314,7 @@ impl Names {
     /// [`StoreError::Database`] and the like.
     pub fn of_topic(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
         let sql = "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
-                 UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
+            UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
         self.0.list(sql, params![owner.0, topic.0], |row| row.get(0))
     }
 
@@ -325,13 +325,13 @@ impl Names {
     pub fn unnamed(&self, owner: Address, most: usize) -> Result<Vec<Vec<Digest>>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic
-                 WHERE t.owner = ?1 AND t.name = ''
-                 AND NOT EXISTS (SELECT 1 FROM names WHERE names.owner = ?1 AND id = lower(hex(t.topic_id))
-                     AND (s.type_name = ''
-                         OR EXISTS (SELECT 1 FROM names type WHERE type.owner = ?1 AND type.id = s.type_name)))";
+                WHERE t.owner = ?1 AND t.name = ''
+                AND NOT EXISTS (SELECT 1 FROM names WHERE names.owner = ?1 AND id = lower(hex(t.topic_id))
+                    AND (s.type_name = ''
+                        OR EXISTS (SELECT 1 FROM names type WHERE type.owner = ?1 AND type.id = s.type_name)))";
             let streams: Vec<i64> = connection.list(sql, [owner.0], |row| row.get(0))?;
             let sql = "SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
-                 WHERE c.stream = ?1 AND c.records > 0 LIMIT ?2";
+                WHERE c.stream = ?1 AND c.records > 0 LIMIT ?2";
             let of =
                 |stream: i64| Ok(connection.list(sql, params![stream, capped(most)], |row| row.get(0).map(Digest))?);
             streams.into_iter().map(of).collect()

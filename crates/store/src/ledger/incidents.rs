@@ -126,7 +126,7 @@ impl Incidents {
     pub fn list(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
-                       ORDER BY since, key";
+                ORDER BY since, key";
             let rows: Vec<(i64, IncidentRow)> =
                 connection.list(sql, [owner.0], |row| Ok((row.get(0)?, incident(row)?)))?;
             rows.into_iter().map(|(key, row)| whole_of(connection, key, row)).collect()
@@ -140,7 +140,7 @@ impl Incidents {
     pub fn find(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
-                       WHERE owner = ?1 AND name = ?2";
+                WHERE owner = ?1 AND name = ?2";
             let found =
                 connection.find(sql, params![owner.0, name.as_str()], |row| Ok((row.get(0)?, incident(row)?)))?;
             found.map(|(key, row)| whole_of(connection, key, row)).transpose()
@@ -154,8 +154,8 @@ impl Incidents {
     pub fn note(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "INSERT INTO incident_notes SELECT key,
-                     (SELECT coalesce(max(number), 0) + 1 FROM incident_notes WHERE incident = key), ?3, ?4
-                 FROM incidents WHERE owner = ?1 AND name = ?2";
+                (SELECT coalesce(max(number), 0) + 1 FROM incident_notes WHERE incident = key), ?3, ?4
+            FROM incidents WHERE owner = ?1 AND name = ?2";
         Ok(self.0.changed(sql, (owner.0, name, now, text.to_owned()))? > 0)
     }
 
@@ -166,7 +166,7 @@ impl Incidents {
     pub fn close(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
-                 WHERE owner = ?1 AND name = ?2 AND closed_at IS NULL";
+            WHERE owner = ?1 AND name = ?2 AND closed_at IS NULL";
         Ok(self.0.changed(sql, (owner.0, name, now))? > 0)
     }
 
@@ -211,10 +211,10 @@ impl Incidents {
     /// [`StoreError::Database`] and its kin.
     pub fn bytes_between(&self, topic: i64, (since, until): (Timestamp, Timestamp)) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
-                       JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
-                       WHERE s.topic = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
-                       AND r.captured_at >= ?4 AND r.captured_at < ?5
-                       AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
+            JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
+            WHERE s.topic = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
+            AND r.captured_at >= ?4 AND r.captured_at < ?5
+            AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
         let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
         let values = params![topic, kind, dropped, bound(since), bound(until)];
         self.0.one(sql, values, |row| unsigned(row, 0))
@@ -251,11 +251,11 @@ fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<I
 fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = format!(
         "SELECT {TOPIC_NAME}, r.state, count(*), sum(r.bytes), min(r.captured_at), max(r.captured_at),
-             count(r.deleted_at)
-         FROM topics t {LEARNED_NAME} JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
-         JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
-         WHERE t.owner = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
-         AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
+                count(r.deleted_at)
+            FROM topics t {LEARNED_NAME} JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
+            JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
+            WHERE t.owner = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
+            AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
     );
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
     Ok(connection.list(&sql, params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {

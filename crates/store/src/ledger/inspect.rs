@@ -120,12 +120,12 @@ impl Inspection {
                 rows::COLUMNS.split(',').map(|name| format!("records.{}", name.trim())).collect();
             let sql = format!(
                 "SELECT {}, n, leaves.batch, leaf, branches.path, root, batches.count, batches.tx, batches.block,
-                 batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
-                 records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
-                 records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
-                 FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
-                 {}
-                 WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
+                    batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
+                    records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
+                    records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
+                    FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
+                    {}
+                    WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
                 columns.join(", "),
                 branches::JOINED
             );
@@ -149,7 +149,7 @@ impl Inspection {
         let number = whole("row", number)?;
         self.0.read(|connection| {
             let sql = "SELECT 1 FROM filters WHERE filter = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
-                 WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))";
+                WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))";
             let found = connection.among(sql, filters, |filter: FilterId| Ok((filter.0, number)), true)?;
             Ok(count(found.len()))
         })
@@ -174,8 +174,8 @@ impl Inspection {
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
         let sql = "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
-                       + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
-                       account, tx, block, block_hash, closed_here FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
+            + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
+            account, tx, block, block_hash, closed_here FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
         self.0.list(sql, params![after, capped(limit)], batch)
     }
 
@@ -241,10 +241,10 @@ impl Inspection {
     /// [`StoreError::Database`] and the like.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
         let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
-                       (SELECT topic, count(*) AS held FROM
-                        (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
-                         FROM records) WHERE captured_at + 5000000000 < before GROUP BY topic)
-                       JOIN topics ON topics.key = topic ORDER BY topics.key";
+            (SELECT topic, count(*) AS held FROM
+             (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
+              FROM records) WHERE captured_at + 5000000000 < before GROUP BY topic)
+            JOIN topics ON topics.key = topic ORDER BY topics.key";
         self.0.list(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))
     }
 
@@ -261,9 +261,9 @@ impl Inspection {
     ) -> Result<Option<Digest>, StoreError> {
         let number = whole("sequence number", number)?;
         let sql = "SELECT digest FROM records JOIN topics ON topics.key = records.topic
-                       JOIN recorders ON recorders.key = topics.recorder
-                       WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
-                       AND recorders.signer = ?5";
+            JOIN recorders ON recorders.key = topics.recorder
+            WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
+            AND recorders.signer = ?5";
         let values = params![owner.0, recorder.0, topic.0, number, signer.0];
         self.0.find(sql, values, |row| row.get(0).map(Digest))
     }
@@ -274,9 +274,9 @@ impl Inspection {
     /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
-                       FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
-                       JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
-                       ORDER BY topics.key";
+            FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
+            JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
+            ORDER BY topics.key";
         self.0.list(sql, [], |row| {
             Ok(Sequence {
                 key: row.get(0)?,
@@ -299,8 +299,8 @@ impl Inspection {
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let before = (sequence.first > 1).then(|| (1, sequence.first - 1));
         let sql = "SELECT seq + 1, next - 1 FROM
-                       (SELECT seq, lead(seq) OVER (ORDER BY seq) AS next FROM records WHERE topic = ?1)
-                       WHERE next > seq + 1 LIMIT ?2";
+            (SELECT seq, lead(seq) OVER (ORDER BY seq) AS next FROM records WHERE topic = ?1)
+            WHERE next > seq + 1 LIMIT ?2";
         let values = params![sequence.key, capped(limit)];
         let holes: Vec<_> = self.0.list(sql, values, |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?)))?;
         Ok(before.into_iter().chain(holes).collect())
@@ -359,23 +359,23 @@ fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
 const RULES: [(&str, &str); 4] = [
     (
         "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
-         LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
-         WHERE coalesce(c.records, 0) <> found.rows",
+            LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
+            WHERE coalesce(c.records, 0) <> found.rows",
         "counts per state do not match the records",
     ),
     (
         "SELECT count(*) FROM (SELECT stream, sum(records) AS rows FROM counters GROUP BY stream) held
-         JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
+            JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
         "streams have fewer or more records than were stored",
     ),
     (
         "SELECT count(*) FROM records WHERE stream NOT IN (SELECT key FROM streams)
-         OR topic NOT IN (SELECT key FROM topics)",
+            OR topic NOT IN (SELECT key FROM topics)",
         "records without a topic",
     ),
     (
         "SELECT count(*) FROM leaves WHERE batch NOT IN (SELECT key FROM batches)
-         OR record NOT IN (SELECT n FROM records)",
+            OR record NOT IN (SELECT n FROM records)",
         "batch positions without a batch or record",
     ),
 ];
@@ -414,7 +414,7 @@ fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreErr
     let values = (states.0, states.1, capped(limit), RecordState::RightEnded.code());
     Ok(connection.list(
         "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
-         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
+            AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
         values,
         |row| row.get(0).map(Digest),
     )?)

@@ -93,9 +93,9 @@ impl Quarantine {
             let streams = rows::all_streams(connection)?;
             let sql = format!(
                 "SELECT {}, reason, publisher, report, decision FROM held CROSS JOIN records ON n = record
-                 JOIN topics ON key = topic
-                 WHERE (?1 OR decision IS NULL) AND owner = ?2 AND (?3 IS NULL OR name = ?3)
-                 AND (NOT ?5 OR stream IN (SELECT key FROM streams WHERE kind = ?6)) ORDER BY record LIMIT ?4",
+                    JOIN topics ON key = topic
+                    WHERE (?1 OR decision IS NULL) AND owner = ?2 AND (?3 IS NULL OR name = ?3)
+                    AND (NOT ?5 OR stream IN (SELECT key FROM streams WHERE kind = ?6)) ORDER BY record LIMIT ?4",
                 rows::COLUMNS
             );
             let data = RecordKind::Data.code();
@@ -120,15 +120,15 @@ impl Quarantine {
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
-                     CROSS JOIN records ON n = record JOIN topics ON key = topic
-                     WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1";
+                CROSS JOIN records ON n = record JOIN topics ON key = topic
+                WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1";
             let first = connection.find(sql, params![capped(before), owner.0], |row| {
                 Ok((row.get::<_, i64>(0)?, TopicId(row.get(1)?), row.get::<_, String>(2)?, unsigned(row, 3)?))
             })?;
             let Some((key, topic_id, topic, minute)) = first else { return Ok(None) };
             let mut statement = connection.prepare_cached(
                 "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
-                 WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record",
+                    WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record",
             )?;
             let records = statement
                 .query_map(params![minute.cast_signed(), key], |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
@@ -146,7 +146,7 @@ impl Quarantine {
             add(session, &report, now)?;
             let mut statement = session.connection.prepare_cached(
                 "UPDATE held SET report = ?2
-                 WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)",
+                    WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)",
             )?;
             counted.iter().try_for_each(|digest| match statement.execute(params![digest.0, report.digest.0])? {
                 1 => Ok(()),
@@ -196,7 +196,7 @@ impl Quarantine {
 
 fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
     let sql = "INSERT INTO held (record, minute, reason, publisher)
-             SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING";
+        SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING";
     let held = connection
         .run(sql, params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE])?;
     let known = || {
@@ -293,7 +293,7 @@ impl Pins {
     /// [`StoreError::Database`] and the like.
     pub fn list(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
         let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
-                 WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
+            WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
         self.0.list(sql, params![owner.0, topic], pin_row)
     }
 
@@ -320,7 +320,7 @@ impl Pins {
         let now = whole("time", Timestamp::now().0)?;
         Ok(self.0.changed(
             "INSERT INTO alarms VALUES (?1, ?2, ?3, ?4, ?5, 1) ON CONFLICT DO UPDATE SET open = 1, at = excluded.at
-                 WHERE open = 0",
+                WHERE open = 0",
             (owner.0, topic, publisher, reason, now),
         )? > 0)
     }
@@ -342,7 +342,7 @@ impl Pins {
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
         self.0.list(
             "SELECT topic, publisher, reason, at, open FROM alarms
-                 WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at",
+                WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at",
             params![owner.0, topic],
             |row| {
                 Ok(AlarmRow {
@@ -465,7 +465,7 @@ impl Losses {
     pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         let sql = format!(
             "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
-                 ORDER BY key LIMIT ?3"
+                ORDER BY key LIMIT ?3"
         );
         let (by, limit) = (capped(by.0), capped(limit));
         self.0.list(&sql, params![owner.0, by, limit], gap_row)
@@ -501,10 +501,10 @@ fn count_one(connection: &Connection, loss: &Loss) -> Result<(), StoreError> {
     connection.run(sql, params![loss.owner.0, loss.topic, word, count])?;
     connection.run(
         "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
-             ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
-             count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
-             first_number = coalesce(first_number, excluded.first_number)",
+            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
+            ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
+            count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
+            first_number = coalesce(first_number, excluded.first_number)",
         params![
             loss.owner.0,
             loss.topic,
@@ -535,7 +535,7 @@ fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), S
     if count > told {
         let sql =
             "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
-                 SELECT owner, topic, publisher, reason, ?2, last_number, ?3, last_at, ?4 FROM gaps WHERE key = ?1";
+                SELECT owner, topic, publisher, reason, ?2, last_number, ?3, last_at, ?4 FROM gaps WHERE key = ?1";
         connection.run(sql, params![gap.key, count - told, last_number, last_at])?;
     }
     Ok(())

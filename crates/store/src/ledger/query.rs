@@ -174,12 +174,12 @@ fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream
         (None, None, Some(state)) => {
             // From stream to stream along the index of states; for a DISTINCT, SQLite would read every entry.
             let sql = "WITH RECURSIVE found (stream) AS (
-                         SELECT min(stream) FROM records INDEXED BY records_by_state WHERE state = ?1
-                         UNION ALL
-                         SELECT (SELECT min(r.stream) FROM records r INDEXED BY records_by_state
-                                 WHERE r.state = ?1 AND r.stream > found.stream)
-                         FROM found WHERE found.stream IS NOT NULL)
-                     SELECT stream FROM found WHERE stream IS NOT NULL";
+                    SELECT min(stream) FROM records INDEXED BY records_by_state WHERE state = ?1
+                    UNION ALL
+                    SELECT (SELECT min(r.stream) FROM records r INDEXED BY records_by_state
+                            WHERE r.state = ?1 AND r.stream > found.stream)
+                    FROM found WHERE found.stream IS NOT NULL)
+                SELECT stream FROM found WHERE stream IS NOT NULL";
             let keys: Vec<i64> = connection.list(sql, [state.code()], |row| row.get(0))?;
             let mut found: Vec<Stream> = rows::keyed_streams(connection, keys)?.into_values().collect();
             found.sort_by_key(|stream| stream.key);
@@ -253,8 +253,8 @@ impl Range {
             .collect();
         format!(
             "SELECT captured_at, n FROM records INDEXED BY records_by_state WHERE state = ?7 AND stream = ?1{filters}
-             AND (captured_at, n) > (?2, ?3) AND (captured_at, n) < (?4, ?5)
-             ORDER BY captured_at {order}, n {order} LIMIT ?6"
+                AND (captured_at, n) > (?2, ?3) AND (captured_at, n) < (?4, ?5)
+                ORDER BY captured_at {order}, n {order} LIMIT ?6"
         )
     }
 }
@@ -437,7 +437,7 @@ pub struct NewestRecord {
 pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM topics LIMIT ?1";
 /// When an owner's oldest record of a kind and state was captured.
 pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM records WHERE state = ?3 AND stream = s.key))
-                      FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2";
+    FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2";
 /// Losses without a gap record.
 pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
 
@@ -448,7 +448,7 @@ pub(super) fn last_seen() -> String {
     });
     format!(
         "SELECT r.signer, max(max({})) AS at FROM streams s JOIN topics t ON t.key = s.topic
-         JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2",
+            JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2",
         newest.collect::<Vec<_>>().join(", ")
     )
 }
@@ -495,9 +495,9 @@ impl Counts {
     /// [`StoreError::Database`] and the like.
     pub fn newest_of(&self, owner: Address, signer: SignerId) -> Result<Option<NewestRecord>, StoreError> {
         let sql = "SELECT x.epoch, x.captured_at, x.acknowledged_at FROM topics t
-                 JOIN recorders r ON r.key = t.recorder
-                 JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
-                 WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1";
+            JOIN recorders r ON r.key = t.recorder
+            JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
+            WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1";
         self.0.find(sql, params![owner.0, signer.0], |row| {
             let time = |column| unsigned(row, column).map(Timestamp);
             Ok(NewestRecord { epoch: unsigned(row, 0)?, captured_at: time(1)?, acknowledged_at: time(2)? })
@@ -654,8 +654,8 @@ pub(super) fn keys(
     let order = if range.newest_first { "DESC" } else { "ASC" };
     let mut statement = connection.prepare_cached(&format!(
         "SELECT captured_at, n, stream FROM records
-         WHERE (captured_at, n) > (?1, ?2) AND (captured_at, n) < (?3, ?4)
-         ORDER BY captured_at {order}, n {order} LIMIT ?5"
+            WHERE (captured_at, n) > (?1, ?2) AND (captured_at, n) < (?3, ?4)
+            ORDER BY captured_at {order}, n {order} LIMIT ?5"
     ))?;
     let (low, high, limit) = (range.low, range.high, capped(most));
     let mut rows = statement.query(params![low.captured_at, low.n, high.captured_at, high.n, limit])?;

@@ -78,9 +78,9 @@ impl Retention {
         self.0.list(
             &format!(
                 "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
-                     (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
-                 FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                 WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
+                        (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
+                    FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                    WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
             ),
             values,
             |row| {
@@ -117,9 +117,9 @@ impl Retention {
         ];
         self.0.list(
             "SELECT digest, seq, bytes, captured_at FROM records
-                 WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
-                 AND captured_at >= ?4 AND captured_at < ?5
-                 AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6",
+                WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
+                AND captured_at >= ?4 AND captured_at < ?5
+                AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6",
             values,
             |row| {
                 Ok(OldRecord {
@@ -152,7 +152,7 @@ impl Retention {
                 bytes += record.bytes;
             }
             let sql = "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
-                     ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
+                ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
             connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])?;
             Ok(())
         })
@@ -169,9 +169,9 @@ impl Retention {
         self.0.list(
             &format!(
                 "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
-                 JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
-                 WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
-                 ORDER BY record LIMIT ?4",
+                    JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
+                    WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
+                    ORDER BY record LIMIT ?4",
                 is_held()
             ),
             values,
@@ -190,12 +190,12 @@ impl Retention {
             for digest in &digests {
                 for sql in [
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
-                     WHERE record = (SELECT n FROM records WHERE digest = ?1)",
+                        WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
                     // Listed from now on: a reader that is past the earlier number reads it again.
                     "REPLACE INTO erasures (record, statement, account, taken)
-                     SELECT record, statement, account, taken FROM erasures
-                     WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
+                        SELECT record, statement, account, taken FROM erasures
+                        WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                 ] {
                     session.connection.run(sql, params![digest.0, now])?;
                 }
@@ -210,10 +210,13 @@ impl Retention {
     /// [`StoreError::Database`] and the like.
     pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.0.read(|connection| {
-            let found = connection.find("SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
-                     told.n IS NOT NULL,
-                     (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
-                     JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1", params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
+            let found = connection.find(
+                "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
+                    told.n IS NOT NULL,
+                    (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
+                    JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1",
+                params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()],
+                |row| {
                     let retained = Retained {
                         report: Digest(row.get(0)?),
                         anchored: row.get(1)?,
@@ -223,7 +226,8 @@ impl Retention {
                         stated: row.get(5)?,
                     };
                     Ok((retained, row.get::<_, bool>(4)?))
-                })?;
+                },
+            )?;
             let Some((mut retained, told)) = found else { return Ok(None) };
             retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;
             // Its own erasures a ledger knows without a statement.
@@ -260,7 +264,7 @@ pub(super) fn is_held() -> String {
 
 pub(super) fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records
-             WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING";
+        WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING";
     let named = connection.run(sql, params![digest.0, report.0, header, RecordState::Verified.code()])?;
     match named {
         1 => Ok(()),

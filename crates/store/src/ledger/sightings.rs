@@ -75,7 +75,7 @@ impl Batches {
         self.0.write(move |session| {
             let (mined, confirmed) = (RecordState::Mined.code(), RecordState::Confirmed.code());
             let sql = "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1
-                 RETURNING captured_at";
+                RETURNING captured_at";
             Ok(session.connection.list(sql, params![block, mined, confirmed], |row| unsigned(row, 0).map(Timestamp))?)
         })
     }
@@ -118,7 +118,7 @@ impl Batches {
         self.0.write(move |session| {
             let connection = session.connection;
             let sql = "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
-                     WHERE state = 1 AND block >= ?1";
+                WHERE state = 1 AND block >= ?1";
             connection.run(sql, [block])?;
             batches::take_back(connection, block)?;
             // In the same commit, so that no anchor in one of them is taken in from elsewhere until the chain is read again.
@@ -147,7 +147,7 @@ fn see(connection: &Connection, sighting: &Sighting) -> Result<u64, StoreError> 
 
 fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Standing>, StoreError> {
     let sql = "SELECT n, state, block, block_hash FROM records JOIN topics ON key = topic
-             WHERE digest = ?1 AND owner = ?2";
+        WHERE digest = ?1 AND owner = ?2";
     let found = connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
         Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
     })?;
@@ -185,7 +185,7 @@ fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64
         }
         let sql = format!(
             "UPDATE records INDEXED BY records_by_state SET state = ?3, {values}
-             WHERE state = ?1 AND block >= ?2 AND {condition}"
+                WHERE state = ?1 AND block >= ?2 AND {condition}"
         );
         moved += count(connection.run(&sql, params![from.code(), block, to.code()])?);
     }
@@ -244,7 +244,7 @@ impl Trail {
             let old = block.saturating_sub(whole("block", DENSE)?);
             if to.0.is_multiple_of(SPARSE) {
                 let sql = "DELETE FROM trail WHERE block < ?1 AND block NOT IN
-                         (SELECT max(block) FROM trail WHERE block < ?1 GROUP BY block / ?2)";
+                    (SELECT max(block) FROM trail WHERE block < ?1 GROUP BY block / ?2)";
                 connection.run(sql, params![old, whole("block", SPARSE)?])?;
             }
             Ok(())
@@ -297,10 +297,10 @@ impl Counts {
         let [one, other] = but;
         self.0.list(
             "SELECT topic_id, highest FROM
-                 (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
-                  WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
-                  AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
-                 WHERE highest IS NOT NULL ORDER BY topic_id",
+                (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
+                 WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
+                 AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
+                WHERE highest IS NOT NULL ORDER BY topic_id",
             params![owner.0, one, other, recorder.0, signer.0],
             |row| Ok((TopicId(row.get(0)?), unsigned(row, 1)?)),
         )
@@ -314,9 +314,9 @@ impl Counts {
     pub fn predecessor(&self, owner: Address, signer: SignerId) -> Result<Option<RecorderId>, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         let sql = "SELECT id FROM recorders WHERE key < coalesce(
-                     (SELECT key FROM recorders WHERE id = ?2 AND signer = ?3), 9223372036854775807)
-                 AND EXISTS (SELECT 1 FROM topics WHERE recorder = recorders.key AND owner = ?1 AND keeper IS NULL)
-                 ORDER BY key DESC LIMIT 1";
+                (SELECT key FROM recorders WHERE id = ?2 AND signer = ?3), 9223372036854775807)
+            AND EXISTS (SELECT 1 FROM topics WHERE recorder = recorders.key AND owner = ?1 AND keeper IS NULL)
+            ORDER BY key DESC LIMIT 1";
         self.0.find(sql, params![owner.0, recorder.0, signer.0], |row| row.get(0).map(RecorderId))
     }
 }
@@ -364,7 +364,7 @@ impl Forwarding {
         let verified = crate::model::RecordState::Verified.code();
         self.0.list(
             "SELECT digest FROM proven JOIN records ON n = record
-                 WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2",
+                WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2",
             params![moment, limit, verified],
             |row| row.get(0).map(Digest),
         )
@@ -385,7 +385,7 @@ impl Forwarding {
     /// [`StoreError::Database`] and the like.
     pub fn proven(&self, digest: Digest) -> Result<Option<KeptStanding>, StoreError> {
         let sql = "SELECT s.at, statement, signature, proof FROM proven p JOIN standings s ON s.key = p.standing
-                       WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+            WHERE record = (SELECT n FROM records WHERE digest = ?1)";
         self.0.find(sql, [digest.0], |row| {
             let (time, signature) = (Timestamp(unsigned(row, 0)?), Signature(row.get(2)?));
             Ok(KeptStanding { time, statement: row.get(1)?, signature, proofs: vec![(digest, row.get(3)?)] })

@@ -188,7 +188,7 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
     let bytes: Vec<u8> = digests.iter().flat_map(|digest| digest.0).collect();
     connection.run(
         "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)",
+            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)",
         params![
             new.hash.0,
             new.account.0,
@@ -229,7 +229,7 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
         TransactionOutcome::Replaced => (TransactionState::Replaced, None, None, None),
     };
     let sql = "UPDATE transactions SET state = ?2, block = ?3, block_hash = ?4, gas_used = ?5, reason = ?6
-             WHERE hash = ?1";
+        WHERE hash = ?1";
     let changed =
         connection.run(sql, params![hash.0, state.code(), place.map(|p| p.0), place.map(|p| p.1), gas, reason])?;
     if changed == 0 {
@@ -248,8 +248,8 @@ fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
         return batches::release(connection, Hash(root), hash);
     }
     let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state
-             WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
-         WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)";
+            WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
+        WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)";
     let [submitted, stored, tampered, batched] =
         [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched]
             .map(RecordState::code);
@@ -376,7 +376,7 @@ impl Lanes {
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
         self.0.list(
             "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
-                 WHERE state = 0 AND account = ?1 ORDER BY nonce",
+                WHERE state = 0 AND account = ?1 ORDER BY nonce",
             [account.0],
             |row| {
                 Ok(OpenTransaction {
@@ -429,10 +429,10 @@ impl Lanes {
         self.0.write(move |session| {
             let connection = session.connection;
             let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
-                     SELECT ?2, account, ?3, ?4, purpose, digests, signed_at, 0, batch FROM transactions
-                     WHERE hash = ?1 AND state = 0
-                     ON CONFLICT (hash) DO UPDATE SET state = 0, replaced_by = NULL
-                     WHERE transactions.state = 3 AND transactions.hash <> ?1";
+                SELECT ?2, account, ?3, ?4, purpose, digests, signed_at, 0, batch FROM transactions
+                WHERE hash = ?1 AND state = 0
+                ON CONFLICT (hash) DO UPDATE SET state = 0, replaced_by = NULL
+                WHERE transactions.state = 3 AND transactions.hash <> ?1";
             let kept = connection.run(sql, params![old.0, new.hash.0, nonce, new.raw])?;
             if kept == 0 {
                 return Err(transaction_error(old, "is not open, or nothing about it would change"));
@@ -468,7 +468,7 @@ fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreE
         connection
             .run("UPDATE batches SET tx = ?3 WHERE root = ?1 AND tx = ?2 AND block IS NULL", [root, from.0, to.0])?;
         let sql = "UPDATE records SET tx = ?3 WHERE tx = ?2 AND block IS NULL AND n IN
-                 (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)";
+            (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)";
         connection.run(sql, [root, from.0, to.0])?;
     }
     let sql = "UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL";

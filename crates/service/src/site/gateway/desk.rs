@@ -9,6 +9,7 @@ use tokio::sync::watch;
 
 use super::GatewayDesk;
 use super::admissions::Standing as Access;
+use super::erasing::rejected;
 use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
@@ -24,9 +25,9 @@ use crate::model::{Address, Digest, Identity, ProfileName, PublicKey, RecordKind
 use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
-use crate::pipeline::equivocation::{self, Claim};
+use crate::pipeline::intake::accept_uploads;
 use crate::store::notes::AnnouncedRevoke;
-use crate::store::{KeptBinding, NewRecord, StoreError};
+use crate::store::KeptBinding;
 
 impl GatewayDesk {
     /// Does work that waits for disk or node, off the network's threads.
@@ -47,15 +48,6 @@ impl GatewayDesk {
         let outcome = format!("asked by {} ({})", caller.name, caller.account);
         let written = self.gateway.log.write(&self.keeper.profile, action, subject, &outcome).await;
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
-    }
-
-    /// A record contradicts the ledger: if its number belongs to another, both signatures are kept.
-    fn tell_conflict(&self, claims: &[Claim], error: &StoreError) {
-        let told = claims.iter().map(|claim| equivocation::tell(&self.gateway.plant, claim));
-        if told.filter(|told| matches!(told, Ok(true))).count() == 0 {
-            let text = format!("a sender's record contradicts another one: {error}");
-            self.gateway.hub.notice(NoticeLevel::Error, &text);
-        }
     }
 
     /// Like [`Self::audit`], but once a minute for the same event of the same caller; repetitions are counted.
@@ -112,17 +104,9 @@ impl GatewayDesk {
             self.check_quota(owner, &records)?;
         }
         let plant = &self.gateway.plant;
-        let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
-        let rows: Vec<_> = records.into_iter().map(row).collect();
-        let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
-        let has_notice = rows.iter().any(|row| row.kind == RecordKind::Key);
-        plant.keep(rows, |rows| plant.ledger.records.append(rows)).map_err(|error| match error {
-            StoreError::Conflict { .. } => {
-                self.tell_conflict(&claims, &error);
-                Refusal::new(Code::Malformed, error)
-            }
-            error => Refusal::new(Code::Internal, error),
-        })?;
+        let has_notice = records.iter().any(|record| record.header.kind == RecordKind::Key);
+        let accepted = accept_uploads(plant, self.keeper.address, records).map_err(Refusal::because(Code::Internal))?;
+        accepted.map_err(|reason| rejected(&reason, &reason))?;
         if has_notice {
             self.gateway.hub.feed_changed();
         }

@@ -1,6 +1,7 @@
 //! What an owner says that she had erased at home: each record is compared with the chain that is known here, and she must
 //! have stated it with both keys. Then its bytes here are named to be overwritten, or the record is listed without bytes.
 
+use std::fmt;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
@@ -12,7 +13,7 @@ use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, 
 use crate::model::{Digest, Header};
 use crate::pipeline::Network;
 use crate::pipeline::columns::header_difference;
-use crate::pipeline::intake::{Accepted, Intake, Reason, Refused, taken_erased};
+use crate::pipeline::intake::{Accepted, Intake, Reason, taken_erased};
 use crate::pipeline::retention::{self, is_owners, left_of};
 use crate::store::{KeptErasure, NewRecord, RecordRow, Retained, RootSighting, StoreError, ToldErased};
 
@@ -114,7 +115,7 @@ impl GatewayDesk {
         let judged = intake.judge_erased(digest, &left).await.map_err(Refusal::because(Code::Stale))?;
         let (header, proof) = match judged {
             Ok(proven) => proven,
-            Err(Accepted::Refused(refused)) => return Err(rejected(&refused)),
+            Err(Accepted::Refused(refused)) => return Err(rejected(&refused.reason, &refused)),
             Err(Accepted::Held(_) | Accepted::Later) => return Ok(Judged::Left),
         };
         let inclusion =
@@ -146,10 +147,14 @@ impl GatewayDesk {
     }
 }
 
-/// A claim that does not hold is the owner's fault.
-fn rejected(refused: &Refused) -> Refusal {
-    let code = if matches!(refused.reason, Reason::Crypto(_)) { Code::Signature } else { Code::Tampered };
-    Refusal::new(code, refused)
+/// What the intake does not take is the owner's fault.
+pub(super) fn rejected(reason: &Reason, detail: impl fmt::Display) -> Refusal {
+    let code = match reason {
+        Reason::Crypto(_) => Code::Signature,
+        Reason::Number => Code::Malformed,
+        _ => Code::Tampered,
+    };
+    Refusal::new(code, detail)
 }
 
 impl GatewayDesk {

@@ -25,9 +25,9 @@ use crate::model::{
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, Plant, network_pin};
-use crate::reply::{CoveragePart, CoverageView, Failure};
+use crate::reply::{CoverageView, Failure};
 use crate::ros::recording::{Beside, BesideContent};
-use crate::store::CoverageQuery;
+use crate::store::{Coverage, CoverageQuery};
 use crate::store::notes::Enrolled;
 
 /// Records as people read them.
@@ -112,15 +112,8 @@ impl Reading {
             Ok((found, robots))
         })
         .await?;
-        let parts = found.parts.into_iter().map(|part| CoveragePart {
-            at: part.at,
-            data: part.data,
-            quarantined: part.quarantined,
-            tampered: part.tampered,
-            lost: part.lost,
-        });
-        let (robot, parts) = (robot.map(|robot| clean(&robot, 64)), parts.collect());
-        let (since, first, last) = (found.since, found.first, found.last);
+        let robot = robot.map(|robot| clean(&robot, 64));
+        let Coverage { since, first, last, parts, .. } = found;
         Ok(CoverageView { topic, robot, robots, since, until, first, last, parts })
     }
 }
