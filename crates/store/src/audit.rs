@@ -10,7 +10,7 @@ use sm3::{Digest as _, Sm3};
 
 use super::StoreError;
 use crate::database::{Statements as _, capped, whole};
-use crate::ledger::Database;
+use crate::ledger::AuditLog;
 use crate::model::{Digest, Timestamp};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
@@ -70,10 +70,6 @@ pub struct AuditFault {
     /// What is wrong.
     pub what: String,
 }
-
-/// The audit log of a home.
-#[derive(Debug, Clone)]
-pub struct AuditLog(pub(crate) Database);
 
 impl AuditLog {
     /// Adds a line; it is durable when this returns. No grant and no decryption may proceed without it.

@@ -12,7 +12,6 @@ mod counts;
 mod directory;
 mod erasures;
 mod feed;
-mod filters;
 mod forwarding;
 mod incidents;
 mod inspect;
@@ -32,85 +31,93 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rusqlite::{Connection, OptionalExtension as _, Params, Row};
 
-pub use self::append::Records;
-pub use self::batches::{
-    Anchors, BatchPlace, Batches, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch,
-};
-pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, Proofs, StampCounts, UnprovenBatch};
-pub use self::counts::{Counts, Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
-pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StandingRights, WaitingSigner};
-pub use self::erasures::{
-    Erasure, ErasurePage, Erasures, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated,
-};
-pub use self::feed::{Feed, FeedFilter, FeedPage, FeedPlace, FeedRow};
-pub use self::filters::FilterChoice;
-pub use self::forwarding::{Bindings, ForwardedPage, Forwarding, KeptBinding, KeptReceipt, Names};
-pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, Incidents, SpanCoverage};
-pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Inspection, Sequence};
-pub use self::quarantine::{
-    AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, Losses, PinRow, Pins, Quarantine,
-};
-pub use self::query::{Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
-pub use self::retention::{KeptTopic, OldRecord, Retained, Retention};
+pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
+pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, StampCounts, UnprovenBatch};
+pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
+pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights, WaitingSigner};
+pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
+pub use self::feed::{FeedFilter, FeedPage, FeedPlace, FeedRow};
+pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
+pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
+pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
+pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};
+pub use self::query::{FilterChoice, Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
+pub use self::retention::{KeptTopic, OldRecord, Retained};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
-pub use self::sightings::{KeptStanding, Sighting, Trail};
+pub use self::sightings::{KeptStanding, Sighting};
 pub use self::transactions::{
-    LaneCount, Lanes, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
+    LaneCount, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
 };
 pub(super) use self::writer::Session;
 
+use crate::StoreError;
 use crate::database::{self, Schema, Statements as _};
 use crate::model::{RecorderPrefix, Timestamp};
-use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, Notes, RestoredAt};
-use crate::{AuditLog, StoreError};
+use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, RestoredAt};
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
 const READERS_KEPT: usize = 8;
 
-/// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
-#[derive(Debug, Clone)]
-pub struct Ledger {
-    pub(super) database: Database,
+macro_rules! stores {
+    ($($(#[$doc:meta])* $field:ident: $store:ident;)*) => {
+        $($(#[$doc])* #[derive(Debug, Clone)] pub struct $store(pub(crate) Database);)*
+
+        /// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
+        #[derive(Debug, Clone)]
+        pub struct Ledger {
+            pub(super) database: Database,
+            $($(#[$doc])* pub $field: $store,)*
+        }
+
+        impl From<Database> for Ledger {
+            fn from(database: Database) -> Self {
+                Self { $($field: $store(database.clone()),)* database }
+            }
+        }
+    };
+}
+
+stores! {
     /// Records, and their states.
-    pub records: Records,
+    records: Records;
     /// The way of records to the chain and back: who may sign, Merkle batches, and what blocks say of them.
-    pub batches: Batches,
+    batches: Batches;
     /// What is counted: records by state, topic, owner and signer, and their ages.
-    pub counts: Counts,
+    counts: Counts;
     /// Records whose ciphertext is deleted by a rule.
-    pub retention: Retention,
+    retention: Retention;
     /// Records that somebody had erased, and what is stated of them.
-    pub erasures: Erasures,
+    erasures: Erasures;
     /// What a gateway took over, and what it stated.
-    pub forwarding: Forwarding,
+    forwarding: Forwarding;
     /// What pseudonyms of topics and types mean.
-    pub names: Names,
+    names: Names;
     /// Incidents, and what they hold.
-    pub incidents: Incidents,
+    incidents: Incidents;
     /// Transactions, account by account.
-    pub lanes: Lanes,
+    lanes: Lanes;
     /// Who may do what: events of the contract, and envelopes.
-    pub rights: Rights,
+    rights: Rights;
     /// Records that wait for an operator.
-    pub quarantine: Quarantine,
+    quarantine: Quarantine;
     /// Pinned publishers, and alarms about others.
-    pub pins: Pins,
+    pins: Pins;
     /// Messages that were lost.
-    pub losses: Losses,
+    losses: Losses;
     /// What the chain and time authorities prove of batches.
-    pub proofs: Proofs,
+    proofs: Proofs;
     /// The blocks that the watcher has read.
-    pub trail: Trail,
+    trail: Trail;
     /// Keys of signers, and names at this gateway.
-    pub bindings: Bindings,
+    bindings: Bindings;
     /// What readers may be given, in the order in which it came to be so.
-    pub feed: Feed,
+    feed: Feed;
     /// Who did what.
-    pub audit: AuditLog,
+    audit: AuditLog;
     /// What an audit compares.
-    pub inspection: Inspection,
+    inspection: Inspection;
     /// What is noted beside the tables.
-    pub notes: Notes,
+    notes: Notes;
 }
 
 /// The file that all stores of a home share. Clones share its writer thread and its readers.
@@ -162,30 +169,7 @@ impl Ledger {
             held: AtomicUsize::new(0),
             told: AtomicU64::new(0),
         };
-        let database = Database { shared: Arc::new(shared) };
-        Ok(Self {
-            notes: Notes(database.clone()),
-            inspection: Inspection(database.clone()),
-            audit: AuditLog(database.clone()),
-            feed: Feed(database.clone()),
-            bindings: Bindings(database.clone()),
-            trail: Trail(database.clone()),
-            proofs: Proofs(database.clone()),
-            losses: Losses(database.clone()),
-            pins: Pins(database.clone()),
-            quarantine: Quarantine(database.clone()),
-            rights: Rights(database.clone()),
-            lanes: Lanes(database.clone()),
-            records: Records(database.clone()),
-            batches: Batches(database.clone()),
-            counts: Counts(database.clone()),
-            retention: Retention(database.clone()),
-            erasures: Erasures(database.clone()),
-            forwarding: Forwarding(database.clone()),
-            names: Names(database.clone()),
-            incidents: Incidents(database.clone()),
-            database,
-        })
+        Ok(Self::from(Database { shared: Arc::new(shared) }))
     }
 
     /// The file's path.

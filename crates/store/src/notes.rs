@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::StoreError;
 use crate::database::Statements as _;
-use crate::ledger::{Database, Erasure};
+use crate::ledger::{Erasure, Notes};
 use crate::model::{
     Address, ContactName, Digest, Domain, Hash, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp,
     TopicId, TopicName, TypeName, clean,
@@ -425,10 +425,6 @@ pub struct PolicyKept {
     /// Why the last one heard of was not taken up.
     pub refused: Option<String>,
 }
-
-/// The notes of a home.
-#[derive(Debug, Clone)]
-pub struct Notes(pub(crate) Database);
 
 impl Notes {
     /// What is noted; `None` if nothing is.

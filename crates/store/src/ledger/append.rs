@@ -6,7 +6,7 @@ use std::collections::{HashMap, HashSet};
 use rusqlite::{Connection, params};
 
 use super::rows::{By, may};
-use super::{Database, Foreign, NewRecord, Session, own_prefix};
+use super::{Foreign, NewRecord, Records, Session, own_prefix};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::header::LARGEST_SEQ;
@@ -31,10 +31,6 @@ impl KnownNames {
         self.filters.clear();
     }
 }
-
-/// Records, and their states.
-#[derive(Debug, Clone)]
-pub struct Records(pub(super) Database);
 
 impl Records {
     /// The highest acknowledged sequence number of a topic that `signer` gave in this ledger, plus 1. Records from

@@ -6,7 +6,7 @@ use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, unsigned};
-use super::{Counts, Database, RecordRow, Records, branches, directory, sightings};
+use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
 use crate::chain::merkle::{Inclusion, Leaf};
 use crate::database::{Statements as _, capped, count, whole};
@@ -86,10 +86,6 @@ pub enum Anchors {
     /// All records of the batch with this root.
     Batch(Hash),
 }
-
-/// The way of records to the chain and back: who may sign, Merkle batches, and what blocks say of them.
-#[derive(Debug, Clone)]
-pub struct Batches(pub(super) Database);
 
 impl Batches {
     /// Closes a batch: stores its root and every record's path, and moves its records from stored to batched, in one

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use rusqlite::{Connection, params};
 
-use super::Database;
+use super::Proofs;
 use super::rows::unsigned;
 use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
@@ -51,10 +51,6 @@ pub struct ProofCounts {
     /// Batches whose proofs could not be had while the node had the state.
     pub missed: u64,
 }
-
-/// What the chain and time authorities prove of batches.
-#[derive(Debug, Clone)]
-pub struct Proofs(pub(super) Database);
 
 impl Proofs {
     /// Anchored batches in blocks up to this one that lack their proof, newest block first.

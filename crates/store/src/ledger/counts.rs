@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use rusqlite::{Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
 
-use super::Database;
+use super::Counts;
 use super::rows::{self, Stream, Which, unsigned};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
@@ -100,10 +100,6 @@ impl StateCounts {
         self.pending() + self.others.iter().filter(|(state, _)| state.is_pending()).map(|(_, n)| n).sum::<u64>()
     }
 }
-
-/// What is counted: records by state, topic, owner and signer, and their ages.
-#[derive(Debug, Clone)]
-pub struct Counts(pub(super) Database);
 
 impl Counts {
     /// Counts per state and topic; costs the same whatever the number of records.

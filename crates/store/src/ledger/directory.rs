@@ -9,7 +9,7 @@ use rusqlite::{Connection, Row, params};
 use super::query::Glance;
 use super::rows::{By, may, unsigned};
 use super::writer::Session;
-use super::{Batches, Database, batches};
+use super::{Batches, Rights, batches};
 use crate::StoreError;
 use crate::chain::merkle::Leaf;
 use crate::database::{Statements as _, capped, count, whole};
@@ -105,10 +105,6 @@ const WHOLE_BLOCK: i64 = i64::MAX;
 pub(super) const PIN: &str = "SELECT pin FROM contract";
 /// Notes the last event.
 const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
-
-/// Who may do what: events of the contract, and envelopes.
-#[derive(Debug, Clone)]
-pub struct Rights(pub(super) Database);
 
 impl Rights {
     /// The file in which they are.

@@ -11,7 +11,7 @@ use super::append::add;
 use super::batches::take_in;
 use super::retention::{is_held, name};
 use super::rows::{LEARNED_NAME, state, unsigned};
-use super::{Database, NewRecord, RootSighting};
+use super::{Erasures, NewRecord, RootSighting};
 use crate::StoreError;
 use crate::chain::merkle::Inclusion;
 use crate::crypto::ErasedStatement;
@@ -77,10 +77,6 @@ pub enum ToldErased {
     /// Nothing changed: this home decided about it itself, or it is in a state in which nobody may.
     Unchanged,
 }
-
-/// Records that somebody had erased, and what is stated of them.
-#[derive(Debug, Clone)]
-pub struct Erasures(pub(super) Database);
 
 impl Erasures {
     /// Notes what owners of this home state of records that they had erased; what was noted before is replaced.

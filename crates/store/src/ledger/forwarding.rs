@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::rows::{self, By, RecordRow, may};
-use super::{Database, Session};
+use super::{Bindings, Forwarding, Names, Session};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
 use crate::model::bytes::hex;
@@ -35,10 +35,6 @@ pub struct ForwardedPage {
 
 /// Records of no transaction and no block of this ledger.
 const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL AND block IS NULL";
-
-/// What a gateway took over, and what it stated.
-#[derive(Debug, Clone)]
-pub struct Forwarding(pub(super) Database);
 
 impl Forwarding {
     /// The gateway took records over: its receipt is stored, and those in state stored become submitted. Returns how many
@@ -173,10 +169,6 @@ pub struct KeptBinding {
     pub device: Option<(SignerId, TopicId)>,
 }
 
-/// Keys of signers, and names at this gateway.
-#[derive(Debug, Clone)]
-pub struct Bindings(pub(super) Database);
-
 impl Bindings {
     /// Stores a device's public key under its id.
     ///
@@ -280,10 +272,6 @@ impl Bindings {
             .list("SELECT name, account FROM bindings ORDER BY name", [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
     }
 }
-
-/// What pseudonyms of topics and types mean.
-#[derive(Debug, Clone)]
-pub struct Names(pub(super) Database);
 
 impl Names {
     /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id); the caller must have

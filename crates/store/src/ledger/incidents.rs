@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::Database;
+use super::Incidents;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
@@ -79,10 +79,6 @@ impl SpanCoverage {
         self.last = self.last.max(part.last);
     }
 }
-
-/// Incidents, and what they hold.
-#[derive(Debug, Clone)]
-pub struct Incidents(pub(super) Database);
 
 impl Incidents {
     /// Stores a new incident; `false` if the owner has one of this name already.

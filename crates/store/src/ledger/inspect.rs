@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use rusqlite::{Connection, Row, params};
 
-use super::Database;
+use super::Inspection;
 use super::branches;
 use super::rows::{self, RecordRow, Stream, unsigned};
 use crate::StoreError;
@@ -101,10 +101,6 @@ pub struct Sequence {
     /// Highest sequence number.
     pub last: u64,
 }
-
-/// What an audit compares.
-#[derive(Debug, Clone)]
-pub struct Inspection(pub(super) Database);
 
 impl Inspection {
     /// The records after row `after`, captured at `since` or later, at most `limit`.

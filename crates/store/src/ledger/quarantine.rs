@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::append::add;
 use super::rows::{self, By, RecordRow, may, unsigned};
-use super::{Database, NewRecord};
+use super::{Losses, NewRecord, Pins, Quarantine};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
@@ -65,10 +65,6 @@ pub struct HeldQuery {
     /// At most this many.
     pub limit: usize,
 }
-
-/// Records that wait for an operator.
-#[derive(Debug, Clone)]
-pub struct Quarantine(pub(super) Database);
 
 impl Quarantine {
     /// Like [`Records::append`], with the reasons why some of the records are quarantined; all of it is durable when
@@ -252,10 +248,6 @@ pub struct AlarmRow {
     pub open: bool,
 }
 
-/// Pinned publishers, and alarms about others.
-#[derive(Debug, Clone)]
-pub struct Pins(pub(super) Database);
-
 impl Pins {
     /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
     ///
@@ -433,10 +425,6 @@ pub struct GapRow {
 
 const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
-
-/// Messages that were lost.
-#[derive(Debug, Clone)]
-pub struct Losses(pub(super) Database);
 
 impl Losses {
     /// Counts losses durably, all or none; they stay open until a gap record reports them.

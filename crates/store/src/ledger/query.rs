@@ -4,7 +4,7 @@
 //! stream's records of each state are read in order from an index, and these lanes are merged.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
 use std::path::Path;
 use std::time::Duration;
 
@@ -13,7 +13,6 @@ use rusqlite::{CachedStatement, Connection, OpenFlags, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::directory;
-use super::filters::FilterChoice;
 use super::rows::{self, RecordRow, Stream, Which, unsigned};
 use super::{Counts, Losses, Records};
 use crate::StoreError;
@@ -22,6 +21,33 @@ use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, Signe
 use crate::notes::{self, Note};
 
 const LARGEST_PAGE: usize = 10_000;
+
+/// A filter id that finds records: the same for every topic, or another one for some topics.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FilterChoice {
+    /// For records of any topic.
+    pub id: FilterId,
+    /// For records of these topics.
+    pub by_topic: BTreeMap<TopicId, FilterId>,
+}
+
+impl FilterChoice {
+    /// Both ids that records of a topic may have; the same twice if there is only one.
+    fn of(&self, topic: TopicId) -> [FilterId; 2] {
+        [self.id, self.by_topic.get(&topic).copied().unwrap_or(self.id)]
+    }
+
+    /// Whether it finds a record of a topic with these ids.
+    pub fn is_in(&self, topic: TopicId, ids: &[FilterId]) -> bool {
+        self.of(topic).iter().any(|id| ids.contains(id))
+    }
+}
+
+impl From<FilterId> for FilterChoice {
+    fn from(id: FilterId) -> Self {
+        Self { id, by_topic: BTreeMap::new() }
+    }
+}
 
 /// Which records to list. All conditions must hold.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -7,7 +7,7 @@ use rusqlite::{Connection, params};
 
 use super::append::add;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
-use super::{Database, Erasure, NewRecord};
+use super::{Erasure, NewRecord, Retention};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
@@ -62,10 +62,6 @@ pub struct Retained {
     /// If it was erased before it came here: what its owner stated, to be checked before anything relies on it.
     pub stated: Option<Vec<u8>>,
 }
-
-/// Records whose ciphertext is deleted by a rule.
-#[derive(Debug, Clone)]
-pub struct Retention(pub(super) Database);
 
 impl Retention {
     /// An owner's topics here: what the owner records, and what its robots bring to a gateway of this home. One whose name

@@ -3,7 +3,7 @@
 use rusqlite::{Connection, params};
 
 use super::rows::{self, By, may, unsigned};
-use super::{Batches, Counts, Database, Forwarding, batches};
+use super::{Batches, Counts, Forwarding, Trail, batches};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
@@ -205,10 +205,6 @@ const SET_CURSOR: &str = "REPLACE INTO cursor VALUES (1, ?1, ?2)";
 pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, StoreError> {
     Ok(connection.find("SELECT block, hash FROM cursor", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
 }
-
-/// The blocks that the watcher has read.
-#[derive(Debug, Clone)]
-pub struct Trail(pub(super) Database);
 
 impl Trail {
     /// The last block (number and hash) that the watcher has finished.

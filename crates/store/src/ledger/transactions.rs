@@ -4,7 +4,7 @@ use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::rows::{self, By, may, out_of_range, unsigned};
-use super::{Anchors, Database, batches};
+use super::{Anchors, Lanes, batches};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
@@ -91,10 +91,6 @@ pub struct TransactionRow {
 
 const COLUMNS: &str =
     "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by, batch";
-
-/// Transactions, account by account.
-#[derive(Debug, Clone)]
-pub struct Lanes(pub(super) Database);
 
 impl Lanes {
     /// Stores a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
