@@ -80,8 +80,9 @@ impl AuditLog {
         self.0.write(move |session| {
             let (count, head) = head(session.connection)?;
             let hash = chain(head, &entry);
+            let sql = "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
             session.connection.run(
-                "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+                sql,
                 params![
                     whole("line", count + 1)?,
                     whole("time", entry.at.0)?,

@@ -110,9 +110,10 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
         return store_again(session.connection, record);
     }
     let stream = stream_key(session, record, topic)?;
+    let sql = "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
+        acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
     session.connection.run(
-        "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
-            acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        sql,
         params![
             record.digest.0,
             topic,

@@ -103,13 +103,12 @@ impl Batches {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn waiting(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
-        self.0.list(
-            "SELECT root, count FROM batches INDEXED BY batches_waiting
-                WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
-                ORDER BY key LIMIT ?2",
-            params![owner.0, capped(limit)],
-            |row| Ok(WaitingBatch { root: Hash(row.get(0)?), count: unsigned(row, 1)? }),
-        )
+        let sql = "SELECT root, count FROM batches INDEXED BY batches_waiting
+            WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
+            ORDER BY key LIMIT ?2";
+        self.0.list(sql, params![owner.0, capped(limit)], |row| {
+            Ok(WaitingBatch { root: Hash(row.get(0)?), count: unsigned(row, 1)? })
+        })
     }
 
     /// Roots anchored by an account's open transactions, by nonce.
@@ -151,14 +150,11 @@ impl Batches {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
-        self.0.list(
-            "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
-                JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
-                JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
-                WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
-            params![keeper.0, RecordState::Stored.code(), capped(limit)],
-            leaf,
-        )
+        let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
+            JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
+            JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
+            WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3";
+        self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], leaf)
     }
 
     /// Takes in roots found on the chain: pending records of the batch are now mined, with this transaction and block;
@@ -286,10 +282,11 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let Some(key) = found else { return Ok(0) };
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
+    let sql = "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
+        state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
+        WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let changed = connection.run(
-        "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
-            state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
-            WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
+        sql,
         params![
             key,
             sighting.transaction.0,
@@ -412,9 +409,10 @@ fn batch_of(
     if !is_read(connection, anchor)? {
         return Err(StoreError::Replaced { digest, block: anchor.block });
     }
+    let sql = "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
+        VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING";
     connection.run(
-        "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
-            VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING",
+        sql,
         params![
             inclusion.root.0,
             anchor.account.0,

@@ -60,17 +60,14 @@ impl Proofs {
     pub fn unproven_batches(&self, up_to_block: u64, limit: usize) -> Result<Vec<UnprovenBatch>, StoreError> {
         let (up_to, limit) = (whole("block", up_to_block)?, capped(limit));
         self.0.read(|connection| {
-            let mut batches: Vec<UnprovenBatch> = connection.list(
-                "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
-                    WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
-                    AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2",
-                params![up_to, limit],
-                |row| {
-                    let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
-                    let (key, block) = (unsigned(row, 0)?, unsigned(row, 3)?);
-                    Ok(UnprovenBatch { key, account, root, block, block_hash, signers: Vec::new() })
-                },
-            )?;
+            let sql = "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
+                WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
+                AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2";
+            let mut batches: Vec<UnprovenBatch> = connection.list(sql, params![up_to, limit], |row| {
+                let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
+                let (key, block) = (unsigned(row, 0)?, unsigned(row, 3)?);
+                Ok(UnprovenBatch { key, account, root, block, block_hash, signers: Vec::new() })
+            })?;
             for batch in &mut batches {
                 batch.signers = signers(connection, whole("batch", batch.key)?)?;
             }
@@ -167,15 +164,12 @@ impl Proofs {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
-        self.0.one(
-            "SELECT (SELECT max(block) FROM chain_proofs),
-                (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)",
-            [],
-            |row| {
-                let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
-                Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
-            },
-        )
+        let sql = "SELECT (SELECT max(block) FROM chain_proofs),
+            (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)";
+        self.0.one(sql, [], |row| {
+            let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
+            Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
+        })
     }
 }
 

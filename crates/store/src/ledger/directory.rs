@@ -381,9 +381,10 @@ fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreEr
 fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
     let (block, place) = (whole("block", event.block)?, whole("place", event.place)?);
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
+    let sql = "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
     connection.run(
-        "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
-            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+        sql,
         params![
             block,
             place,
@@ -434,18 +435,15 @@ impl Batches {
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
         let [held, stored, batched] =
             [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
-        self.0.list(
-            "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
-                FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-                JOIN counters c ON c.stream = s.key
-                WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
-                GROUP BY t.owner, r.signer",
-            params![keeper.0, held, stored, batched],
-            |row| {
-                let (owner, signer) = (Address(row.get(0)?), SignerId(row.get(1)?));
-                Ok(WaitingSigner { owner, signer, held: row.get(2)?, ready: row.get(3)? })
-            },
-        )
+        let sql = "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
+            FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+            JOIN counters c ON c.stream = s.key
+            WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
+            GROUP BY t.owner, r.signer";
+        self.0.list(sql, params![keeper.0, held, stored, batched], |row| {
+            let (owner, signer) = (Address(row.get(0)?), SignerId(row.get(1)?));
+            Ok(WaitingSigner { owner, signer, held: row.get(2)?, ready: row.get(3)? })
+        })
     }
 
     /// A signer's right has ended: those of its records that no transaction anchors now wait. Unsent batches that
@@ -491,14 +489,11 @@ impl Batches {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
-        self.0.list(
-            "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
-                JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
-                JOIN recorders ON recorders.key = topics.recorder
-                WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3",
-            params![keeper.0, RecordState::Stored.code(), capped(limit)],
-            batches::leaf,
-        )
+        let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
+            JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
+            JOIN recorders ON recorders.key = topics.recorder
+            WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3";
+        self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], batches::leaf)
     }
 }
 

@@ -193,15 +193,12 @@ impl Erasures {
     pub fn told_to_delete(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (verified, tampered) = (RecordState::Verified.code(), RecordState::Tampered.code());
         let values = params![verified, tampered, capped(limit)];
-        self.0.list(
-            &format!(
-                "SELECT one.digest FROM {} AND one.state IN (?1, ?2) AND NOT {} ORDER BY retained.record LIMIT ?3",
-                told(),
-                is_held()
-            ),
-            values,
-            |row| row.get(0).map(Digest),
-        )
+        let sql = format!(
+            "SELECT one.digest FROM {} AND one.state IN (?1, ?2) AND NOT {} ORDER BY retained.record LIMIT ?3",
+            told(),
+            is_held()
+        );
+        self.0.list(&sql, values, |row| row.get(0).map(Digest))
     }
 
     /// How many records whose owners told that they were erased stay here, because an incident of their owner holds them.

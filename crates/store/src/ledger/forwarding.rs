@@ -196,8 +196,9 @@ impl Bindings {
     /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let name = name.to_string();
+        let sql = "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
         self.0.run(
-            "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+            sql,
             (
                 name,
                 binding.account.0,
@@ -243,22 +244,19 @@ impl Bindings {
     /// [`StoreError::Database`] and the like.
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
         self.0.read(|connection| {
-            let binding = connection.find(
-                "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1",
-                [name.as_str()],
-                |row| {
-                    Ok(KeptBinding {
-                        account: Address(row.get(0)?),
-                        signing: PublicKey(row.get(1)?),
-                        envelope: PublicKey(row.get(2)?),
-                        sealed_key: row.get(3)?,
-                        device: match row.get::<_, Option<_>>(4)? {
-                            Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
-                            None => None,
-                        },
-                    })
-                },
-            )?;
+            let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
+            let binding = connection.find(sql, [name.as_str()], |row| {
+                Ok(KeptBinding {
+                    account: Address(row.get(0)?),
+                    signing: PublicKey(row.get(1)?),
+                    envelope: PublicKey(row.get(2)?),
+                    sealed_key: row.get(3)?,
+                    device: match row.get::<_, Option<_>>(4)? {
+                        Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
+                        None => None,
+                    },
+                })
+            })?;
             Ok(binding)
         })
     }

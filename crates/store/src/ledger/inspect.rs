@@ -408,12 +408,9 @@ impl Inspection {
 fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
     let states = (RecordState::Stored.code(), RecordState::Verified.code());
     let values = (states.0, states.1, capped(limit), RecordState::RightEnded.code());
-    Ok(connection.list(
-        "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
-            AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
-        values,
-        |row| row.get(0).map(Digest),
-    )?)
+    let sql = "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
+        AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3";
+    Ok(connection.list(sql, values, |row| row.get(0).map(Digest))?)
 }
 
 #[cfg(test)]

@@ -310,11 +310,10 @@ impl Pins {
     ) -> Result<bool, StoreError> {
         let (topic, publisher) = (topic.to_owned(), publisher.to_owned());
         let now = whole("time", Timestamp::now().0)?;
-        Ok(self.0.changed(
+        let sql =
             "INSERT INTO alarms VALUES (?1, ?2, ?3, ?4, ?5, 1) ON CONFLICT DO UPDATE SET open = 1, at = excluded.at
-                WHERE open = 0",
-            (owner.0, topic, publisher, reason, now),
-        )? > 0)
+                WHERE open = 0";
+        Ok(self.0.changed(sql, (owner.0, topic, publisher, reason, now))? > 0)
     }
 
     /// The operator has decided about a topic: its alarms are closed but kept. Returns how many were open.
@@ -332,20 +331,17 @@ impl Pins {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
-        self.0.list(
-            "SELECT topic, publisher, reason, at, open FROM alarms
-                WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at",
-            params![owner.0, topic],
-            |row| {
-                Ok(AlarmRow {
-                    topic: row.get(0)?,
-                    publisher: row.get(1)?,
-                    reason: row.get(2)?,
-                    at: Timestamp(unsigned(row, 3)?),
-                    open: row.get(4)?,
-                })
-            },
-        )
+        let sql = "SELECT topic, publisher, reason, at, open FROM alarms
+            WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at";
+        self.0.list(sql, params![owner.0, topic], |row| {
+            Ok(AlarmRow {
+                topic: row.get(0)?,
+                publisher: row.get(1)?,
+                reason: row.get(2)?,
+                at: Timestamp(unsigned(row, 3)?),
+                open: row.get(4)?,
+            })
+        })
     }
 }
 
@@ -487,12 +483,13 @@ fn count_one(connection: &Connection, loss: &Loss) -> Result<(), StoreError> {
     let (count, word) = (whole("count", loss.count)?, loss.reason.word());
     let sql = "INSERT INTO drops VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO UPDATE SET count = count + excluded.count";
     connection.run(sql, params![loss.owner.0, loss.topic, word, count])?;
+    let sql = "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
+        ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
+        count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
+        first_number = coalesce(first_number, excluded.first_number)";
     connection.run(
-        "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
-            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
-            ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
-            count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
-            first_number = coalesce(first_number, excluded.first_number)",
+        sql,
         params![
             loss.owner.0,
             loss.topic,

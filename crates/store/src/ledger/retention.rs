@@ -71,23 +71,20 @@ impl Retention {
     /// [`StoreError::Database`] and the like.
     pub fn topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
         let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
-        self.0.list(
-            &format!(
-                "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
-                        (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
-                    FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                    WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
-            ),
-            values,
-            |row| {
-                Ok(KeptTopic {
-                    key: row.get(0)?,
-                    topic_id: TopicId(row.get(1)?),
-                    name: row.get(2)?,
-                    bytes: unsigned(row, 3)?,
-                })
-            },
-        )
+        let sql = format!(
+            "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
+                    (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
+                FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
+        );
+        self.0.list(&sql, values, |row| {
+            Ok(KeptTopic {
+                key: row.get(0)?,
+                topic_id: TopicId(row.get(1)?),
+                name: row.get(2)?,
+                bytes: unsigned(row, 3)?,
+            })
+        })
     }
 
     /// The oldest verified messages of a topic not yet deleted by retention, captured from `since` on and before
@@ -111,21 +108,18 @@ impl Retention {
             time(until),
             capped(limit)
         ];
-        self.0.list(
-            "SELECT digest, seq, bytes, captured_at FROM records
-                WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
-                AND captured_at >= ?4 AND captured_at < ?5
-                AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6",
-            values,
-            |row| {
-                Ok(OldRecord {
-                    digest: Digest(row.get(0)?),
-                    seq: unsigned(row, 1)?,
-                    bytes: unsigned(row, 2)?,
-                    captured_at: Timestamp(unsigned(row, 3)?),
-                })
-            },
-        )
+        let sql = "SELECT digest, seq, bytes, captured_at FROM records
+            WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
+            AND captured_at >= ?4 AND captured_at < ?5
+            AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6";
+        self.0.list(sql, values, |row| {
+            Ok(OldRecord {
+                digest: Digest(row.get(0)?),
+                seq: unsigned(row, 1)?,
+                bytes: unsigned(row, 2)?,
+                captured_at: Timestamp(unsigned(row, 3)?),
+            })
+        })
     }
 
     /// Acknowledges a retention record and notes the records it names, with their public headers, in one commit.
@@ -162,17 +156,14 @@ impl Retention {
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
         let values = params![owner.0, confirmed, verified, capped(limit)];
-        self.0.list(
-            &format!(
-                "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
-                    JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
-                    WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
-                    ORDER BY record LIMIT ?4",
-                is_held()
-            ),
-            values,
-            |row| row.get(0).map(Digest),
-        )
+        let sql = format!(
+            "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
+                JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
+                WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
+                ORDER BY record LIMIT ?4",
+            is_held()
+        );
+        self.0.list(&sql, values, |row| row.get(0).map(Digest))
     }
 
     /// Notes that the ciphertext of these is deleted.
@@ -206,11 +197,12 @@ impl Retention {
     /// [`StoreError::Database`] and the like.
     pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.0.read(|connection| {
+            let sql = "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
+                told.n IS NOT NULL,
+                (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
+                JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1";
             let found = connection.find(
-                "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
-                    told.n IS NOT NULL,
-                    (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
-                    JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1",
+                sql,
                 params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()],
                 |row| {
                     let retained = Retained {

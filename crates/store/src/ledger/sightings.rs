@@ -291,15 +291,14 @@ impl Counts {
     pub fn heights(&self, owner: Address, signer: SignerId, but: [&str; 2]) -> Result<Vec<(TopicId, u64)>, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         let [one, other] = but;
-        self.0.list(
-            "SELECT topic_id, highest FROM
-                (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
-                 WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
-                 AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
-                WHERE highest IS NOT NULL ORDER BY topic_id",
-            params![owner.0, one, other, recorder.0, signer.0],
-            |row| Ok((TopicId(row.get(0)?), unsigned(row, 1)?)),
-        )
+        let sql = "SELECT topic_id, highest FROM
+            (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
+             WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
+             AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
+            WHERE highest IS NOT NULL ORDER BY topic_id";
+        self.0.list(sql, params![owner.0, one, other, recorder.0, signer.0], |row| {
+            Ok((TopicId(row.get(0)?), unsigned(row, 1)?))
+        })
     }
 
     /// The recorder that the one of `signer` follows for an owner: that of the key before, or of the ledger that this one is
@@ -358,12 +357,9 @@ impl Forwarding {
     pub fn proven_before(&self, moment: Timestamp, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (moment, limit) = (whole("time", moment.0)?, capped(limit));
         let verified = crate::model::RecordState::Verified.code();
-        self.0.list(
-            "SELECT digest FROM proven JOIN records ON n = record
-                WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2",
-            params![moment, limit, verified],
-            |row| row.get(0).map(Digest),
-        )
+        let sql = "SELECT digest FROM proven JOIN records ON n = record
+            WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2";
+        self.0.list(sql, params![moment, limit, verified], |row| row.get(0).map(Digest))
     }
 
     /// Notes that the ciphertext of these was deleted; statement and proof stay.

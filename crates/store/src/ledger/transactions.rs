@@ -182,9 +182,10 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
         Anchors::Batch(root) => (&[], Some(root.0)),
     };
     let bytes: Vec<u8> = digests.iter().flat_map(|digest| digest.0).collect();
+    let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)";
     connection.run(
-        "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
-            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)",
+        sql,
         params![
             new.hash.0,
             new.account.0,
@@ -370,19 +371,16 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
-        self.0.list(
-            "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
-                WHERE state = 0 AND account = ?1 ORDER BY nonce",
-            [account.0],
-            |row| {
-                Ok(OpenTransaction {
-                    hash: Hash(row.get(0)?),
-                    nonce: unsigned(row, 1)?,
-                    purpose: row.get(2)?,
-                    anchors: row.get(3)?,
-                })
-            },
-        )
+        let sql = "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
+            WHERE state = 0 AND account = ?1 ORDER BY nonce";
+        self.0.list(sql, [account.0], |row| {
+            Ok(OpenTransaction {
+                hash: Hash(row.get(0)?),
+                nonce: unsigned(row, 1)?,
+                purpose: row.get(2)?,
+                anchors: row.get(3)?,
+            })
+        })
     }
 
     /// The signed bytes of a transaction; `None` if the ledger does not hold it.
