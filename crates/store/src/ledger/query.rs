@@ -21,9 +21,10 @@ use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, Signe
 use crate::notes::{self, Note};
 
 const LARGEST_PAGE: usize = 10_000;
+const USUAL_PAGE: usize = 100;
 
 /// A filter id that finds records: the same for every topic, or another one for some topics.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FilterChoice {
     /// For records of any topic.
     pub id: FilterId,
@@ -50,8 +51,7 @@ impl From<FilterId> for FilterChoice {
 }
 
 /// Which records to list. All conditions must hold.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RecordQuery {
     /// Of this owner.
     pub owner: Option<Address>,
@@ -60,12 +60,10 @@ pub struct RecordQuery {
     /// Of the topic with this name.
     pub topic: Option<String>,
     /// Of any topic with one of these names; empty = of any.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub topics: Vec<String>,
     /// Of any of these topics.
     pub topic_ids: Option<Vec<TopicId>>,
     /// Numbered by this recorder.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub recorder: Option<RecorderId>,
     /// With one id of each of these choices.
     pub filters: Vec<FilterChoice>,
@@ -83,33 +81,10 @@ pub struct RecordQuery {
     pub until: Option<Timestamp>,
     /// After the page whose `next` was this cursor.
     pub after: Option<String>,
-    /// The most records on a page, 1 to 10,000; 100 unless set.
+    /// The most records on a page, 1 to 10,000; 0 = 100.
     pub limit: usize,
     /// Newest first; oldest first unless set.
     pub newest_first: bool,
-}
-
-impl Default for RecordQuery {
-    fn default() -> Self {
-        Self {
-            owner: None,
-            owners: None,
-            topic: None,
-            topics: Vec::new(),
-            topic_ids: None,
-            recorder: None,
-            filters: Vec::new(),
-            type_name: None,
-            words: Vec::new(),
-            kind: None,
-            state: None,
-            since: None,
-            until: None,
-            after: None,
-            limit: 100,
-            newest_first: false,
-        }
-    }
 }
 
 impl RecordQuery {
@@ -147,7 +122,7 @@ impl Records {
     /// # Errors
     /// [`StoreError::Cursor`] if `after` is not a cursor, [`StoreError::Database`] and the like.
     pub fn list(&self, query: &RecordQuery) -> Result<RecordPage, StoreError> {
-        let limit = query.limit.clamp(1, LARGEST_PAGE);
+        let limit = if query.limit == 0 { USUAL_PAGE } else { query.limit.min(LARGEST_PAGE) };
         let range = Range::of(query)?;
         self.0.read(|connection| {
             let mut streams = candidates(connection, query)?;
