@@ -413,7 +413,8 @@ fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>, Pipe
     let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
     match plant.keep(rows, |rows| plant.ledger.records.append(rows)) {
         Err(error @ StoreError::Conflict { .. }) => {
-            let told: Vec<bool> = claims.iter().map(|claim| equivocation::tell(plant, claim)).collect::<Result<_, _>>()?;
+            let told: Vec<bool> =
+                claims.iter().map(|claim| equivocation::tell(plant, claim)).collect::<Result<_, _>>()?;
             if !told.contains(&true) {
                 plant.observer.alert(true, format!("a sender's record contradicts another one: {error}"));
             }

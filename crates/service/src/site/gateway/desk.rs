@@ -9,7 +9,7 @@ use tokio::sync::watch;
 
 use super::GatewayDesk;
 use super::admissions::Standing as Access;
-use super::erasing::rejected;
+use super::erasing::not_taken;
 use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
@@ -26,8 +26,8 @@ use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
 use crate::pipeline::intake::accept_uploads;
-use crate::store::notes::AnnouncedRevoke;
 use crate::store::KeptBinding;
+use crate::store::notes::AnnouncedRevoke;
 
 impl GatewayDesk {
     /// Does work that waits for disk or node, off the network's threads.
@@ -106,7 +106,7 @@ impl GatewayDesk {
         let plant = &self.gateway.plant;
         let has_notice = records.iter().any(|record| record.header.kind == RecordKind::Key);
         let accepted = accept_uploads(plant, self.keeper.address, records).map_err(Refusal::because(Code::Internal))?;
-        accepted.map_err(|reason| rejected(&reason, &reason))?;
+        accepted.map_err(|reason| not_taken(&reason, &reason))?;
         if has_notice {
             self.gateway.hub.feed_changed();
         }

@@ -115,7 +115,7 @@ impl GatewayDesk {
         let judged = intake.judge_erased(digest, &left).await.map_err(Refusal::because(Code::Stale))?;
         let (header, proof) = match judged {
             Ok(proven) => proven,
-            Err(Accepted::Refused(refused)) => return Err(rejected(&refused.reason, &refused)),
+            Err(Accepted::Refused(refused)) => return Err(not_taken(&refused.reason, &refused)),
             Err(Accepted::Held(_) | Accepted::Later) => return Ok(Judged::Left),
         };
         let inclusion =
@@ -148,7 +148,7 @@ impl GatewayDesk {
 }
 
 /// What the intake does not take is the owner's fault.
-pub(super) fn rejected(reason: &Reason, detail: impl fmt::Display) -> Refusal {
+pub(super) fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
     let code = match reason {
         Reason::Crypto(_) => Code::Signature,
         Reason::Number => Code::Malformed,

@@ -27,8 +27,8 @@ use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, Plant, network_pin};
 use crate::reply::{CoverageView, Failure};
 use crate::ros::recording::{Beside, BesideContent};
-use crate::store::{Coverage, CoverageQuery};
 use crate::store::notes::Enrolled;
+use crate::store::{Coverage, CoverageQuery};
 
 /// Records as people read them.
 pub(in crate::site) struct Reading {
