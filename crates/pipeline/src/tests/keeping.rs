@@ -7,10 +7,11 @@ use crate::chain::merkle::{Inclusion, Leaf};
 use crate::chain::{AnchorProof, Call};
 use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
 use crate::gateway::Fetched;
+use crate::gateway::desk::Received;
 use crate::model::head::Compression;
 use crate::model::{Address, FilterId, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
-use crate::pipeline::intake::{Accepted, Anchors, Intake, Reason, Refused};
+use crate::pipeline::intake::{Accepted, Anchors, Intake, Reason, Refused, accept_uploads};
 use crate::store::StoreError;
 
 pub(super) fn head(body: &[u8]) -> Head {
@@ -165,6 +166,23 @@ fn what_a_gateway_refuses_leaves_no_bytes() {
     assert!(matches!(keep(vec![moved]), Err(StoreError::Conflict { .. })));
     assert_eq!(entries(&plant), 2);
     assert_eq!(plant.ciphertext.get(known.digest).expect("read"), known.blob);
+}
+
+#[test]
+fn an_upload_with_the_number_of_another_is_refused_for_a_readers_reason_and_told() {
+    let home = tempfile::tempdir().expect("folder");
+    let notes = Arc::new(super::super::fixture::Notes::default());
+    let plant = Plant { observer: Arc::clone(&notes) as _, ..plant(home.path()) };
+    let (owner, _) = owner_with_keys(plant.provider, home.path());
+    let received = |seq, body: &[u8]| {
+        let SealedRecord { header, blob, digest, signature } = elsewhere(&owner, seq, body, None);
+        Received { header, digest, signature, signer: owner.signing().public, blob }
+    };
+    let take = |uploads| accept_uploads(&plant, Address([8; 20]), uploads).expect("asked");
+    assert!(take(vec![received(1, b"one")]).is_ok());
+    let refused = take(vec![received(2, b"two"), received(1, b"another one")]);
+    assert!(matches!(refused, Err(Reason::Number)), "{refused:?}");
+    assert_eq!((entries(&plant), notes.with("equivocation")), (1, 1), "none of them is kept, and both signatures are");
 }
 
 #[test]

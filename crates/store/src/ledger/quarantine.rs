@@ -434,7 +434,7 @@ impl Losses {
     /// The same, and notes in the same commit up to which text of [`crate::WaitingFile`] its losses are counted.
     ///
     /// # Errors
-    /// See [`Self::count_losses`].
+    /// See [`Self::count`].
     pub fn count_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
         self.0.write(move |session| {
             losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
