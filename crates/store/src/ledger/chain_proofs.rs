@@ -401,7 +401,7 @@ mod tests {
             .proofs
             .keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])])
             .expect("kept");
-        ledger.batches.unmine(7).expect("unwound");
+        ledger.batches.take_back(7).expect("unwound");
         assert_eq!(blocks(&ledger, 9), Vec::<u64>::new(), "it is in no block");
         see(&ledger, 1, 8);
         assert_eq!(blocks(&ledger, 9), [8]);

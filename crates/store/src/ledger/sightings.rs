@@ -80,40 +80,15 @@ impl Batches {
         })
     }
 
-    /// Blocks from this one on are gone: their mined and confirmed records lose their block. If the record's own
-    /// transaction was signed here, it counts as open again and the record as submitted, so that the sender sends the
-    /// same bytes again; otherwise the record is stored, or batched, and will be anchored again. Returns how many
-    /// records moved. The blocks leave the trail; its walker stays where it is.
-    ///
-    /// Verified records stay: a block deeper than the required confirmations disappears only if the chain is broken,
-    /// and that is for the operator to decide. [`Batches::verified_from`] counts them and [`Batches::unverify`] moves
-    /// them the same way.
+    /// Blocks from this one on are gone: their records lose their block. If the record's own transaction was signed here, it
+    /// counts as open again and the record as submitted, so that the sender sends the same bytes again; otherwise the record
+    /// is stored, or batched, and will be anchored again. The blocks leave the trail; its walker stays where it is. Returns
+    /// how many records moved, and how many of them were verified: a block deeper than the required confirmations disappears
+    /// only if the chain is broken.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none moves.
-    pub fn unmine(&self, from_block: u64) -> Result<u64, StoreError> {
-        self.take_back(from_block, &[RecordState::Mined, RecordState::Confirmed])
-    }
-
-    /// Like [`Batches::unmine`], for verified records.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none moves.
-    pub fn unverify(&self, from_block: u64) -> Result<u64, StoreError> {
-        self.take_back(from_block, &[RecordState::Verified])
-    }
-
-    /// How many verified records are anchored in this block or later.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn verified_from(&self, block: u64) -> Result<u64, StoreError> {
-        let block = whole("block", block)?;
-        let sql = "SELECT count(*) FROM records WHERE state = ?1 AND block >= ?2";
-        self.0.one(sql, params![RecordState::Verified.code(), block], |row| rows::unsigned(row, 0))
-    }
-
-    fn take_back(&self, from_block: u64, states: &'static [RecordState]) -> Result<u64, StoreError> {
+    pub fn take_back(&self, from_block: u64) -> Result<(u64, u64), StoreError> {
         let block = whole("block", from_block)?;
         self.0.write(move |session| {
             let connection = session.connection;
@@ -126,7 +101,10 @@ impl Batches {
             connection.run("DELETE FROM passed_over WHERE block >= ?1", [block])?;
             let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
             connection.run(sql, params![RecordState::Tampered.code(), block])?;
-            states.iter().try_fold(0, |moved, state| Ok(moved + unplace(connection, *state, block)?))
+            let verified = unplace(connection, RecordState::Verified, block)?;
+            let others = [RecordState::Mined, RecordState::Confirmed].into_iter();
+            let moved = others.map(|state| unplace(connection, state, block)).sum::<Result<u64, _>>()?;
+            Ok((moved + verified, verified))
         })
     }
 }

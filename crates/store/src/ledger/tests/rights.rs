@@ -89,7 +89,7 @@ fn a_batch_that_all_its_records_left_waits_anew_when_it_is_closed_again() {
         Ok(Some(8))
     );
     // The blocks are replaced: nothing is left to be ignored.
-    ledger.batches.unmine(5).expect("taken back");
+    ledger.batches.take_back(5).expect("taken back");
     assert_eq!(was_passed_over(&ledger, records[0].digest), Ok(false));
     assert_eq!(states(&ledger, &records), [Batched, Batched]);
 }

@@ -55,13 +55,10 @@ impl Pair {
                 }
                 assert_eq!(self.ledger().batches.confirm(block).map(|times| times.len()), Ok(confirmed));
             }
-            Step::Unmine(block) => {
-                let moved = self.model.take_back(block, &[Mined, Confirmed]);
-                assert_eq!(self.ledger().batches.unmine(block), Ok(moved));
-            }
-            Step::Unverify(block) => {
-                let moved = self.model.take_back(block, &[Verified]);
-                assert_eq!(self.ledger().batches.unverify(block), Ok(moved));
+            Step::TakeBack(block) => {
+                let verified = self.model.take_back(block, &[Verified]);
+                let moved = verified + self.model.take_back(block, &[Mined, Confirmed]);
+                assert_eq!(self.ledger().batches.take_back(block), Ok((moved, verified)));
             }
             _ => {}
         }
