@@ -84,6 +84,8 @@ notes! {
     RestoredAt {} = "restored at": Timestamp, "when this home was restored";
     /// Up to which block a copied ledger's accounts may have anchored without it.
     ForeignHistory {} = "foreign history": u64, "up to which block anchors of other copies are history";
+    /// When the store was first missed in a home that had keys or an embedded chain already.
+    StoreWasGone {} = "store was gone": Timestamp, "when the store was missed";
     /// Anchors by this home's accounts that it did not send.
     SeenForeign {} = "foreign anchors": ForeignAnchors, "the anchors that this home did not send";
     /// Up to which text of [`crate::WaitingFile`] its losses are counted.

@@ -31,6 +31,7 @@ fn samples() -> Vec<(Kind, String)> {
         of::<CopiedAt>(12),
         of::<RestoredAt>(at),
         of::<ForeignHistory>(12),
+        of::<StoreWasGone>(at),
         of::<SeenForeign>(foreign),
         of::<LossesCounted>(12),
         of::<ScrubbedUpTo>(12),

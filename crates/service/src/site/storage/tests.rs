@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use super::Storage;
 use crate::service::event::Event;
-use crate::service::reply::HealthLevel;
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
 use crate::site::reading::Reading;
@@ -17,7 +16,7 @@ async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
     // No disk has as much left.
     let ground = Ground::with(&[("disk.reserve", "1000000GiB")]);
     let storage = Arc::new(Storage::new(&ground.parts, &reading(&ground.parts)));
-    assert!(storage.room_health().is_none() && ground.parts.plant.ledger.records.takes_records().is_ok());
+    assert!(storage.fault() == Ok(None) && ground.parts.plant.ledger.records.takes_records().is_ok());
     let mut events = ground.parts.hub.events().subscribe();
     let kept = tokio::spawn(Arc::clone(&storage).keep_room());
     let text = loop {
@@ -27,8 +26,8 @@ async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
     };
     assert!(text.contains("less than disk.reserve"), "{text}");
     assert!(ground.parts.plant.ledger.records.takes_records().is_err());
-    let (level, told) = storage.room_health().expect("told in the health too");
-    assert!(level == HealthLevel::Failed && told.contains("no further record is acknowledged"), "{told}");
+    let told = storage.fault().expect("read").expect("told in the health too");
+    assert!(told.contains("no further record is acknowledged"), "{told}");
     ground.parts.life.stop();
     kept.await.expect("ends with the site");
     assert!(ground.parts.plant.ledger.records.takes_records().is_ok(), "held by the task alone");
