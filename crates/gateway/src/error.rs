@@ -232,7 +232,7 @@ codes! {
     /// The record belongs to a network or owner other than the session's.
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
     /// A request that is not passed on to the chain.
-    Method = 27 Refused "the gateway does not forward this request to the chain; use a node for it";
+    Method = 26 Refused "the gateway does not forward this request to the chain; use a node for it";
 }
 
 impl Code {
@@ -303,6 +303,6 @@ mod code_tests {
             assert!(code.to_string().contains("; "), "{code:?} says what to do next");
         }
         assert_eq!(Code::from_number(0), None);
-        assert_eq!(Code::from_number(28), None);
+        assert_eq!(Code::from_number(27), None);
     }
 }
