@@ -89,15 +89,18 @@ impl Ledger {
         })
     }
 
-    /// Who numbered records here, the newest first.
+    /// Who numbered the records that wait here, to be passed on or for the gateway's word.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn recorders(&self, limit: usize) -> Result<Vec<RecorderId>, StoreError> {
+    pub fn waiting_recorders(&self) -> Result<BTreeSet<RecorderId>, StoreError> {
         self.read(|connection| {
-            let sql = "SELECT id FROM recorders ORDER BY key DESC LIMIT ?1";
-            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            Ok(connection.list(sql, [limit], |row| row.get(0).map(RecorderId))?)
+            let sql = "SELECT DISTINCT r.id FROM counters c JOIN streams s ON s.key = c.stream
+                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                     WHERE c.state IN (?1, ?2) AND c.records > 0";
+            let values = params![RecordState::Stored.code(), RecordState::Submitted.code()];
+            let found: Vec<RecorderId> = connection.list(sql, values, |row| row.get(0).map(RecorderId))?;
+            Ok(found.into_iter().collect())
         })
     }
 
