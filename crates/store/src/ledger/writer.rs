@@ -91,7 +91,7 @@ impl Writer {
             .name("ledger".to_owned())
             .spawn({
                 let checkpoints = Checkpoints::new(path);
-                let mark = Mark { closed, untouched: connection.total_changes() };
+                let mark = Mark::new(&connection, closed)?;
                 move || serve(connection, checkpoints, mark, &inbox)
             })
             .map_err(|error| StoreError::home(path, &error))?;
@@ -145,19 +145,29 @@ impl Drop for Writer {
     }
 }
 
-/// Whether the file says that it was cleanly closed, which it does until the first change.
+/// What the file says of the process that has it open, which it does from the first change on.
 struct Mark {
+    /// Whether it says that it was cleanly closed.
     closed: bool,
+    is_told: bool,
     /// Changes that the connection had made before.
     untouched: u64,
+    /// The last number in the feed before.
+    head: i64,
 }
 
 impl Mark {
-    /// In the transaction of the first change: from its commit on the file is marked as open.
+    fn new(connection: &Connection, closed: bool) -> Result<Self, StoreError> {
+        let head = connection.query_row("SELECT head FROM about", [], |row| row.get(0))?;
+        Ok(Self { closed, is_told: false, untouched: connection.total_changes(), head })
+    }
+
+    /// In the transaction of the first change: from its commit on the file is marked as open, and its feed has another id.
     fn open(&self, connection: &Connection) -> Result<bool, StoreError> {
-        let first = self.closed && connection.total_changes() != self.untouched;
+        let first = !self.is_told && connection.total_changes() != self.untouched;
         if first {
             run(connection, "UPDATE about SET clean = 0")?;
+            super::feed::begin(connection, self.head)?;
         }
         Ok(first)
     }
@@ -277,7 +287,9 @@ fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
     if result.is_err() && !connection.is_autocommit() {
         run(connection, "ROLLBACK")?;
     }
-    mark.closed &= !result?;
+    let first = result?;
+    mark.closed &= !first;
+    mark.is_told |= first;
     Ok(())
 }
 
