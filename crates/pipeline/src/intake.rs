@@ -110,17 +110,17 @@ where
     PipelineError: From<E>,
 {
     fn from(error: E) -> Self {
-        match error.into() {
+        match PipelineError::from(error) {
             PipelineError::Crypto(CryptoError::FalseName(what)) => Self::Refused(Reason::FalseName(what)),
             PipelineError::Crypto(error) => Self::Refused(Reason::Crypto(error)),
             // A grant may have ended just now, and a key may follow.
             PipelineError::NotGranted { .. } | PipelineError::UnknownEpoch(_) | PipelineError::Refused(_) => {
                 Self::Later
             }
-            PipelineError::Store(_)
+            error @ (PipelineError::Store(_)
             | PipelineError::Chain(_)
             | PipelineError::Unsteady
-            | PipelineError::NodeBehind { .. } => Self::Failed(error),
+            | PipelineError::NodeBehind { .. }) => Self::Failed(error),
             // Anything else follows from what came: it must not keep the others away.
             error => Self::Refused(Reason::Unopened(Box::new(error))),
         }

@@ -218,12 +218,7 @@ impl Stream {
 
     /// Gives out settled records, up to the first that is not settled yet: later ones wait behind it, so that their
     /// order stays.
-    fn take(
-        &mut self,
-        records: &Records,
-        key: (Address, TopicId),
-        ready: &mut Vec<RecordRow>,
-    ) -> Result<(), Failure> {
+    fn take(&mut self, records: &Records, key: (Address, TopicId), ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
         let mut query = RecordQuery { since: Some(self.low.max(self.floor)), ..of_stream(key) };
         let (mut waiting, begun, now) = (None, ready.len(), Timestamp::now());
         'pages: loop {

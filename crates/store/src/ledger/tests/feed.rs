@@ -237,7 +237,10 @@ fn a_notice_whose_block_is_taken_back_is_told_again_and_so_is_an_erasure_that_is
     ledger.records.append(vec![message.clone(), notice.clone()]).expect("acknowledged");
     let put = |column: &'static str, value: i64, digest: Digest| {
         let sql = format!("UPDATE records SET {column} = ?1 WHERE digest = ?2");
-        ledger.database.write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?)).expect("changed");
+        ledger
+            .database
+            .write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?))
+            .expect("changed");
     };
     let mut feed = (ledger.feed.page(&[0; 16], &places(0), 0).expect("read").id, 0);
     let mut told = || {
@@ -285,7 +288,7 @@ fn a_record_whose_block_was_taken_back_follows_its_gateway_into_another_batch() 
         ledger.batches.take_in(brought.digest, inclusion, anchor)
     };
     let found = || {
-        let placed = ledger.batches.placed(brought.digest).expect("read").expect("here");
+        let placed = ledger.records.placed(brought.digest).expect("read").expect("here");
         (placed.row.state, placed.row.block, placed.place.expect("a place").inclusion.root)
     };
     assert_eq!(take(20, 10), Ok(true));
