@@ -51,7 +51,7 @@ pub struct FeedRow {
 /// A page of the feed, as of one moment.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FeedPage {
-    /// Random, made by every process that changes the file and by every restore of it: places belong to it.
+    /// Random, made by every process that gives numbers and by every restore of the file: places belong to it.
     pub id: [u8; 16],
     /// Whether the places asked from are not of this feed, or beyond its end: all of them count as its beginning.
     pub is_anew: bool,

@@ -6,7 +6,7 @@ CREATE TABLE about (
     one INTEGER PRIMARY KEY CHECK (one = 1), recorder BLOB NOT NULL, clean INTEGER NOT NULL, head INTEGER NOT NULL
 );
 
--- Random ids of the feed, one for each process that changed this file, with the last number given before; a restore leaves only
+-- Random ids of the feed, one for each process that gave numbers, with the last number given before; a restore leaves only
 -- a new one. A number beyond the one at which the next id begins was given under an id by a file that this one was once, and
 -- is no more.
 CREATE TABLE feeds (key INTEGER PRIMARY KEY, id BLOB NOT NULL UNIQUE, after INTEGER NOT NULL);

@@ -145,11 +145,13 @@ impl Drop for Writer {
     }
 }
 
-/// What the file says of the process that has it open, which it does from the first change on.
+/// What the file says of the process that has it open: from its first change that it is open, and from the first number that it
+/// gives in the feed another id of that.
 struct Mark {
     /// Whether it says that it was cleanly closed.
     closed: bool,
     is_told: bool,
+    has_feed: bool,
     /// Changes that the connection had made before.
     untouched: u64,
     /// The last number in the feed before.
@@ -158,19 +160,27 @@ struct Mark {
 
 impl Mark {
     fn new(connection: &Connection, closed: bool) -> Result<Self, StoreError> {
-        let head = connection.query_row("SELECT head FROM about", [], |row| row.get(0))?;
-        Ok(Self { closed, is_told: false, untouched: connection.total_changes(), head })
+        let untouched = connection.total_changes();
+        Ok(Self { closed, is_told: false, has_feed: false, untouched, head: head(connection)? })
     }
 
-    /// In the transaction of the first change: from its commit on the file is marked as open, and its feed has another id.
-    fn open(&self, connection: &Connection) -> Result<bool, StoreError> {
-        let first = !self.is_told && connection.total_changes() != self.untouched;
-        if first {
+    /// In the transaction of a change: whether the file is marked as open from its commit on, and whether its feed has an id of this
+    /// process's.
+    fn open(&self, connection: &Connection) -> Result<(bool, bool), StoreError> {
+        let is_told = self.is_told || connection.total_changes() != self.untouched;
+        if is_told && !self.is_told {
             run(connection, "UPDATE about SET clean = 0")?;
+        }
+        let has_feed = self.has_feed || head(connection)? != self.head;
+        if has_feed && !self.has_feed {
             super::feed::begin(connection, self.head)?;
         }
-        Ok(first)
+        Ok((is_told, has_feed))
     }
+}
+
+fn head(connection: &Connection) -> Result<i64, StoreError> {
+    Ok(connection.one("SELECT head FROM about", [], |row| row.get(0))?)
 }
 
 fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, inbox: &Receiver<Message>) {
@@ -287,9 +297,8 @@ fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
     if result.is_err() && !connection.is_autocommit() {
         run(connection, "ROLLBACK")?;
     }
-    let first = result?;
-    mark.closed &= !first;
-    mark.is_told |= first;
+    (mark.is_told, mark.has_feed) = result?;
+    mark.closed &= !mark.is_told;
     Ok(())
 }
 
