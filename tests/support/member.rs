@@ -182,7 +182,7 @@ pub async fn until_verified(client: &mut Client, feed: Feed, digests: &[Digest])
     }
 }
 
-/// A follower who is told of one record after the other, as they come.
+/// A follower who gets one record after the other, as they come.
 pub struct Live {
     feed: Feed,
     told: VecDeque<FeedEntry>,

@@ -320,7 +320,7 @@ const MOST_PAGES: usize = 8;
 /// After how many checks of the feed the gateway is asked whether it still has what it signed for.
 const SWEEP: u32 = 60;
 
-/// What a robot is told of its records: the gateway's feed, cut to what was numbered here.
+/// What a robot learns of its records: the gateway's feed, cut to what was numbered here.
 #[derive(Debug)]
 struct Proofs {
     owner: Address,
@@ -334,7 +334,7 @@ struct Proofs {
     swept: Option<Instant>,
 }
 
-/// How far the feed is told of one recorder.
+/// How far the feed is read for one recorder.
 #[derive(Debug, Clone, Copy, Default)]
 struct Told {
     place: u64,

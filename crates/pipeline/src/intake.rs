@@ -1,5 +1,5 @@
 //! The one way in for records that were not sealed here: a reader's, an owner's uploads to a gateway, and what their owners had
-//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words whoever brings it; then the record is stored as if it had been captured here.
+//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words, no matter who brings it; then the record is stored as if it had been captured here.
 //! A gateway that lies gets nothing in.
 
 use std::collections::BTreeMap;

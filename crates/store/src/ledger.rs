@@ -360,7 +360,7 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     transaction.execute("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
     transaction.execute("DELETE FROM feeds", [])?;
     feed::begin(&transaction, 0)?;
-    // Whoever followed the original reads anew: numbers that it gave since would be given again.
+    // Followers of the original read anew: numbers that it gave since would be given again.
     // The first of several restores counts: anything anchored since may be in another home.
     if let Some((block, _)) = sightings::cursor_in(&transaction)?
         && notes::read_in(&transaction, &CopiedAt {})?.is_none()

@@ -165,7 +165,7 @@ impl Commands {
         if self.waiting.is_some() {
             return Err(Refusal::new(Code::Quota, "one request for the feed is waiting already"));
         }
-        // Whoever changes something after the look rings.
+        // A change after the look rings.
         let (now, changes) = (Instant::now(), shared.desk.changes());
         let until = now + asked.wait;
         self.waiting = Some(Waiting { request, asked, until, again: now, looked: now, changes });

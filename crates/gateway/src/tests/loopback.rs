@@ -178,7 +178,7 @@ fn revoke_of(reader: &Member) -> RevokeNotice {
     RevokeNotice { grantee: reader.account(), epoch: 2, token: Token([2; 32]), transaction: Hash([2; 32]) }
 }
 
-/// A follower that is told of one record after the other, as they come.
+/// A follower that gets one record after the other, as they come.
 struct Live {
     feed: Feed,
     told: VecDeque<FeedEntry>,

@@ -392,7 +392,7 @@ fn another_gateways_note_is_not_taken_for_this_ones() {
     assert!(trust_in(&file, crate::model::SignerId([2; 32])).is_err());
 }
 
-/// What a robot is told of its recorders, without a line: each recorder's rows, by number.
+/// What a robot learns of its recorders, without a line: each recorder's rows, by number.
 fn hear(proofs: &mut Proofs, rows: &[(u64, RecorderId)], head: u64) -> Vec<u64> {
     let mut told = Vec::new();
     for group in proofs.groups() {
@@ -453,7 +453,7 @@ fn a_proof_that_never_holds_keeps_no_newer_one_waiting() {
         proofs.follow(&all, now);
         let told = hear(&mut proofs, &rows, number);
         assert!(told.contains(&number), "{round}: {told:?}");
-        assert!(told.contains(&5), "{round}: it is looked at again");
+        assert!(told.contains(&5), "{round}: looked at again");
         proofs.hold((one, 5), Duration::from_secs(1));
         assert_eq!(proofs.done(), 4, "and is again after a restart");
         pauses.push(proofs.recorders[&one].pause.as_secs());

@@ -19,7 +19,7 @@ const BEFORE: u64 = 60_000_000_000;
 /// How much later than its neighbours a record may enter the ledger and still be seen at once, nanoseconds.
 const SLACK: u64 = 500_000_000;
 
-/// How often it is looked for those that came later still, in the home's own feed.
+/// Interval between looks for those that came later still, in the home's own feed.
 const LATE_LOOK: Duration = Duration::from_secs(1);
 /// How many of those given out are remembered.
 const MOST_PASSED: usize = 20_000;

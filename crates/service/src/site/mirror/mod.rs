@@ -33,7 +33,7 @@ use remote::{Mirrored, Remote};
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
 /// A session as long as this says nothing of the next one.
 const LONG: Duration = Duration::from_secs(10);
-/// How often it is looked whether there is something to do.
+/// Interval between looks for something to do.
 const TICK: Duration = Duration::from_millis(500);
 /// How long a gateway that does not know its chain now is asked again without a word.
 const QUIET: Duration = Duration::from_secs(15);

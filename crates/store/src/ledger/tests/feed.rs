@@ -25,7 +25,7 @@ enum Step {
     TakeBack(usize),
     /// The bytes of a verified one are deleted.
     Erase(u64),
-    /// The gateway's home is replaced by what it was at its last backup: restored, or rolled back by whoever keeps its disk.
+    /// The gateway's home is replaced by what it was at its last backup: restored, or rolled back by the keeper of its disk.
     Restore(bool),
     /// It is backed up.
     BackUp,

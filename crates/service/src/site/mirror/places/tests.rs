@@ -59,7 +59,7 @@ fn right(chain: &[Event], owner: u8) -> Option<Event> {
 enum Step {
     /// So many records of an owner become verified.
     Verify(u8, u8, u16),
-    /// The chain replaces blocks: so many of the newest are taken back.
+    /// The chain replaces blocks: this many of the newest are taken back.
     TakeBack(u16),
     /// What was taken back is verified again.
     VerifyAgain,
