@@ -209,13 +209,13 @@ pub(crate) fn read_proof(reader: &mut Reader<'_>) -> Result<Vec<u8>, WireError> 
     Ok(reader.take(length, "proof")?.to_vec())
 }
 
-/// A page: feed id (16) || anew (1) || head (8) || upto (8) || refused owners (2), each: owner (20) || code (2) || entries (2), each as above ||
-/// time (8) || signature (64).
+/// A page: feed id (16) || anew (1) || head (8) || upto (8) || refused owners (2), each: owner (20) || code (2) || entries (2), each
+/// as above || time (8) || signature (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeedPage {
     /// The feed's id, for the next request.
     pub id: FeedId,
-    /// Whether the places asked from are not of this feed: it is told from its beginning.
+    /// Whether the places asked from are not of this feed: the page begins at its beginning.
     pub is_anew: bool,
     /// The highest number given so far.
     pub head: u64,
@@ -331,22 +331,11 @@ fn signed_bytes(domain: &Domain, statement: &[u8]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::crypto::{ProviderName, provider};
+    use crate::tests::fixtures;
 
     fn entry(number: u64, proof: u8) -> FeedEntry {
-        FeedEntry {
-            number,
-            fact: Fact::Verified,
-            digest: Digest([u8::try_from(number).expect("small"); 32]),
-            owner: Address([2; 20]),
-            recorder: RecorderId([3; 16]),
-            seq: 4,
-            topic_id: TopicId([5; 16]),
-            epoch: 6,
-            captured_at: Timestamp(7),
-            length: 8,
-            kind: RecordKind::Data,
-            proof: vec![proof; 40],
-        }
+        let digest = Digest([u8::try_from(number).expect("small"); 32]);
+        FeedEntry { digest, kind: RecordKind::Data, ..fixtures::entry(number, Fact::Verified, vec![proof; 40]) }
     }
 
     fn page(entries: Vec<FeedEntry>) -> FeedPage {

@@ -83,7 +83,7 @@ pub enum Link {
     InPlace(String),
     /// It does not answer; meanwhile the outbox grows.
     Away(String),
-    /// It answers but refuses this robot as such; it is asked again at long intervals.
+    /// It answers but refuses this robot as such; the robot tries again at long intervals.
     Refused(String),
 }
 

@@ -1,6 +1,6 @@
 //! The one way in for records that were not sealed here: a reader's, an owner's uploads to a gateway, and what their owners had
-//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words, no matter who brings it; then the record is stored as if it had been captured here.
-//! A gateway that lies gets nothing in.
+//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words, no matter who brings it;
+//! then the record is stored as if it had been captured here. A gateway that lies gets nothing in.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -353,7 +353,7 @@ impl Intake<'_> {
             inclusion,
             RootSighting { account, root, count, transaction, block, block_hash },
         ) {
-            // The chain replaced that block since it was asked: it is asked again.
+            // The chain replaced that block after it had answered; the next try asks anew.
             Err(StoreError::Replaced { .. }) => {
                 self.anchors.forget();
                 Err(Stop::Later)

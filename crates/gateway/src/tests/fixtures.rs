@@ -163,8 +163,9 @@ fn feed() -> Feed {
     }
 }
 
-fn page() -> FeedPage {
-    let one = |number, fact, proof| FeedEntry {
+/// A row of a feed.
+pub(crate) fn entry(number: u64, fact: Fact, proof: Vec<u8>) -> FeedEntry {
+    FeedEntry {
         number,
         fact,
         digest: Digest([1; 32]),
@@ -177,8 +178,11 @@ fn page() -> FeedPage {
         length: 8,
         kind: RecordKind::Gap,
         proof,
-    };
-    let entries = vec![one(3, Fact::Stored, Vec::new()), one(7, Fact::Verified, vec![3; 40])];
+    }
+}
+
+fn page() -> FeedPage {
+    let entries = vec![entry(3, Fact::Stored, Vec::new()), entry(7, Fact::Verified, vec![3; 40])];
     let refused = vec![(Address([8; 20]), Code::NotAuthorised)];
     FeedPage::new([9; 16], (12, 8), refused, entries)
 }

@@ -203,14 +203,17 @@ impl Live {
 
 const LONG: Duration = Duration::from_secs(30);
 
+async fn connected(stage: &Stage, member: &Member) -> Client {
+    let credentials = stage.enrol(member).await;
+    stage.connect(&credentials).await.expect("connects")
+}
+
 #[tokio::test]
 async fn a_follower_gets_records_until_the_revoke_and_none_after() {
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     let mut live = Live::of(alice.account());
     assert_eq!(refusal(live.next(&mut reader, LONG).await), Some(Code::NotAuthorised), "at once");
     let receipt = owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
@@ -243,9 +246,7 @@ async fn one_owner_who_gives_nothing_keeps_no_other_away() {
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     reader.upload(vec![bob.record(&bob.signing, 1, b"his own")]).await.expect("receipt");
     owner.upload(vec![alice.record(&alice.signing, 1, b"hers")]).await.expect("receipt");
     let mut both = Feed::of(bob.account());
@@ -278,9 +279,7 @@ async fn who_follows_waits_while_the_chain_is_silent_and_goes_on_or_ends_by_what
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     let mut live = Live::of(alice.account());
     stage.desk.state().silent = true;
@@ -311,9 +310,7 @@ async fn who_follows_under_replaced_keys_gets_nothing_more() {
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     let mut live = Live::of(alice.account());
     owner.upload(vec![alice.record(&alice.signing, 1, b"live")]).await.expect("receipt");

@@ -50,7 +50,7 @@ pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: In
     }
 }
 
-/// Hands on the text of a call; returns the text of the response, unread.
+/// Passes the text of a call on; returns the text of the response, unread.
 pub(crate) fn forward(peer: &Endpoint, body: &str, deadline: Instant) -> Result<String, CallError> {
     let by = deadline.min(Instant::now() + CONNECT);
     let stream = connect(&peer.host, peer.port, by).map_err(|error| CallError::Connect(error.to_string()))?;

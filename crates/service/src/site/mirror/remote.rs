@@ -268,6 +268,10 @@ impl Remote {
         });
     }
 
+    fn still_arriving(&self) -> String {
+        format!("the records of the gateway {} are still arriving", self.address())
+    }
+
     /// Notes the progress of a profile's mirror.
     pub fn note(&self, profile: &ProfileName, mirrored: Mirrored) {
         self.mirrored.send_modify(|all| {
@@ -308,8 +312,7 @@ impl Joined {
             return Ok(Ok(false));
         };
         self.link.network().await?;
-        let text = || format!("the records of the gateway {} are still arriving", remote.address());
-        remote.settled(profile, most).await.transpose().map(|lacks| lacks.ok_or_else(text))
+        remote.settled(profile, most).await.transpose().map(|lacks| lacks.ok_or_else(|| remote.still_arriving()))
     }
 
     /// The same for a list, which shows what is here: what is missing after this long, in words.
@@ -333,8 +336,7 @@ impl Joined {
 
     /// The words for a list that may not be all; none if this site joins no gateway.
     pub(in crate::site) fn still_arriving(&self) -> Option<String> {
-        let remote = self.remote.as_ref()?;
-        Some(format!("the records of the gateway {} are still arriving", remote.address()))
+        self.remote.as_ref().map(|remote| remote.still_arriving())
     }
 
     /// Tells the gateway of a grant, so that it need not wait for the chain.

@@ -57,7 +57,7 @@ fn right(chain: &[Event], owner: u8) -> Option<Event> {
 
 #[derive(Debug, Clone)]
 enum Step {
-    /// So many records of an owner become verified.
+    /// A number of an owner's records become verified.
     Verify(u8, u8, u16),
     /// The chain replaces blocks: this many of the newest are taken back.
     TakeBack(u16),
