@@ -14,11 +14,11 @@ mod genesis;
 mod reader;
 pub mod relay;
 mod sealing;
-mod sender;
 pub mod serve;
 mod state_proof;
 #[cfg(test)]
 mod tests;
+mod transaction;
 mod transport;
 pub mod web;
 

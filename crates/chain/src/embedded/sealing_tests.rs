@@ -11,11 +11,11 @@ use ethers_signers::{LocalWallet, Signer};
 use k256::ecdsa::SigningKey;
 use serde_json::{Value, json};
 
+use super::Embedded;
 use super::block::Header;
 use super::node::Node;
 use super::rpc::answer;
-use super::sealing::Sealing;
-use super::{Embedded, proof};
+use super::sealing::{EXTRA, seals};
 use crate::model::{Address, ErrorKind};
 use crate::{ChainError, Consensus};
 
@@ -86,8 +86,7 @@ impl Site {
     }
 
     fn send_away(&mut self, signers: u16) {
-        let Sealing::Authority(authority) = &mut self.node.sealing else { panic!("no authority") };
-        authority.send_away(signers);
+        self.node.sealing.send_away(signers);
     }
 
     fn ask(&mut self, method: &str, parameters: Value) -> Value {
@@ -223,8 +222,8 @@ fn work_is_done_shown_and_checked_again() {
     let mut nonces = Vec::new();
     for number in 1..=6 {
         let header = site.block();
-        assert!(proof::seals(header.work_hash(), header.nonce, 300));
-        assert_eq!((header.difficulty, header.beneficiary, &header.extra[..]), (300, miner, &proof::EXTRA[..]));
+        assert!(seals(header.work_hash(), header.nonce, 300));
+        assert_eq!((header.difficulty, header.beneficiary, &header.extra[..]), (300, miner, &EXTRA[..]));
         nonces.push(header.nonce);
         if number == 3 {
             site = reopen(site, home.path());
@@ -296,7 +295,7 @@ fn a_forged_seal_is_noticed() {
         (directory, nonce)
     };
     let (work, nonce) = sealed(Consensus::Pow { difficulty: 500 });
-    let idle = |header: &Header| (0..1_000).find(|nonce| !proof::seals(header.work_hash(), *nonce, 500)).expect("most");
+    let idle = |header: &Header| (0..1_000).find(|nonce| !seals(header.work_hash(), *nonce, 500)).expect("most");
     forge(work.path(), 4, |header| header.nonce = idle(header));
     tampered(work.path(), "its nonce does not prove the work");
     forge(work.path(), 4, |header| header.nonce = nonce);
