@@ -34,7 +34,6 @@ const SCHEMA: &str = "
         consensus TEXT NOT NULL, signer BLOB NOT NULL
     );
     CREATE TABLE IF NOT EXISTS block (number INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, header BLOB NOT NULL);
-    CREATE TABLE IF NOT EXISTS out_of_turn (number INTEGER PRIMARY KEY);
     CREATE TABLE IF NOT EXISTS sent (
         block INTEGER NOT NULL, position INTEGER NOT NULL, hash BLOB NOT NULL UNIQUE, raw BLOB NOT NULL,
         receipt BLOB NOT NULL, logs INTEGER NOT NULL, PRIMARY KEY (block, position)
@@ -64,8 +63,6 @@ pub struct Sealed<'a> {
     pub receipts: &'a [Receipt],
     /// Its changes to the state's nodes.
     pub written: &'a Turnover,
-    /// Whether it was sealed out of turn.
-    pub out_of_turn: bool,
 }
 
 /// A mined transaction as stored in the file.
@@ -160,10 +157,6 @@ impl ChainFile {
     pub fn append(&self, block: &Sealed<'_>) -> Result<(), ChainError> {
         self.write(|transaction| {
             insert_header(transaction, block.header)?;
-            if block.out_of_turn {
-                let values = [integer(block.header.number)];
-                transaction.prepare_cached("INSERT INTO out_of_turn VALUES (?1)")?.execute(values)?;
-            }
             let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6)")?;
             for ((position, one), receipt) in (0i64..).zip(block.sent).zip(block.receipts) {
                 let (number, logs) = (integer(block.header.number), integer(receipt.logs.len() as u64));
@@ -190,14 +183,6 @@ impl ChainFile {
     pub fn newest_number(&self) -> Result<u64, ChainError> {
         let newest = self.one("SELECT coalesce(max(number), 0) FROM block", [], |row| natural(row, 0))?;
         Ok(newest.unwrap_or(0))
-    }
-
-    /// The blocks that were sealed out of turn, in order.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
-    pub fn out_of_turn(&self) -> Result<Vec<u64>, ChainError> {
-        self.all("SELECT number FROM out_of_turn ORDER BY number", [], |row| natural(row, 0))
     }
 
     /// Copies the file, as it is, to a new file of mode 0600.

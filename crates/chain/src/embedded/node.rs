@@ -86,7 +86,7 @@ impl Node {
         }
         let Again { machine, sealing, last: head, .. } = again;
         // The newest seal vouches for all blocks below it.
-        sealing.sealer(&head).map_err(|what| file.tampered(newest, what))?;
+        sealing.vouch(&head).map_err(|what| file.tampered(newest, what))?;
         if machine.tries.root != EMPTY_ROOT {
             file.node(machine.tries.root)?;
         }
@@ -138,16 +138,11 @@ impl Node {
         Ok(hash)
     }
 
-    fn turn(&self) -> Option<Turn> {
-        self.sealing.turn(self.head.number + 1, self.head.hash)
-    }
-
-    /// How long until the next block is to be assembled; `None` while nothing can go into one, while a proof of work is
-    /// being searched for, and while no signer may seal.
+    /// How long until the next block is to be assembled; `None` while nothing can go into one, and while a proof of work is
+    /// being searched for.
     pub fn due(&self) -> Option<Duration> {
         let ready = self.work.is_none() && self.pool.is_ready();
-        let turn = if ready { self.turn() } else { None };
-        turn.map(|turn| (self.not_before + turn.delay).saturating_duration_since(Instant::now()))
+        ready.then(|| self.not_before.saturating_duration_since(Instant::now()))
     }
 
     /// Whether a proof of work is being searched for.
@@ -157,13 +152,11 @@ impl Node {
 
     /// The context of the next block.
     pub fn next_place(&self) -> Environment {
-        let sealer = self.turn().map(|turn| turn.sealer);
-        self.sealing.place(self.head.number + 1, self.head.timestamp, sealer)
+        self.sealing.place(self.head.number + 1, self.head.timestamp)
     }
 
     /// Assembles a block of pending transactions, and seals it or begins to search for its proof of work.
     pub fn assemble(&mut self) {
-        let Some(turn) = self.turn() else { return };
         let ready = self.pool.ready(MOST_TRANSACTIONS, BLOCK_GAS);
         let place = self.next_place();
         let outcome = match self.machine.run(&place, ready, true) {
@@ -181,8 +174,8 @@ impl Node {
                 Ok(search) => self.work = Some(Work { header, outcome, _search: search }),
                 Err(error) => self.rest(error),
             }
-        } else if self.sealing.seal(&mut header, turn.sealer).is_some() {
-            self.settle(&header, outcome, turn.sealer);
+        } else if self.sealing.seal(&mut header).is_some() {
+            self.settle(&header, outcome);
         } else {
             self.rest(ChainError::Internal("a block could not be sealed".into()));
         }
@@ -200,15 +193,14 @@ impl Node {
         let Some(Work { header, outcome, .. }) = self.work.take() else { return };
         let header = Header { nonce, ..header };
         if sealing::seals(header.work_hash(), nonce, header.difficulty) {
-            self.settle(&header, outcome, 0);
+            self.settle(&header, outcome);
         }
     }
 
     /// Writes a sealed block. One that cannot be written never happened.
-    fn settle(&mut self, header: &Header, outcome: Outcome, sealer: usize) {
+    fn settle(&mut self, header: &Header, outcome: Outcome) {
         let Outcome { included, receipts, written, state_root, .. } = outcome;
-        let out_of_turn = self.sealing.is_out_of_turn(header.number, sealer);
-        let block = Sealed { header, sent: &included, receipts: &receipts, written: &written, out_of_turn };
+        let block = Sealed { header, sent: &included, receipts: &receipts, written: &written };
         if let Err(error) = self.file.append(&block) {
             return self.rest(error);
         }
@@ -218,7 +210,6 @@ impl Node {
         self.looked.wrote(header.number, included, receipts);
         self.machine.tries.root = state_root;
         self.head = reference(header);
-        self.sealing.sealed(header.number, sealer);
     }
 
     fn rest(&mut self, error: ChainError) {
@@ -229,9 +220,8 @@ impl Node {
     /// At the end, seals pending transactions if that can be done at once: work takes time, and so does a period of a
     /// second or more, which the next block's time would contradict.
     pub fn finish(&mut self) {
-        let at_once = self.turn().is_some_and(|turn| turn.delay.is_zero());
         let brief = self.sealing.work().is_none() && self.sealing.period().as_secs() == 0;
-        if at_once && brief && self.due().is_some() {
+        if brief && self.due().is_some() {
             self.assemble();
         }
     }
@@ -247,7 +237,7 @@ fn reference(header: &Header) -> BlockRef {
 pub struct Again {
     /// Its state after the last block run.
     pub machine: Machine,
-    /// Its sealing, including who sealed the last blocks.
+    /// Its sealing.
     pub sealing: Sealing,
     /// The last block run.
     pub last: Header,
@@ -268,13 +258,8 @@ impl Again {
 
     /// Before block `newest`.
     fn before(file: &Rc<ChainFile>, founded: Founded, newest: u64) -> Result<Self, ChainError> {
-        let Founded { chain_id, mut sealing, genesis, .. } = founded;
+        let Founded { chain_id, sealing, genesis, .. } = founded;
         let file = Rc::clone(file);
-        let out_of_turn = file.out_of_turn()?.into_iter().filter(|one| *one < newest).collect();
-        let sealer = |number| sealing.sealer(&header(&file, number)?).map_err(|what| file.tampered(number, what));
-        let first = newest.saturating_sub(sealing.rest() as u64).max(1);
-        let resting = (first..newest).map(sealer).collect::<Result<_, _>>()?;
-        sealing.resume(out_of_turn, resting);
         let last = if newest < 2 { genesis } else { header(&file, newest - 1)? };
         let machine = Machine::new(Tries { ground: Rc::clone(&file) as _, root: last.state_root }, chain_id);
         Ok(Self { machine, sealing, last, file, nodes: None })

@@ -1,11 +1,10 @@
-//! What seals the blocks of a chain, and what makes one of its file valid. Proof of authority is as in Clique (EIP-225):
-//! signers take turns, and another one steps in if one is away. Under proof of work there is one sealer, whose turn it
-//! always is, and which has to search for a nonce. Blocks run the same way under both.
+//! What seals the blocks of a chain, and what makes one of its file valid. Under proof of authority, as in Clique
+//! (EIP-225), signers take turns; under proof of work there is one sealer, which has to search for a nonce. Blocks run the
+//! same way under both.
 //!
-//! All keys are in the chain's file, so all sealers are in this process. The genesis block fixes the set: there are no
-//! votes.
+//! All keys are in the chain's file, so all sealers are in this process, and nobody ever has to step in for another. The
+//! genesis block fixes the set: there are no votes.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -24,40 +23,21 @@ use crate::model::steady_clock::steady_now;
 use crate::model::{Address, Hash, Timestamp};
 use crate::{ChainError, Consensus};
 
-/// Difficulty of a block sealed in turn.
+/// Clique's difficulty of a block sealed in turn, as all are here.
 const IN_TURN: u64 = 2;
-/// Difficulty of a block sealed out of turn.
-const OUT_OF_TURN: u64 = 1;
-/// The longest wait of a signer out of turn, for every second signer of the set.
-const WIGGLE: Duration = Duration::from_millis(500);
 
-/// The sealers of a chain, and which of them sealed last.
+/// The sealers of a chain.
 pub struct Sealing {
-    /// In the order of their turns; under proof of work the one that gets the fees.
+    /// In the order of their turns, which is that of their addresses; under proof of work the one that gets the fees.
     sealers: Vec<(Address, SigningKey)>,
     period: Duration,
     /// Under proof of work, hashes per block on average. It never changes: with a single miner there is no network to
     /// adjust to.
     work: Option<u64>,
-    recent: VecDeque<usize>,
-    out_of_turn: Vec<u64>,
-    /// Sealers that do not seal, one bit each; outside tests, none.
-    away: u16,
-}
-
-/// The sealer that may seal a block first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Turn {
-    /// Index in the set.
-    pub sealer: usize,
-    /// The block's difficulty.
-    pub difficulty: u64,
-    /// The delay after the block is due.
-    pub delay: Duration,
 }
 
 impl Sealing {
-    /// For a chain founded with `consensus` and these keys, ordered by address as in Clique.
+    /// For a chain founded with `consensus` and these keys.
     pub fn new(consensus: &Consensus, keys: Vec<SigningKey>) -> Self {
         let (period, work) = match *consensus {
             Consensus::Poa { period, .. } => (period, None),
@@ -65,7 +45,7 @@ impl Sealing {
         };
         let mut sealers: Vec<_> = keys.into_iter().map(|key| (address_of(&key), key)).collect();
         sealers.sort_by_key(|(address, _)| *address);
-        Self { sealers, period, work, recent: VecDeque::new(), out_of_turn: Vec::new(), away: 0 }
+        Self { sealers, period, work }
     }
 
     /// Hashes per block on average; `None` under proof of authority.
@@ -83,51 +63,23 @@ impl Sealing {
         self.period
     }
 
-    fn address(&self, sealer: usize) -> Address {
-        self.sealers.get(sealer).map_or(Address([0; 20]), |(address, _)| *address)
+    fn in_turn(&self, number: u64) -> Option<&(Address, SigningKey)> {
+        self.sealers.get(usize::try_from(number % self.sealers.len().max(1) as u64).ok()?)
     }
 
-    fn in_turn(&self, number: u64) -> usize {
-        usize::try_from(number % self.sealers.len().max(1) as u64).unwrap_or(0)
+    /// The sealer of a block.
+    fn sealer(&self, number: u64) -> Address {
+        self.in_turn(number).map_or(Address([0; 20]), |(address, _)| *address)
     }
 
-    fn difficulty(&self, number: u64, sealer: usize) -> u64 {
-        self.work.unwrap_or(if self.in_turn(number) == sealer { IN_TURN } else { OUT_OF_TURN })
-    }
-
-    /// For how many blocks a sealer must let others seal after sealing one.
-    pub fn rest(&self) -> usize {
-        self.sealers.len() / 2
-    }
-
-    /// Marks sealers as away, one bit each.
-    #[cfg(test)]
-    pub fn send_away(&mut self, sealers: u16) {
-        self.away = sealers;
-    }
-
-    /// The sealer that seals the block above `parent` first; `None` if all that may are away.
-    pub fn turn(&self, number: u64, parent: Hash) -> Option<Turn> {
-        let present = |sealer: &usize| !self.recent.contains(sealer) && self.away >> sealer & 1 == 0;
-        let turn = |sealer| {
-            let delay = if self.in_turn(number) == sealer { Duration::ZERO } else { self.wiggle(sealer, parent) };
-            Turn { sealer, difficulty: self.difficulty(number, sealer), delay }
-        };
-        (0..self.sealers.len()).filter(present).map(turn).min_by_key(|turn| (turn.delay, turn.sealer))
-    }
-
-    /// A random wait for a signer out of turn, from 1 ms to 500 ms for every second signer, plus one.
-    fn wiggle(&self, sealer: usize, parent: Hash) -> Duration {
-        let lot = keccak256([parent.as_bytes(), self.address(sealer).as_bytes()].concat());
-        let lot = lot[..8].iter().fold(0u64, |lot, byte| lot << 8 | u64::from(*byte));
-        let most = WIGGLE * u32::try_from(self.rest() + 1).unwrap_or(1);
-        Duration::from_millis(1 + lot % u64::try_from(most.as_millis()).unwrap_or(1))
+    fn difficulty(&self) -> u64 {
+        self.work.unwrap_or(IN_TURN)
     }
 
     /// The genesis block, before its seal.
-    pub fn genesis(&self, unique: Hash, timestamp: u64) -> Header {
+    fn genesis(&self, unique: Hash, timestamp: u64) -> Header {
         match self.work {
-            Some(difficulty) => Header::genesis(&[], self.address(0), difficulty, unique, timestamp),
+            Some(difficulty) => Header::genesis(&[], self.sealer(0), difficulty, unique, timestamp),
             None => Header::genesis(&self.addresses(), Address([0; 20]), 1, unique, timestamp),
         }
     }
@@ -139,108 +91,72 @@ impl Sealing {
         let unsealed = expected.extra.len() - if self.work.is_some() { 0 } else { SEAL };
         let listed =
             genesis.extra.len() == expected.extra.len() && genesis.extra.starts_with(&expected.extra[..unsealed]);
-        listed && Header { extra: genesis.extra.clone(), ..expected } == *genesis && self.sealer(genesis) == Ok(0)
+        listed && Header { extra: genesis.extra.clone(), ..expected } == *genesis && self.vouch(genesis).is_ok()
     }
 
-    /// The context of the block above `head`, sealed by `sealer`, or else by the one whose turn it is.
-    pub fn place(&self, number: u64, head_time: u64, sealer: Option<usize>) -> Environment {
+    /// The context of the block above a head of that time.
+    pub fn place(&self, number: u64, head_time: u64) -> Environment {
         // Block times never go back: after the clock jumps back, blocks keep their time until it has caught up.
         let timestamp = steady_now().seconds().max(head_time + self.period.as_secs());
-        let sealer = sealer.unwrap_or_else(|| self.in_turn(number));
-        let (difficulty, beneficiary) = (self.difficulty(number, sealer), self.address(sealer));
-        Environment { number, timestamp, difficulty, beneficiary }
+        Environment { number, timestamp, difficulty: self.difficulty(), beneficiary: self.sealer(number) }
     }
 
     /// The consensus fields of a block's header before its seal: coinbase and extra data.
     pub fn dress(&self) -> (Address, Vec<u8>) {
         match self.work {
-            Some(_) => (self.address(0), EXTRA.to_vec()),
+            Some(_) => (self.sealer(0), EXTRA.to_vec()),
             None => (Address([0; 20]), unsealed_extra()),
         }
     }
 
-    /// Seals a block for a signer.
-    pub fn seal(&self, header: &mut Header, signer: usize) -> Option<()> {
-        header.seal(&self.sealers.get(signer)?.1)
+    /// Seals a block for the signer whose turn it is.
+    pub fn seal(&self, header: &mut Header) -> Option<()> {
+        header.seal(&self.in_turn(header.number)?.1)
     }
 
-    /// Checks everything about a block of the file that its transactions do not show, and records it; returns its
-    /// context.
+    /// Checks everything about a block of the file that its transactions do not show; returns its context. With a single
+    /// signer it is not recovered from every seal: the newest seal vouches for all blocks below it.
     ///
     /// # Errors
     /// What is wrong, in plain words.
-    pub fn accept(&mut self, header: &Header, parent_time: u64) -> Result<Environment, &'static str> {
-        let sealer = self.check(header, parent_time)?;
-        self.sealed(header.number, sealer);
+    pub fn accept(&self, header: &Header, parent_time: u64) -> Result<Environment, &'static str> {
         let Header { number, timestamp, difficulty, .. } = *header;
-        Ok(Environment { number, timestamp, difficulty, beneficiary: self.address(sealer) })
-    }
-
-    /// Checks difficulty, turn, rest, work and time of a block of the file; returns its sealer. With a single signer it
-    /// is not recovered from every seal: the newest seal vouches for all blocks below it.
-    fn check(&self, header: &Header, parent_time: u64) -> Result<usize, &'static str> {
-        let sealer = if self.sealers.len() == 1 { 0 } else { self.sealer(header)? };
-        let (difficulty, early) = match self.work {
+        let (other, early) = match self.work {
             Some(_) => ("its difficulty is not that of the chain", "it is earlier than the block before it"),
             None => ("its difficulty does not match its signer's turn", "it comes sooner than the period allows"),
         };
-        if header.difficulty != self.difficulty(header.number, sealer) {
-            return Err(difficulty);
+        if self.sealers.len() > 1 {
+            self.vouch(header)?;
         }
-        if self.recent.contains(&sealer) {
-            return Err("its signer sealed one of the preceding blocks and had to wait");
+        if difficulty != self.difficulty() {
+            return Err(other);
         }
-        if header.timestamp < parent_time + self.period.as_secs() {
+        if timestamp < parent_time + self.period.as_secs() {
             return Err(early);
         }
         if self.work.is_some_and(|difficulty| !seals(header.work_hash(), header.nonce, difficulty)) {
             return Err("its nonce does not prove the work");
         }
-        Ok(sealer)
+        Ok(Environment { number, timestamp, difficulty, beneficiary: self.sealer(number) })
     }
 
-    /// The sealer of a block: under proof of authority, the one whose seal is on it.
+    /// Checks that the seal on a block is that of the signer whose turn it is.
     ///
     /// # Errors
-    /// If it is not one of the set.
-    pub fn sealer(&self, header: &Header) -> Result<usize, &'static str> {
-        if self.work.is_some() {
-            return Ok(0);
+    /// What is wrong, in plain words.
+    pub fn vouch(&self, header: &Header) -> Result<(), &'static str> {
+        match header.sealer() {
+            _ if self.work.is_some() => Ok(()),
+            Some(sealer) if sealer == self.sealer(header.number) => Ok(()),
+            Some(sealer) if self.addresses().contains(&sealer) => Err("its seal does not match its signer's turn"),
+            _ => Err("it is not sealed by a signer of the chain"),
         }
-        let sealer = header.sealer();
-        let found = self.sealers.iter().position(|(address, _)| Some(*address) == sealer);
-        found.ok_or("it is not sealed by a signer of the chain")
-    }
-
-    /// Whether such a block is out of turn.
-    pub fn is_out_of_turn(&self, number: u64, sealer: usize) -> bool {
-        self.in_turn(number) != sealer
-    }
-
-    /// Notes a block that is on the chain.
-    pub fn sealed(&mut self, number: u64, sealer: usize) {
-        if self.is_out_of_turn(number, sealer) {
-            self.out_of_turn.push(number);
-        }
-        self.recent.push_back(sealer);
-        while self.recent.len() > self.rest() {
-            self.recent.pop_front();
-        }
-    }
-
-    /// Continues a stored chain: the blocks sealed out of turn, and the sealers of the newest ones, in order.
-    pub fn resume(&mut self, out_of_turn: Vec<u64>, newest: Vec<usize>) {
-        self.out_of_turn = out_of_turn;
-        self.recent = newest.into();
     }
 
     /// The sum of the difficulties of blocks 0 to `number`.
     pub fn total_difficulty(&self, number: u64) -> u128 {
-        let out_of_turn = self.out_of_turn.partition_point(|block| *block <= number) as u64;
-        match self.work {
-            Some(difficulty) => u128::from(difficulty) * (u128::from(number) + 1),
-            None => (1 + IN_TURN * number - out_of_turn).into(),
-        }
+        let genesis = self.work.unwrap_or(1);
+        u128::from(self.difficulty()) * u128::from(number) + u128::from(genesis)
     }
 }
 
@@ -376,7 +292,7 @@ fn found(file: &ChainFile, consensus: Consensus) -> Result<Founding, ChainError>
     let sealing = Sealing::new(&consensus, keys.clone());
     let mut genesis = sealing.genesis(commitment(noise()?, &consensus), Timestamp::now().seconds());
     if sealing.work.is_none() {
-        let sealed = sealing.seal(&mut genesis, 0);
+        let sealed = sealing.seal(&mut genesis);
         sealed.ok_or_else(|| ChainError::Internal("the genesis block could not be sealed".into()))?;
     }
     let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), consensus, keys };
@@ -434,77 +350,38 @@ mod authority_tests {
 
     #[test]
     fn signers_take_turns_in_the_order_of_their_addresses() {
-        let mut authority = authority(3);
+        let authority = authority(3);
         assert!(authority.addresses().is_sorted());
         for number in 1..10 {
-            let turn = authority.turn(number, Hash([1; 32])).expect("somebody");
-            let expected =
-                Turn { sealer: usize::try_from(number % 3).expect("small"), difficulty: 2, delay: Duration::ZERO };
-            assert_eq!(turn, expected);
-            authority.sealed(number, turn.sealer);
+            let turn = authority.addresses()[usize::try_from(number % 3).expect("small")];
+            let place = authority.place(number, 5);
+            assert_eq!((place.beneficiary, place.difficulty), (turn, 2));
         }
         assert_eq!(authority.total_difficulty(9), 19);
     }
 
     #[test]
-    fn another_steps_in_and_nobody_seals_twice_within_half_the_set_and_one() {
-        for signers in 3..=16u8 {
-            let mut authority = authority(signers);
-            authority.send_away(1 << 1);
-            let rest = usize::from(signers) / 2;
-            let mut order = Vec::new();
-            for number in 1..100 {
-                let turn = authority.turn(number, Hash([u8::try_from(number).expect("small"); 32])).expect("somebody");
-                assert_ne!(turn.sealer, 1, "that one is away");
-                assert!(!order.iter().rev().take(rest).any(|earlier| *earlier == turn.sealer), "{order:?}");
-                let in_turn = authority.in_turn(number) == turn.sealer;
-                assert_eq!(turn.difficulty, if in_turn { 2 } else { 1 });
-                assert_eq!(in_turn, turn.delay.is_zero());
-                assert!(turn.delay <= WIGGLE * u32::from(signers / 2 + 1));
-                authority.sealed(number, turn.sealer);
-                order.push(turn.sealer);
-            }
-            let blocks = 1..=99;
-            let sum: u64 = blocks
-                .map(|number| authority.difficulty(number, order[usize::try_from(number - 1).expect("small")]))
-                .sum();
-            assert_eq!(authority.total_difficulty(99), u128::from(1 + sum));
-        }
-    }
-
-    #[test]
-    fn too_many_away_stop_the_chain() {
-        let mut authority = authority(2);
-        authority.send_away(1);
-        let turn = authority.turn(2, Hash([1; 32])).expect("the other one");
-        assert_eq!((turn.sealer, turn.difficulty), (1, 1));
-        authority.sealed(2, 1);
-        assert_eq!(authority.turn(3, Hash([1; 32])), None, "it has to rest");
-    }
-
-    #[test]
     fn checks_of_a_block() {
-        let mut authority = authority(3);
-        let block = |number, signer, difficulty| {
-            let zero = Address([0; 20]);
-            let mut header = Header { number, ..Header::genesis(&[zero], zero, difficulty, Hash([2; 32]), 100) };
-            authority.seal(&mut header, signer).expect("seals");
-            header
-        };
-        let (good, shifted, lazy) = (block(4, 1, 2), block(4, 2, 1), block(4, 1, 1));
-        let mut strange = good.clone();
+        let authority = authority(3);
+        let zero = Address([0; 20]);
+        let of = |difficulty| Header { number: 4, ..Header::genesis(&[zero], zero, difficulty, Hash([2; 32]), 100) };
+        let mut good = of(2);
+        authority.seal(&mut good).expect("seals");
+        let words = |header: &Header, time| authority.accept(header, time).map(drop).expect_err("refused");
+        assert_eq!(authority.accept(&good, 98).map(|place| place.beneficiary), Ok(authority.addresses()[1]));
+        assert!(words(&good, 99).contains("period"));
+        let mut lazy = of(1);
+        authority.seal(&mut lazy).expect("seals");
+        assert!(words(&lazy, 98).contains("difficulty"));
+        let mut shifted = of(2);
+        shifted.seal(&authority.sealers[2].1).expect("seals");
+        assert!(words(&shifted, 98).contains("signer's turn"));
+        let mut strange = of(2);
         strange.seal(&SigningKey::from_slice(&[99; 32]).expect("key")).expect("seals");
-        assert_eq!(authority.check(&good, 98), Ok(1));
-        assert_eq!(authority.check(&shifted, 98), Ok(2));
-        assert!(authority.check(&good, 99).expect_err("early").contains("period"));
-        assert!(authority.check(&lazy, 98).expect_err("difficulty").contains("difficulty"));
-        assert!(authority.check(&block(4, 2, 2), 98).expect_err("difficulty").contains("difficulty"));
-        assert!(authority.check(&strange, 98).expect_err("stranger").contains("not sealed by a signer"));
-        authority.sealed(3, 1);
-        assert!(authority.check(&good, 98).expect_err("rest").contains("wait"));
-        assert_eq!(authority.check(&shifted, 98), Ok(2));
+        assert!(words(&strange, 98).contains("not sealed by a signer"));
     }
 }
+
 #[cfg(test)]
 mod work_tests {
     use super::*;
