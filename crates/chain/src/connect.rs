@@ -465,7 +465,10 @@ impl Chain {
         policy: Policy,
     ) -> Result<(RawReceipt, Option<u128>), ChainError> {
         let market = self.market().await?;
-        let mut price = affordable(policy.fresh(&market))?;
+        let mut price = match policy.fresh(&market) {
+            Priced::At(price) => price,
+            Priced::Capped { needed, cap } => return Err(ChainError::TooDear { needed: Wei(needed), cap: Wei(cap) }),
+        };
         let gas = match self.estimate(eoa.address(), None, &creation.input).await {
             Err(ChainError::InsufficientFunds) => {
                 // What a creation costs (Yellow Paper, appendix G), its constructor aside.
@@ -525,12 +528,5 @@ impl Chain {
             Ok(held) => ChainError::NoEther(Shortfall { account: eoa.address(), held: Wei(held), needed }),
             Err(error) => error,
         }
-    }
-}
-
-fn affordable(price: Priced) -> Result<u128, ChainError> {
-    match price {
-        Priced::At(price) => Ok(price),
-        Priced::Capped { needed, cap } => Err(ChainError::TooDear { needed: Wei(needed), cap: Wei(cap) }),
     }
 }

@@ -299,7 +299,8 @@ impl Chain {
             return Ok(Some((logs, Completeness::Whole)));
         }
         match (by_hash, by_number) {
-            (Ok(one), Ok(other)) => Ok(Some((longer(one, other), Completeness::Doubtful))),
+            (Ok(one), Ok(other)) if other.len() <= one.len() => Ok(Some((one, Completeness::Doubtful))),
+            (Ok(_), Ok(longer)) => Ok(Some((longer, Completeness::Doubtful))),
             (Ok(logs), Err(_)) | (Err(_), Ok(logs)) => Ok(Some((logs, Completeness::Doubtful))),
             // It refuses: it does not have the block.
             (Err(ChainError::Rejected { .. }), Err(_)) => Ok(None),
@@ -379,10 +380,6 @@ fn settled(
         _ => return None,
     };
     Some((logs.clone(), completeness))
-}
-
-fn longer(one: Vec<RawLog>, other: Vec<RawLog>) -> Vec<RawLog> {
-    if other.len() > one.len() { other } else { one }
 }
 
 #[cfg(test)]

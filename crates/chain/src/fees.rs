@@ -88,7 +88,7 @@ impl Chain {
     /// # Errors
     /// Errors of the node, [`ChainError::Input`].
     pub async fn shortfall(&self, account: Address, call: &Call, price: u128) -> Result<Shortfall, ChainError> {
-        let gas = call.known_cost(&call.encode()?);
+        let gas = known_cost(call.name(), &call.encode()?);
         let needed = Wei(price.saturating_mul(u128::from(gas)));
         Ok(Shortfall { account, held: Wei(self.wealth(account).await?), needed })
     }
@@ -363,13 +363,6 @@ pub(super) fn limit(estimate: u64, known: u64, block: Option<u64>) -> Result<u64
 /// An estimate with a quarter to spare: the state may change until the transaction is mined.
 pub(super) fn with_margin(estimate: u64) -> u64 {
     estimate.saturating_add(estimate / 4)
-}
-
-impl Call {
-    /// The most gas that this call uses, as far as is known.
-    pub(super) fn known_cost(&self, data: &[u8]) -> u64 {
-        known_cost(self.name(), data)
-    }
 }
 
 #[cfg(test)]

@@ -99,7 +99,10 @@ impl Genesis {
         .map_err(|error| ChainError::Internal(format!("the template of {}: {error}", self.kind)))?;
         let extra = match self.kind {
             GenesisKind::Ethash => vanity.to_vec(),
-            GenesisKind::Clique => clique_extra(&vanity, &signers),
+            // The signers in ascending order, and an empty seal (EIP-225).
+            GenesisKind::Clique => {
+                [&vanity[..], &signers.iter().flat_map(|one| one.0).collect::<Vec<_>>(), &[0; SEAL]].concat()
+            }
             GenesisKind::Qbft => qbft_extra(&vanity, &signers),
         };
         file["config"]["chainId"] = self.chosen_id()?.into();
@@ -169,12 +172,6 @@ impl Genesis {
         }
         Ok(Value::Object(alloc))
     }
-}
-
-/// Vanity, the signers in ascending order, an empty seal (EIP-225).
-fn clique_extra(vanity: &[u8; VANITY], signers: &[Address]) -> Vec<u8> {
-    let signers = signers.iter().flat_map(|signer| signer.0);
-    vanity.iter().copied().chain(signers).chain([0; SEAL]).collect()
 }
 
 /// RLP of \[vanity, \[validators\], no votes, round 0, no seals\].

@@ -253,7 +253,7 @@ impl Chain {
         if matches!(call, Call::DataUpload { .. } | Call::Anchor { .. }) {
             self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).insert(key, estimate);
         }
-        fees::limit(estimate, call.known_cost(data), self.room())
+        fees::limit(estimate, fees::known_cost(call.name(), data), self.room())
     }
 
     /// Notes how much gas the newest block may hold.

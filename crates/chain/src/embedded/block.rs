@@ -20,7 +20,7 @@ use crate::transaction::{Items, List, Transaction, created_address, optional, si
 /// Length of what precedes the seal in the extra data (Clique's vanity), bytes.
 const VANITY: usize = 32;
 /// The vanity of every block after the first, under proof of authority.
-const MARK: [u8; VANITY] = *b"AuthROS chain file version 1\0\0\0\0";
+pub const MARK: [u8; VANITY] = *b"AuthROS chain file version 1\0\0\0\0";
 /// Length of the seal, bytes: r, s, parity.
 pub const SEAL: usize = 65;
 /// Keccak-256 of the RLP of an empty list: there are no uncles.
@@ -164,11 +164,6 @@ impl Header {
         let signature = Signature::from_bytes_and_parity(scalars, parity == [1]);
         signer(&signature, hash).filter(|_| parity[0] < 2)
     }
-}
-
-/// Extra data of a proof-of-authority block before it is sealed.
-pub fn unsealed_extra() -> Vec<u8> {
-    [&MARK[..], &[0; SEAL]].concat()
 }
 
 /// The result of a transaction.

@@ -11,7 +11,7 @@ use ethers::abi::Token as AbiToken;
 use super::machine::{Answer, Environment, Machine};
 use super::pool::TRANSACTION_GAS;
 use super::trie::{EMPTY_ROOT, Nodes};
-use super::world::{Ground, Tries};
+use super::world::Tries;
 use crate::call::{address, artefact, word};
 use crate::error::decode_revert;
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Scope, Signature, SignerId, Timestamp, Token};
@@ -43,12 +43,6 @@ impl Nodes for Shelf {
 
     fn malformed(&self, hash: Hash) -> ChainError {
         ChainError::Internal(format!("{hash} is not here"))
-    }
-}
-
-impl Ground for Shelf {
-    fn block_hash(&self, _number: u64) -> Result<Hash, ChainError> {
-        Ok(Hash([0; 32]))
     }
 }
 

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use alloy_primitives::{Address as EvmAddress, Bytes, KECCAK256_EMPTY, TxKind, U256};
-use revm::context::result::{EVMError, ExecutionResult, InvalidTransaction, Output};
+use revm::context::result::{EVMError, ExecutionResult, HaltReason, InvalidTransaction, Output};
 use revm::context::{BlockEnv, Evm, TxEnv};
 use revm::database::CacheDB;
 use revm::handler::EthFrame;
@@ -149,7 +149,8 @@ impl Machine {
                 Answer::Returned(output.into_data().to_vec(), gas.total_gas_spent())
             }
             Ok(ExecutionResult::Revert { output, .. }) => Answer::Reverted(output.to_vec()),
-            Ok(ExecutionResult::Halt { reason, .. }) => Answer::Failed(halted(&format!("{reason:?}"))),
+            Ok(ExecutionResult::Halt { reason: HaltReason::OutOfGas(_), .. }) => Answer::Failed("out of gas".into()),
+            Ok(ExecutionResult::Halt { reason, .. }) => Answer::Failed(format!("execution failed: {reason:?}")),
             Err(EVMError::Database(Unread(error))) => return Err(error),
             Err(error) => Answer::Failed(refusal(&error)),
         })
@@ -242,10 +243,6 @@ fn refusal<E: std::fmt::Display>(error: &EVMError<E>) -> String {
         EVMError::Transaction(invalid) => invalid.to_string(),
         other => other.to_string(),
     }
-}
-
-fn halted(reason: &str) -> String {
-    if reason.starts_with("OutOfGas") { "out of gas".into() } else { format!("execution failed: {reason}") }
 }
 
 fn receipt(result: ExecutionResult, cumulative_gas: u64) -> Receipt {

@@ -17,7 +17,7 @@ use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
 use super::rpc::Filters;
 use super::sealing::{self, Founded, Sealing, Search, Turn};
 use super::trie::{EMPTY_ROOT, Nodes, Turnover, below, list_root};
-use super::world::{Ground, Tries};
+use super::world::Tries;
 use crate::genesis::noise;
 use crate::model::{Hash, Timestamp};
 use crate::transaction::Transaction;
@@ -400,9 +400,7 @@ impl Nodes for Passing {
     fn malformed(&self, hash: Hash) -> ChainError {
         ChainError::Internal(format!("node {hash} of a replayed state is not a node"))
     }
-}
 
-impl Ground for Passing {
     fn block_hash(&self, number: u64) -> Result<Hash, ChainError> {
         self.file.block_hash(number)
     }

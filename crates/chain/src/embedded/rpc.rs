@@ -122,7 +122,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         },
         "eth_getBlockTransactionCountByNumber" | "eth_getBlockTransactionCountByHash" => {
             let number = parameters.at(0, |which| block_named(node, which))?;
-            number.map_or(Ok(Value::Null), |number| count(node, number))
+            number.map_or(Ok(Value::Null), |number| Ok(quantity(node.done(&header(node, number)?)?.len())))
         }
         "eth_getTransactionByBlockNumberAndIndex" | "eth_getTransactionByBlockHashAndIndex" => {
             let number = parameters.at(0, |which| block_named(node, which))?;
@@ -172,10 +172,6 @@ fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
 
 fn header(node: &Node, number: u64) -> Result<Header, Fault> {
     node.header(number)?.ok_or_else(|| Fault::new(-32000, format!("block {number} is above the newest")))
-}
-
-fn count(node: &Node, number: u64) -> Reply {
-    Ok(quantity(node.done(&header(node, number)?)?.len()))
 }
 
 fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {

@@ -15,7 +15,7 @@ use k256::ecdsa::SigningKey;
 use sha3::{Digest as _, Keccak256};
 use zeroize::Zeroizing;
 
-use super::block::{Header, SEAL, unsealed_extra};
+use super::block::{Header, MARK, SEAL};
 use super::file::{ChainFile, Founding, keys_of};
 use super::machine::Environment;
 use crate::genesis::noise;
@@ -105,7 +105,7 @@ impl Sealing {
     pub fn dress(&self) -> (Address, Vec<u8>) {
         match self.work {
             Some(_) => (self.sealer(0), EXTRA.to_vec()),
-            None => (Address([0; 20]), unsealed_extra()),
+            None => (Address([0; 20]), [&MARK[..], &[0; SEAL]].concat()),
         }
     }
 

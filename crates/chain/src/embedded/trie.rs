@@ -8,13 +8,14 @@ use std::sync::Arc;
 
 use alloy_primitives::keccak256;
 use alloy_rlp::{EMPTY_STRING_CODE, PayloadView};
+use ethers::utils::rlp::Rlp;
 
 pub use authros_evidence::trie::EMPTY_ROOT;
 
 use crate::ChainError;
 use crate::model::Hash;
 use crate::transaction::List;
-use authros_evidence::trie::{nibbles, unpacked};
+use authros_evidence::trie::{Step, follow, nibbles, unpacked};
 
 /// A node shorter than this is embedded in its parent.
 const SHORTEST: usize = 32;
@@ -29,6 +30,14 @@ pub trait Nodes {
 
     /// The error for bytes that are not a trie node.
     fn malformed(&self, hash: Hash) -> ChainError;
+
+    /// The hash of a block, for the BLOCKHASH instruction; zero where there are no blocks.
+    ///
+    /// # Errors
+    /// [`ChainError`] if it cannot be read.
+    fn block_hash(&self, _number: u64) -> Result<Hash, ChainError> {
+        Ok(Hash([0; 32]))
+    }
 }
 
 /// What changes of tries did to their nodes.
@@ -101,7 +110,6 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     }
 
     fn find(&self, at: &Child, path: &[u8], seen: &mut impl FnMut(&Arc<[u8]>)) -> Result<Option<Vec<u8>>, ChainError> {
-        let loaded;
         let node = match at {
             Child::Nothing => return Ok(None),
             Child::Value(value) => return Ok(path.is_empty().then(|| value.clone())),
@@ -109,8 +117,11 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
             Child::Stored(hash) => {
                 let bytes = self.nodes.node(*hash)?;
                 seen(&bytes);
-                loaded = decode(&bytes).ok_or_else(|| self.nodes.malformed(*hash))?;
-                &loaded
+                return match follow(&Rlp::new(&bytes), path) {
+                    Some(Step::End(value)) => Ok(value),
+                    Some(Step::Down(next, left)) => self.find(&Child::Stored(next), &path[path.len() - left..], seen),
+                    None => Err(self.nodes.malformed(*hash)),
+                };
             }
         };
         match node {

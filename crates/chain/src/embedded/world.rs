@@ -18,15 +18,6 @@ use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below};
 use crate::ChainError;
 use crate::model::{Address, Hash};
 
-/// The store of the tries' nodes, the contracts' code and the block hashes.
-pub trait Ground: Nodes {
-    /// The hash of a block, for the BLOCKHASH instruction.
-    ///
-    /// # Errors
-    /// [`ChainError`] if it cannot be read.
-    fn block_hash(&self, number: u64) -> Result<Hash, ChainError>;
-}
-
 /// What could not be read; revm needs its own error type.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
@@ -38,7 +29,7 @@ impl DBErrorMarker for Unread {}
 #[derive(Clone)]
 pub struct Tries {
     /// The store of its nodes.
-    pub ground: Rc<dyn Ground>,
+    pub ground: Rc<dyn Nodes>,
     /// Its root.
     pub root: Hash,
 }
@@ -136,7 +127,7 @@ impl Tries {
     /// An account after its changes; `None` if nothing is left of it.
     fn changed(
         &self,
-        accounts: &Trie<'_, dyn Ground>,
+        accounts: &Trie<'_, dyn Nodes>,
         key: &[u8],
         change: Change,
         all: &mut Turnover,
@@ -283,9 +274,7 @@ impl Nodes for ChainFile {
     fn malformed(&self, hash: Hash) -> ChainError {
         self.wrong(hash, "is no node")
     }
-}
 
-impl Ground for ChainFile {
     fn block_hash(&self, number: u64) -> Result<Hash, ChainError> {
         Ok(self.block(number)?.map_or(Hash([0; HASH]), |(hash, _)| hash))
     }

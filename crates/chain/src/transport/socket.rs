@@ -367,17 +367,12 @@ impl Http {
             let location = response.headers().get(LOCATION).and_then(|place: &HeaderValue| place.to_str().ok());
             return Err(Refused { status: status.as_u16(), location, page: &bytes }.words(&self.server));
         }
-        read(&bytes).map_err(|error| if is_page(&bytes) { web_page() } else { error })
+        // The text of a web page tells nothing, and a fault of JSON is not what is wrong.
+        let is_page = bytes.trim_ascii_start().starts_with(b"<");
+        let page =
+            || TransportError::Malformed("a web page: what stands before the node refused the request".to_owned());
+        read(&bytes).map_err(|error| if is_page { page() } else { error })
     }
-}
-
-fn is_page(bytes: &[u8]) -> bool {
-    bytes.trim_ascii_start().starts_with(b"<")
-}
-
-/// Its text tells nothing, and a fault of JSON is not what is wrong.
-fn web_page() -> TransportError {
-    TransportError::Malformed("a web page: what stands before the node refused the request".to_owned())
 }
 
 #[cfg(test)]
