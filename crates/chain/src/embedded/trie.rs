@@ -113,7 +113,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         let node = match at {
             Child::Nothing => return Ok(None),
             Child::Value(value) => return Ok(path.is_empty().then(|| value.clone())),
-            Child::Open(node) => node,
+            Child::Open(node) => &**node,
             Child::Stored(hash) => {
                 let bytes = self.nodes.node(*hash)?;
                 seen(&bytes);
