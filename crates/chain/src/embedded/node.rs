@@ -15,7 +15,7 @@ use super::file::{Auditing, ChainFile, Looked, Mined, Sealed};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
 use super::rpc::Filters;
-use super::sealing::{self, Founded, Sealing, Search, Turn};
+use super::sealing::{self, Founded, Sealing, Search};
 use super::trie::{EMPTY_ROOT, Nodes, Turnover, below, list_root};
 use super::world::Tries;
 use crate::genesis::noise;
