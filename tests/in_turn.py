@@ -36,6 +36,8 @@ LAST_LINES = 100
 REASON_LINES, REASON_WIDTH = 8, 120
 # Every so many seconds it says what is still running.
 STILL = 300
+# What runs for longer than this many seconds has failed: nothing in the ordinary set takes a tenth of it.
+LONGEST = 3600 if os.environ.get("AUTHROS_LONG") else 1200
 
 
 class Job:
@@ -54,8 +56,11 @@ class Job:
             process = subprocess.Popen(
                 self.command, cwd=self.folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
                 env={**os.environ, "CARGO_MANIFEST_DIR": self.folder})
+            end = threading.Timer(LONGEST, process.kill)
+            end.start()
             # Counts its children too, if they were waited for.
             _, status, used = os.wait4(process.pid, 0)
+            end.cancel()
             process.returncode = os.waitstatus_to_exitcode(status)
             self.seconds, self.processor = time.monotonic() - begin, used.ru_utime + used.ru_stime
             output.seek(0)

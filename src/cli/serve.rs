@@ -22,6 +22,7 @@ use super::connect::{Context, ProfileNeed};
 use crate::model::ErrorKind;
 use crate::service::command::{ChainStatus, Register};
 use crate::service::event::NoticeLevel;
+use crate::service::failure::internal;
 use crate::service::{Event, Failure, Needs, is_bound};
 use crate::store::files;
 
@@ -81,6 +82,9 @@ pub async fn asked_to_end() -> Ending {
     }
 }
 
+/// How long a site that worked here before waits for its profile's registration; that goes on meanwhile.
+const PATIENCE: Duration = Duration::from_secs(15);
+
 /// Runs the site until a signal ends it.
 ///
 /// # Errors
@@ -101,7 +105,18 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
     let known = is_bound(&context.home) && context.home.keyring(&context.profile).exists();
     let prepared = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        connection.client.ask(Register).await
+        let client = connection.client.clone();
+        let registering = tokio::spawn(async move { client.ask(Register).await });
+        let patience = if known { PATIENCE } else { Duration::MAX };
+        match tokio::time::timeout(patience, registering).await {
+            Ok(registered) => registered.map_err(|error| internal(error.to_string()))?.map(drop),
+            Err(_) => {
+                output.note(
+                    "authros: this profile's keys are not registered yet; `authros status` says what they wait for",
+                );
+                Ok(())
+            }
+        }
     };
     // Listened to from here to the end, so that no signal is missed in between.
     let end = asked_to_end();
@@ -114,7 +129,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
         }
     };
     match ended {
-        Ok(_) => {}
+        Ok(()) => {}
         // Whatever is wrong with the chain, what is captured meanwhile is kept.
         Err(failure) if known && connection.client.ask(ChainStatus).await.is_err() => {
             output.note(&format!("authros: {}; capture goes on without the chain", failure.message));

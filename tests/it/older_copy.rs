@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::support::{Authros, Home, is_verified, list, text, two_profiles};
+use crate::support::{Authros, Home, is_verified, list, text, two_profiles, wait_until};
 
 const REFUSED: i32 = 5;
 const TAMPERED: i32 = 6;
@@ -111,11 +111,19 @@ fn keys_that_had_a_contract_on_this_chain_get_no_second_one() {
         assert!(message.contains("nothing was deployed"), "{message}");
     }
 
+    // A new store began in its place, and says so until it has a contract.
+    for command in ["doctor", "status"] {
+        let said = alice.run(&[command]);
+        assert!(said.code != Some(0), "{command}: {said}");
+        assert!(said.stdout.contains("ledger.db was gone at 20"), "{command}: {said}");
+    }
+
     let named = alice.with(&["--contract", &contract]);
     let shown = named.json(&["register"]);
     assert_eq!((&shown["registered"], &shown["epoch"]), (&Value::from(true), &Value::from(1)), "{shown}");
     // From here on the new ledger knows it.
     assert_eq!(text(&alice.json(&["chain", "status"]), "contract"), contract);
+    assert!(health(&alice, "store").starts_with("rows and ciphertext"), "it has one");
     alice.capture(&["/robot1/odom"], 2);
     // The records of the lost ledger are lost, and the audit says so.
     let audit = alice.run(&["audit"]).expect_code(TAMPERED);
@@ -189,4 +197,48 @@ fn what_a_restored_home_anchored_and_lost_is_missing() {
     fs::write(&ledger, before).expect("an older one");
     let audit = restored.run(&["audit"]).expect_code(TAMPERED);
     assert!(audit.stdout.contains("MISSING: batch") && audit.stdout.contains("does not have it"), "{audit}");
+}
+
+#[test]
+fn what_the_former_key_signed_is_anchored_before_a_newer_key_is_registered_again() {
+    let two = two_profiles(1);
+    let alice = &two.alice;
+    alice.capture(&["/robot1/odom"], 2);
+    // While nothing can be anchored, records wait; the backup has them like that.
+    let boss = two.home.profile("default");
+    boss.json(&["chain", "pause", "--for", "1h"]);
+    alice.json(&["topics", "watch", "/robot1/odom"]);
+    wait_until(60, "some records wait", || (alice.records(&["uploads", "list"]).len() >= 8).then_some(()));
+    alice.json(&["topics", "unwatch", "/robot1/odom"]);
+    let secret = two.home.file("secret", "a passphrase of its own\n", 0o600);
+    let backup = two.home.root().join("waiting.backup").to_str().expect("UTF-8").to_owned();
+    alice.json(&["backup", &backup, "--passphrase-file", &secret]);
+    boss.json(&["chain", "resume"]);
+    let key = two.home.file("sm2", SIGNING_KEY, 0o600);
+    alice.run(&["keys", "load", "--sm2", &key]).expect_code(0);
+    let newest = alice.json(&["keys", "list"]);
+    two.site.stop("TERM", 30).expect_code(0);
+
+    let home = Home::new();
+    let restored = home.profile("alice").with(&["--robots", "1"]);
+    restored.json(&["restore", &backup, "--passphrase-file", &secret]);
+    for name in ["alice", "default"] {
+        copy_keyring(&two.home.path(), &home.path(), name);
+        let file = format!("profiles/{name}/passphrase");
+        fs::copy(two.home.path().join(&file), home.path().join(&file)).expect("the passphrase is copied");
+    }
+    let site = restored.serve(&home);
+    let waiting = restored.records(&["uploads", "list"]);
+    assert!(waiting.iter().filter(|record| !is_verified(record)).count() >= 6, "{waiting:?}");
+    home.profile("default").json(&["chain", "resume"]);
+    wait_until(120, "all of them are verified", || {
+        restored.records(&["uploads", "list"]).iter().all(is_verified).then_some(())
+    });
+    wait_until(120, "the newer key is registered", || {
+        let shown = restored.json(&["identity", "show"]);
+        (shown["registered"] == true && shown["signing_key"] == newest["signing_key"]).then_some(())
+    });
+    restored.capture(&["/robot1/odom"], 2);
+    restored.run(&["audit", "--deep"]).expect_code(0);
+    site.stop("TERM", 30).expect_code(0);
 }

@@ -3,11 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::error::ConfigError;
-use super::read::{Source, Values, bytes, certificates, number, source_of, span, value, wrong};
 use crate::crypto::hands::{self, Fault};
 use crate::crypto::private_file;
 use crate::model::clean;
+use crate::read::{ConfigError, Source, Values, bytes, certificates, number, source_of, span, value, wrong};
 
 /// The shortest secret that may sign deliveries, bytes.
 const SHORTEST_SECRET: usize = 16;
@@ -30,7 +29,6 @@ pub enum AlertForm {
 pub enum AlertPlace {
     /// A server, over HTTP or HTTPS.
     Webhook {
-        /// Its URL.
         url: String,
         /// Its format.
         form: AlertForm,

@@ -5,38 +5,30 @@ use authros_crypto as crypto;
 use authros_model as model;
 
 mod alerts;
-mod console;
 mod definitions;
-mod error;
-mod lines;
-mod metrics;
-mod operators;
 pub mod paths;
 mod read;
-mod robot_policy;
+mod rules;
+mod sections;
 #[cfg(test)]
 mod tests;
-mod time;
-mod topic_rules;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use self::alerts::{AlertForm, AlertLimits, AlertPlace, AlertSettings};
-pub use self::console::{ConsoleSettings, Pictures};
 pub use self::definitions::{DEFINITIONS, Definition};
-pub use self::error::ConfigError;
-pub use self::metrics::{FiguresPlace, MetricsSettings};
-pub use self::operators::{OperatorRule, OperatorSettings, Whom};
-pub use self::read::{SettingView, Source};
 use self::read::{Values, bytes, certificates, find, number, parsed, read_file, span, switch, url, value, wrong};
-pub use self::robot_policy::{RingWish, RobotPolicy};
-pub use self::time::TimeAuthority;
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
     Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, RingLimits, SignerId,
     TopicPatterns, TopicRules, clean, without_secrets,
+};
+pub use read::{ConfigError, SettingView, Source};
+pub use rules::{RingWish, RobotPolicy};
+pub use sections::{
+    ConsoleSettings, FiguresPlace, MetricsSettings, OperatorRule, OperatorSettings, Pictures, TimeAuthority, Whom,
 };
 
 /// Prefixes of a cache's URL.
@@ -269,7 +261,7 @@ impl Config {
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             operators: OperatorSettings::default(),
             metrics: MetricsSettings::read(&values)?,
-            time_authorities: time::authorities(&values)?,
+            time_authorities: sections::authorities(&values)?,
             alerts: AlertSettings::read(&values)?,
             confirmations: number(&values, "confirmations", 1, 1000)?,
             gateway: GatewayRules {

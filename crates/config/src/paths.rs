@@ -79,9 +79,6 @@ impl Home {
 
     /// The user's own: data, settings and console memory, each in its folder. Without `HOME` a single-folder home,
     /// `$XDG_DATA_HOME/authros` or `./authros-home`.
-    ///
-    /// # Errors
-    /// [`PlaceError`] if a variable is wrong.
     pub fn standard() -> Result<Self, PlaceError> {
         let root = Self::standard_root()?;
         let Some(folders) = folders()? else { return Ok(Self::new(root)) };
@@ -90,17 +87,11 @@ impl Home {
     }
 
     /// The home whose data is in `root`: a single-folder home, or the user's own with its settings where these are.
-    ///
-    /// # Errors
-    /// See [`Self::standard`].
     pub fn at(root: &Path) -> Result<Self, PlaceError> {
         if root == Self::standard_root()? { Self::standard() } else { Ok(Self::new(root.to_owned())) }
     }
 
     /// Only the data folder of [`Self::standard`].
-    ///
-    /// # Errors
-    /// [`PlaceError`] if a variable is wrong.
     pub fn standard_root() -> Result<PathBuf, PlaceError> {
         let alone = || set("XDG_DATA_HOME").map_or_else(|| WITHOUT_HOME.into(), |data| Path::new(&data).join(FOLDER));
         Ok(folders()?.map_or_else(alone, |folders| folders.data_dir().to_owned()))

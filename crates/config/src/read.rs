@@ -1,4 +1,5 @@
-//! Values as text with their sources (flag, environment, file, default), parsed into their types.
+//! Values as text with their sources (flag, environment, file, default) and lines, parsed into their types, and why some
+//! cannot be used.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
+use crate::model::{ByteSize, ErrorKind, TopicRules, address_without_secrets, clean, time_span, without_secrets};
+use crate::{DEFINITIONS, Definition, rules};
 use serde::Serialize;
-
-use super::lines::Lines;
-use super::{ConfigError, DEFINITIONS, Definition, topic_rules};
-use crate::model::{ByteSize, TopicRules, address_without_secrets, clean, time_span, without_secrets};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 /// The source of a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -39,11 +40,8 @@ impl fmt::Display for Source {
 /// One setting as printed by `config show`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SettingView {
-    /// Its name.
     pub name: &'static str,
-    /// Its value.
     pub value: String,
-    /// Its source.
     pub source: String,
     /// Its meaning.
     pub text: &'static str,
@@ -92,7 +90,7 @@ pub(super) fn lines_of(path: &Path, text: &str) -> Lines {
 
 /// Settings and rules of a document.
 pub(super) fn read_document(mut document: toml::Table, lines: &Lines) -> Result<(FileValues, TopicRules), ConfigError> {
-    let rules = document.remove(topic_rules::TABLE).map(|tables| topic_rules::read(&tables, lines)).transpose()?;
+    let rules = document.remove(rules::TABLE).map(|tables| rules::read(&tables, lines)).transpose()?;
     let mut values = FileValues::new();
     flatten("", &toml::Value::Table(document), &mut |name, value| {
         let line = lines.line(name);
@@ -217,4 +215,103 @@ pub(super) fn certificates(values: &Values, name: &'static str) -> Result<Option
         return Err(wrong(values, name, "give the absolute path of a file with PEM certificates"));
     }
     Ok(Some(path))
+}
+
+/// The line of each key of a file, from 1; the second table of `[[watch]]` is `watch.1`, its topic `watch.1.topic`.
+#[derive(Debug)]
+pub(super) struct Lines {
+    /// The file's name in messages.
+    pub file: String,
+    lines: BTreeMap<String, usize>,
+}
+
+impl Lines {
+    /// The lines of `text`; invalid TOML yields none.
+    pub fn of(file: &str, text: &str) -> Self {
+        let ends: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+        let line = |at: usize| ends.partition_point(|end| *end < at) + 1;
+        let mut lines = Self { file: file.to_owned(), lines: BTreeMap::new() };
+        if let Ok(document) = DeTable::parse(text) {
+            lines.table("", document.get_ref(), &line);
+        }
+        lines
+    }
+
+    /// The line of a key, otherwise of what contains it; the first line if neither is known.
+    pub fn line(&self, name: &str) -> usize {
+        let mut name = name;
+        loop {
+            match (self.lines.get(name), name.rsplit_once('.')) {
+                (Some(line), _) => return *line,
+                (None, Some((outer, _))) => name = outer,
+                (None, None) => return 1,
+            }
+        }
+    }
+
+    /// The error for a key or table that is invalid.
+    pub fn fault(&self, name: &str, what: &str) -> ConfigError {
+        ConfigError::Entry { file: self.file.clone(), line: self.line(name), what: clean(what, 300) }
+    }
+
+    fn table(&mut self, prefix: &str, table: &DeTable<'_>, line: &impl Fn(usize) -> usize) {
+        for (key, value) in table {
+            let name =
+                if prefix.is_empty() { key.get_ref().to_string() } else { format!("{prefix}.{}", key.get_ref()) };
+            self.value(name, line(key.span().start), value, line);
+        }
+    }
+
+    fn value(&mut self, name: String, at: usize, value: &Spanned<DeValue<'_>>, line: &impl Fn(usize) -> usize) {
+        if let DeValue::Table(inner) = value.get_ref() {
+            self.table(&name, inner, line);
+        }
+        if let DeValue::Array(parts) = value.get_ref() {
+            for (index, part) in parts.iter().enumerate() {
+                self.value(format!("{name}.{index}"), line(part.span().start), part, line);
+            }
+        }
+        self.lines.insert(name, at);
+    }
+}
+
+/// Why the settings cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConfigError {
+    /// The file is not TOML.
+    #[error("{file} is not valid TOML: {what}; correct it, or move it away to use the defaults")]
+    Syntax { file: String, what: String },
+    /// A key that is not a setting; lines count from 1.
+    #[error("{file} line {line}: unknown setting '{name}'; `authros config show` lists all settings")]
+    Unknown { file: String, line: usize, name: String },
+    /// An invalid `[[topic]]` or `[[watch]]` table, or a key that does not belong in this file.
+    #[error("{file} line {line}: {what}")]
+    Entry { file: String, line: usize, what: String },
+    /// A value that its setting does not accept.
+    #[error("{name} = '{value}' (from {source_name}) is invalid: {what}")]
+    Value { name: &'static str, value: String, source_name: String, what: String },
+}
+
+impl ConfigError {
+    /// Determines the exit code.
+    pub fn kind(&self) -> ErrorKind {
+        ErrorKind::Input
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_of_the_same_name_are_told_apart() {
+        let text = "robots = 1\n[chain]\nurl = \"a\"\n\n[cache]\nurl = \"b\"\n[[watch]]\ntopic = \"/a\"\n\n[[watch]]\n# c\n\
+                    type = \"x\"\ndisk.reserve = \"1\"\n";
+        let lines = Lines::of("f", text);
+        let line = |name: &str| lines.line(name);
+        assert_eq!((line("robots"), line("chain.url"), line("cache.url"), line("watch.0.topic")), (1, 3, 6, 8));
+        assert_eq!((line("watch.1.type"), line("watch.1.disk.reserve")), (12, 13));
+        assert_eq!((line("watch.1.topic"), line("nothing")), (10, 1), "what is not there is where it would stand");
+        assert_eq!(Lines::of("f", "a = ").line("a"), 1);
+    }
 }

@@ -18,8 +18,8 @@ use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{
     Address, Domain, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp, Token, TopicId,
 };
-use crate::passphrase::Work;
 use crate::private_file::{create_private, read_private, write_private};
+use crate::secret::Work;
 use crate::{
     CryptoError, EpochKey, FilterKey, GatewayAddresses, IndexKey, OwnerKeyChange, Passphrase, ProviderName,
     SignedPolicy, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, random_bytes, signer_id,

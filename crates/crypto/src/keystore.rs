@@ -11,12 +11,11 @@ use sha3::{Digest as _, Keccak256};
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
-use crate::derive::kept_key;
-use crate::kdf::{self, Info};
+use crate::kdf::{self, Info, kept_key};
 use crate::model::bytes::{hex, unhex};
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Domain, PublicKey, clean};
-use crate::passphrase::{Work, stretch};
+use crate::secret::{Work, stretch};
 use crate::{
     AccountSignature, CryptoError, EoaSecret, Passphrase, Provider, SmSecret, TransportKey, TypedStructure,
     random_bytes, recover_account, sign_hash,

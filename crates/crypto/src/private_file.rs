@@ -7,9 +7,8 @@ use std::path::{Path, PathBuf};
 
 use zeroize::Zeroizing;
 
-use super::CryptoError;
 use super::error::shown;
-use super::{fault, unfinished};
+use super::{CryptoError, fault, unfinished};
 
 /// Permission bits of group and others.
 const OTHERS: u32 = 0o077;

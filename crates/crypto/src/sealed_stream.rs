@@ -9,7 +9,7 @@ use zeroize::Zeroizing;
 
 use crate::keystore::{FileKey, SaveKeys, put_work, read_work};
 use crate::model::wire::{Reader, WireError};
-use crate::passphrase::Work;
+use crate::secret::Work;
 use crate::{CryptoError, Passphrase, Provider, ProviderName, provider, random_bytes};
 
 const MAGIC: [u8; 8] = *b"\x89AuthBak";

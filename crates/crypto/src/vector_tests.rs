@@ -11,7 +11,7 @@ use crate::gcm::BlockCipher;
 use crate::kernel::tests::Sm4Block;
 use crate::model::bytes::{hex, unhex};
 use crate::model::{PublicKey, Signature};
-use crate::{CryptoError, Provider, ProviderName, SmSecret, libsm_provider, provider, sm3};
+use crate::{CryptoError, Provider, ProviderName, SmSecret, provider, sm3};
 
 const KEY: &str = "0123456789abcdeffedcba9876543210";
 const BLOCKS: &str = "aaaaaaaaaaaaaaaabbbbbbbbbbbbbbbbccccccccccccccccdddddddddddddddd\
@@ -43,7 +43,7 @@ fn all() -> [&'static dyn Provider; 3] {
 
 fn blocks() -> [Box<dyn BlockCipher>; 2] {
     let key = bytes(KEY);
-    [Box::new(Sm4Block::new(&key)), Box::new(libsm_provider::Sm4Block::new(&key).expect("key"))]
+    [Box::new(Sm4Block::new(&key)), Box::new(provider::Sm4Block::new(&key).expect("key"))]
 }
 
 fn secret() -> SmSecret {
@@ -138,7 +138,7 @@ fn sm2_za_and_e_of_annex_a() {
     let za = sm3::sm3(&[&[0, 0x80], id, &unhex(curve).expect("hex"), &public.0]);
     assert_eq!(hex(&za), ZA);
     assert_eq!(hex(&sm3::sm3(&[&za, b"message digest"])), E);
-    assert_eq!(hex(&libsm_provider::signed_hash(&public, b"message digest").expect("hash")), E);
+    assert_eq!(hex(&provider::signed_hash(&public, b"message digest").expect("hash")), E);
     let key = provider::signing_key(&bytes(D)).expect("key");
     let signature = sm2::dsa::Signature::from_slice(&bytes::<64>(SIGNATURE)).expect("in range");
     key.verifying_key().verify_prehash(&bytes::<32>(E), &signature).expect("valid");

@@ -1,24 +1,26 @@
 //! A bundle in its parts: records with their signatures and anchors, keys, identities, headers of blocks, nodes of the
-//! state. Every part is within its bounds and well-formed, or the bundle is refused with the part's name.
+//! state. Every part is within its bounds and well-formed, or the bundle is refused with the part's name. The exporter
+//! packs such parts into a file; with level (e), the owner signs the disclosure, and its secret is the record's.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
 use std::path::Path;
 
-use authros_crypto::merkle::{Inclusion, LONGEST_PATH};
-use authros_crypto::record::RecordSecret;
-use authros_crypto::{Provider, keyfile, signature_from_der, signer_id};
-use authros_model::header::{LARGEST_BODY, LARGEST_HEAD};
-use authros_model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignerId, clean};
-use serde::{Deserialize, Serialize};
-
 use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
-use crate::form;
-use crate::header::BlockHeader;
-use crate::heights::{self, HEIGHTS, Height};
-use crate::manifest::{MANIFEST, Manifest, SIGNATURE};
+use crate::committed::BlockHeader;
+use crate::completeness::{self, HEIGHTS, Height};
+use crate::manifest::{self, ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
+use crate::report::{Level, Standing};
 use crate::state::Nodes;
-use crate::time::{BundledStamp, DraftStamp};
+use crate::time::{self, BundledStamp, DraftStamp, StampTree};
+use crate::trust::Trust;
+use crate::verify::Check;
+use authros_crypto::merkle::{Inclusion, LONGEST_PATH};
+use authros_crypto::record::{RecordSecret, Revealed, open_revealed_within, reveal_bytes};
+use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signature_from_der, signer_id};
+use authros_model::header::{LARGEST_BODY, LARGEST_HEAD};
+use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, Signature, SignerId, clean};
+use serde::{Deserialize, Serialize};
 
 /// The trust file that a bundle may suggest, and that is never trusted.
 pub const SUGGESTED: &str = "trust.toml";
@@ -104,7 +106,7 @@ impl AnchorClaim {
 
     fn parse(name: &str, text: &[u8]) -> Result<Self, BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
-        let claim: Self = form::from_json(text).map_err(|error| wrong(&error))?;
+        let claim: Self = manifest::from_json(text).map_err(|error| wrong(&error))?;
         if claim.format != ANCHOR_FORMAT {
             return Err(wrong(&format!("its form is not {ANCHOR_FORMAT}")));
         }
@@ -255,7 +257,7 @@ impl Bundle {
         }
         match parts.as_slice() {
             [MIMETYPE | MANIFEST | SIGNATURE | READ_ME | REPORT] => {}
-            [HEIGHTS] => self.heights = heights::parse(bytes)?,
+            [HEIGHTS] => self.heights = completeness::parse(bytes)?,
             [SUGGESTED] => self.suggested = Some(text(name, bytes)?),
             ["records", digest, part] => {
                 // One spelling: 0x and capital letters would file a second part under the same record.
@@ -417,4 +419,240 @@ fn folder(root: &Path) -> Result<Members, BundleError> {
         }
     }
     Ok(members)
+}
+
+/// The text of `VERIFY.txt`, for somebody who finds the file without the program.
+pub const READ_ME_TEXT: &str = include_str!("VERIFY.txt");
+
+/// A bundle being assembled.
+#[derive(Debug, Default)]
+pub struct Packing {
+    members: Members,
+}
+
+impl From<Members> for Packing {
+    /// Signed members, to which something is to be added before they are signed again.
+    fn from(members: Members) -> Self {
+        Self { members }
+    }
+}
+
+/// Why a bundle cannot be assembled.
+#[derive(Debug, thiserror::Error)]
+pub enum PackingError {
+    /// It would be too large.
+    #[error(transparent)]
+    Bundle(#[from] BundleError),
+    /// A key cannot be used.
+    #[error(transparent)]
+    Crypto(#[from] CryptoError),
+}
+
+impl Packing {
+    /// Adds a record.
+    ///
+    /// # Errors
+    /// None, except for a fault of this program.
+    pub fn record(&mut self, digest: Digest, record: BundledRecord) -> Result<(), PackingError> {
+        let mut put = |part: &str, bytes: Vec<u8>| {
+            self.members.insert(format!("records/{}/{part}", digest.to_hex()), bytes);
+        };
+        if let Some(anchor) = &record.anchor {
+            let text = serde_json::to_vec_pretty(anchor);
+            put("anchor.json", text.map_err(|error| BundleError::of("anchor.json", &error.to_string()))?);
+        }
+        if let Some(disclosure) = &record.disclosure {
+            put("reveal.bin", disclosure.secret.expose().to_vec());
+            put("reveal.der", signature_der(&disclosure.signature));
+        }
+        put("signature.der", signature_der(&record.signature));
+        put("record.bin", record.record);
+        Ok(())
+    }
+
+    /// Adds a signer's key.
+    ///
+    /// # Errors
+    /// If it is not a point on the curve.
+    pub fn key(&mut self, key: &PublicKey) -> Result<(), PackingError> {
+        let pem = keyfile::sm2_public_pem(key)?;
+        self.members.insert(format!("keys/{}.pem", signer_id(key).to_hex()), pem.into_bytes());
+        Ok(())
+    }
+
+    /// Adds an identity as on the chain.
+    pub fn identity(&mut self, identity: &Identity) {
+        let bytes = identity.encode();
+        let hash = Hash(authros_crypto::keccak256(&[&bytes]));
+        self.members.insert(format!("identities/{}.bin", hash.to_hex()), bytes);
+    }
+
+    /// Adds a block's header, RLP.
+    pub fn header(&mut self, number: u64, bytes: Vec<u8>) {
+        self.members.insert(format!("chain/{number}.rlp"), bytes);
+    }
+
+    /// The nodes of the states that the headers name.
+    pub fn nodes(&mut self, nodes: &Nodes) {
+        self.members.insert(NODES.to_owned(), nodes.encode());
+    }
+
+    /// Adds the text of a message definition.
+    pub fn definition(&mut self, text: &str, provider: &dyn Provider) {
+        let digest = Digest(provider.sm3(&[text.as_bytes()]));
+        self.members.insert(format!("definitions/{}.txt", digest.to_hex()), text.as_bytes().to_vec());
+    }
+
+    /// Adds the paths from heads of recorders to the highest numbers of topics.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
+        self.members.insert(HEIGHTS.to_owned(), completeness::to_text(heights)?);
+        Ok(())
+    }
+
+    /// Adds an authority's stamps over these roots; all of them were stamped together.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn stamps(&mut self, tree: &StampTree, wanted: &[Hash], tokens: &[Vec<u8>]) -> Result<(), PackingError> {
+        if !tokens.is_empty() {
+            self.members.extend(time::members(tree, wanted, tokens)?);
+        }
+        Ok(())
+    }
+
+    /// Adds the page for people, which proves nothing.
+    pub fn report(&mut self, page: String) {
+        self.members.insert(REPORT.to_owned(), page.into_bytes());
+    }
+
+    /// Suggests what to pin.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn suggest(&mut self, trust: &Trust) -> Result<(), PackingError> {
+        let text = trust.to_text().map_err(|error| BundleError::of(SUGGESTED, &error.to_string()))?;
+        let note = "# What the exporter says. Compare each line with what you know from an independent source, then \
+                    keep your own copy.\n";
+        self.members.insert(SUGGESTED.to_owned(), [note, &text].concat().into_bytes());
+        Ok(())
+    }
+
+    /// The members with the manifest, signed by its exporter.
+    ///
+    /// # Errors
+    /// If the key cannot sign.
+    pub fn sign(
+        mut self,
+        chain: ClaimedChain,
+        account: Address,
+        signer: &SmKeyPair,
+        provider: &dyn Provider,
+    ) -> Result<Members, PackingError> {
+        self.key(&signer.public)?;
+        self.members.insert(MIMETYPE.to_owned(), MEDIA_TYPE.as_bytes().to_vec());
+        self.members.insert(READ_ME.to_owned(), READ_ME_TEXT.as_bytes().to_vec());
+        let exporter = Exporter { account, key: signer_id(&signer.public) };
+        let manifest = Manifest::of(&self.members, chain, exporter, provider);
+        let mut text =
+            serde_json::to_vec_pretty(&manifest).map_err(|error| BundleError::of(MANIFEST, &error.to_string()))?;
+        text.push(b'\n');
+        let signature = provider.sign(&signer.secret, &signed_bytes(&text))?;
+        self.members.insert(SIGNATURE.to_owned(), signature_der(&signature));
+        self.members.insert(MANIFEST.to_owned(), text);
+        Ok(self.members)
+    }
+}
+
+/// The file of these members.
+///
+/// # Errors
+/// If it would be too large.
+pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
+    Ok(archive::write(members)?)
+}
+
+/// An owner's signature under the disclosure of a record.
+///
+/// # Errors
+/// If the key cannot sign.
+pub fn disclose(
+    secret: authros_crypto::record::RecordSecret,
+    (domain, digest): (&Domain, &Digest),
+    signer: &SmKeyPair,
+    provider: &dyn Provider,
+) -> Result<Disclosure, PackingError> {
+    let signature = provider.sign(&signer.secret, &reveal_bytes(domain, digest, &secret))?;
+    Ok(Disclosure { secret, signature })
+}
+
+/// The most bytes of messages produced from one file.
+pub(crate) const MOST_PLAIN: u64 = 256 * 1024 * 1024;
+/// The most identities tried for one owner.
+const MOST_IDENTITIES: usize = 16;
+
+/// Level (e) before the message is opened, as far as the state itself is trusted: who signed the disclosure.
+pub(crate) fn vouched(
+    check: &Check<'_>,
+    digest: Digest,
+    record: &BundledRecord,
+    header: &Header,
+    owner_key: Option<PublicKey>,
+) -> Level {
+    let disclosure = record.disclosure.as_ref();
+    disclosure.map_or_else(
+        || Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
+        |disclosure| signed(check, digest, disclosure, header, owner_key),
+    )
+}
+
+/// Level (e), and the message if it was opened; at most `left` bytes are produced, and counted there. The signer was
+/// checked first: nothing is produced that nobody vouches for.
+pub(crate) fn opened(
+    provider: &dyn Provider,
+    record: &BundledRecord,
+    level: Level,
+    left: &mut u64,
+) -> (Level, Option<Revealed>) {
+    let Some(disclosure) = record.disclosure.as_ref().filter(|_| level.standing != Standing::Refused) else {
+        return (level, None);
+    };
+    match open_revealed_within(provider, &record.record, &disclosure.secret, left) {
+        Ok(Some(revealed)) => (level, Some(revealed)),
+        Ok(None) => {
+            let text = "its message is not opened: too much is disclosed in a single file";
+            (Level::new(Standing::Unproven, text), None)
+        }
+        Err(error) => (Level::new(Standing::Refused, format!("the disclosed secret does not open it: {error}")), None),
+    }
+}
+
+/// The signer of a disclosure. An identity proves that its key made it, and not whose account it is: only the state or
+/// a pin ties the key to the owner.
+fn signed(
+    check: &Check<'_>,
+    digest: Digest,
+    disclosure: &Disclosure,
+    header: &Header,
+    owner_key: Option<PublicKey>,
+) -> Level {
+    let message = reveal_bytes(&header.domain, &digest, &disclosure.secret);
+    let is_owners = |key: &PublicKey| check.provider.verify(key, &message, &disclosure.signature).is_ok();
+    let pinned = check.trust.and_then(|trust| trust.person(header.owner)).and_then(|person| person.key);
+    let pinned = pinned.and_then(|key| check.bundle.keys.get(&key)).copied();
+    if [owner_key, pinned].iter().flatten().any(is_owners) {
+        return Level::new(Standing::Proven, "opened by its owner's disclosure");
+    }
+    let identities = &check.bundle.identities;
+    let mut claimed = identities.iter().take(MOST_IDENTITIES);
+    let claims = claimed.any(|(hash, identity)| {
+        check.known.is_of(check, (*hash, identity), header.owner) && is_owners(&identity.signing)
+    });
+    if claims || identities.len() > MOST_IDENTITIES {
+        let text = "it opens, and this is the message; there is no proof that its owner disclosed it";
+        return Level::new(Standing::Unproven, text);
+    }
+    Level::new(Standing::Refused, "the disclosure is not signed by its owner")
 }

@@ -1,18 +1,22 @@
-//! Seals of QBFT and IBFT 2.0, as Besu writes them: a header has those of a quorum of its validators in its extra data,
-//! each over the header with its round and without the seals. Its hash covers neither round nor seals.
+//! Level (c): the state after a block contains the record's digest or its batch's root, and the pinned signers sealed
+//! that block. Seals of QBFT and IBFT 2.0 are as Besu writes them: a header has those of a quorum of its validators in its
+//! extra data, each over the header with its round and without the seals. Its hash covers neither round nor seals.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use crate::bundle::{AnchorClaim, Anchoring, BundledRecord};
+use crate::manifest::{is_canonical, text};
+use crate::report::{Level, Standing};
+use crate::state::{Storage, Unproven};
+use crate::verify::Check;
+use authros_crypto::merkle::Leaf;
 use authros_crypto::{AccountSignature, keccak256, recover_account};
-use authros_model::Address;
+use authros_model::{Address, Digest, Hash, Header, Timestamp};
 use rlp::{Rlp, RlpStream};
 
-use crate::form::{is_canonical, text};
-use crate::header::{EXTRA, SEAL, Seals, VANITY};
-
 /// The mix hash of such a header.
-pub(crate) const MIX: [u8; 32] = *b"ctical byzantine fault tolerance";
+const MIX: [u8; 32] = *b"ctical byzantine fault tolerance";
 /// Rounds tried if the seals do not fit the header's own, to say what is wrong.
 const ROUNDS_TRIED: u32 = 16;
 
@@ -220,7 +224,7 @@ pub fn validators_in(extra: &[u8]) -> Vec<Address> {
 }
 
 /// The account whose key made a seal (r, s, parity) over a hash.
-pub(crate) fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address> {
+fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address> {
     let mut seal = *seal;
     let parity = seal.last_mut()?;
     *parity = parity.checked_add(27)?;
@@ -228,7 +232,7 @@ pub(crate) fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address>
 }
 
 /// The hash of a header with other extra data.
-pub(crate) fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
+fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
     let fields = header.item_count().ok()?;
     let mut out = RlpStream::new_list(fields);
     for at in 0..fields {
@@ -238,4 +242,358 @@ pub(crate) fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
         };
     }
     Some(keccak256(&[&out.out()]))
+}
+
+/// The longest header, bytes; including a list of a hundred validators and the seals of two thirds of them.
+pub const LONGEST_HEADER: usize = 8192;
+/// The part of the extra data before the seal.
+const VANITY: usize = 32;
+/// Length of a seal: r, s, parity.
+const SEAL: usize = 65;
+/// The field with the extra data.
+const EXTRA: usize = 12;
+/// Length of a signer's address.
+const ADDRESS: usize = 20;
+/// The vanity of a block of AuthROS's own chain.
+const OURS: &[u8] = b"AuthROS chain file version ";
+
+/// A header, parsed as far as evidence needs it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BlockHeader {
+    /// Its hash: the block's.
+    pub hash: Hash,
+    /// The hash of the block before.
+    pub parent: Hash,
+    /// The root of the state after it.
+    pub state_root: Hash,
+    /// Its number.
+    pub number: u64,
+    /// Its time, seconds, by its sealer's clock.
+    pub timestamp: u64,
+    extra: Vec<u8>,
+    /// The data signed by a Clique signer; `None` if it is of another consensus.
+    seal_hash: Option<[u8; 32]>,
+    /// What QBFT and IBFT 2.0 add to it; `None` if it is of another consensus.
+    committed: Option<Committed>,
+}
+
+impl BlockHeader {
+    /// From its RLP. Each fork of Ethereum adds fields at the end; they are hashed as they are.
+    pub fn parse(bytes: &[u8]) -> Option<Self> {
+        let list = Rlp::new(bytes);
+        let fields = list.item_count().ok()?;
+        if bytes.len() > LONGEST_HEADER || !is_canonical(bytes) || !(15..=32).contains(&fields) {
+            return None;
+        }
+        let hash = |at: usize| list.at(at).ok().and_then(|hash| Hash::from_slice(text(&hash)?));
+        let extra = text(&list.at(EXTRA).ok()?)?.to_vec();
+        let (number, mix) = (list.val_at(8).ok()?, text(&list.at(13).ok()?)?);
+        // The genesis block's hash is that of its bytes, whatever its extra data has.
+        let committed = if mix == MIX && number > 0 { Committed::parse(bytes, &extra) } else { None };
+        let block_hash = match &committed {
+            Some(committed) => committed.block_hash()?,
+            None => keccak256(&[bytes]),
+        };
+        Some(Self {
+            hash: Hash(block_hash),
+            parent: hash(0)?,
+            state_root: hash(3)?,
+            number,
+            timestamp: list.val_at(11).ok()?,
+            seal_hash: if mix == [0; 32] { seal_hash(&list, &extra) } else { None },
+            extra,
+            committed,
+        })
+    }
+
+    /// Who sealed it, under proof of authority as in Clique (EIP-225); `None` if it has no such seal.
+    pub fn sealer(&self) -> Option<Address> {
+        let seal = self.extra.get(self.extra.len().checked_sub(SEAL)?..)?.try_into().ok()?;
+        recovered(&self.seal_hash?, seal)
+    }
+
+    /// What QBFT and IBFT 2.0 add to a header; `None` if it is of another consensus.
+    pub fn committed(&self) -> Option<&Committed> {
+        self.committed.as_ref()
+    }
+
+    /// Who sealed it, in words, whether pinned or not.
+    pub(crate) fn sealed_by(&self) -> String {
+        match (&self.committed, self.sealer()) {
+            (Some(committed), _) => format!("{} validators ({})", committed.count(), committed.protocol),
+            (None, Some(sealer)) => sealer.to_string(),
+            (None, None) => "no one whose seal can be checked".to_owned(),
+        }
+    }
+
+    /// Whether it says that it is from one of AuthROS's own chains, which one program seals with the keys of one home.
+    pub fn is_ours(&self) -> bool {
+        self.extra.starts_with(OURS)
+    }
+}
+
+/// The data signed by a Clique signer: everything except the seal. Between vanity and seal there are whole addresses or
+/// nothing.
+fn seal_hash(list: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
+    let between = extra.len().checked_sub(VANITY + SEAL)?;
+    if between % ADDRESS != 0 {
+        return None;
+    }
+    with_extra(list, extra.get(..VANITY + between)?)
+}
+
+/// The pinned signers who sealed a block or built on it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Seals {
+    /// The pinned ones.
+    pub pinned: BTreeSet<Address>,
+    /// The first one not pinned.
+    pub stranger: Option<Address>,
+    /// Whether the block itself has no verifiable seal.
+    pub unsigned: bool,
+    /// The protocol, if the seals are in the block's own header.
+    pub committed: Option<Protocol>,
+    /// What is wrong with these.
+    pub flaw: Option<Flaw>,
+}
+
+/// The seals on a block. Under QBFT and IBFT 2.0 its own header has them. Under Clique they are those on it and on the
+/// blocks that follow it in the bundle, each naming the previous one as its parent; until all pinned signers are found,
+/// over at most four headers for each of them and sixteen more.
+pub fn seals(headers: &BTreeMap<u64, BlockHeader>, first: u64, pinned: &[Address]) -> Seals {
+    if let Some(committed) = headers.get(&first).and_then(BlockHeader::committed) {
+        return committed.seals(pinned);
+    }
+    let mut found = Seals::default();
+    let mut parent = None;
+    let most = pinned.len().saturating_mul(4).saturating_add(16);
+    for (number, header) in headers.range(first..).take(most) {
+        let follows = match parent {
+            None => *number == first,
+            Some((number_before, hash)) => header.parent == hash && Some(*number) == u64::checked_add(number_before, 1),
+        };
+        if !follows {
+            break;
+        }
+        match header.sealer() {
+            Some(sealer) if pinned.contains(&sealer) => {
+                found.pinned.insert(sealer);
+            }
+            Some(sealer) => {
+                found.stranger = Some(sealer);
+                break;
+            }
+            None => {
+                found.unsigned = parent.is_none();
+                break;
+            }
+        }
+        if found.pinned.len() >= pinned.len() {
+            break;
+        }
+        parent = Some((*number, header.hash));
+    }
+    found
+}
+
+/// An anchor shown by the state.
+pub(crate) struct Anchored<'a> {
+    /// The contract's storage that shows it.
+    pub storage: Storage<'a>,
+    /// After which block.
+    pub shown_at: u64,
+    /// The anchoring block.
+    pub block: u64,
+    /// Its time, seconds, if shown.
+    pub time: Option<u64>,
+    /// Who anchored it.
+    pub account: Address,
+    /// The version of that account's keys then, if the contract stores it.
+    pub keys: Option<u64>,
+    /// The version of the owner's keys named by the exporter.
+    pub claimed_keys: u64,
+}
+
+/// What the state says about a record's anchor.
+enum Found<'a> {
+    Shown(Anchored<'a>, &'a BlockHeader),
+    Not(Level),
+}
+
+/// Level (c), and the anchor if the state shows it.
+pub(crate) fn anchored<'a>(
+    check: &Check<'a>,
+    digest: Digest,
+    header: &Header,
+    record: &'a BundledRecord,
+) -> (Level, Option<Anchored<'a>>) {
+    let Some(claim) = &record.anchor else {
+        return (Level::new(Standing::Unproven, "it was not on a chain when it was exported"), None);
+    };
+    match find(check, digest, header, claim) {
+        Found::Not(level) => (level, None),
+        Found::Shown(anchored, shown_at) => {
+            let level = check.known.sealing(&anchored, || sealed(check, &anchored, shown_at));
+            (level, Some(anchored))
+        }
+    }
+}
+
+fn refused(text: impl Into<String>) -> Found<'static> {
+    Found::Not(Level::new(Standing::Refused, text))
+}
+
+fn unproven(text: impl Into<String>) -> Found<'static> {
+    Found::Not(Level::new(Standing::Unproven, text))
+}
+
+fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a AnchorClaim) -> Found<'a> {
+    let leaf = Leaf::of(header, digest);
+    if !check.known.leads(&leaf, claim) {
+        return refused("its path does not lead to the root it names");
+    }
+    let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {
+        return unproven(format!("the header of block {} is not in the bundle", claim.shown_at));
+    };
+    let storage = match check.known.storage(check, shown_at) {
+        Ok(storage) => storage,
+        Err(Unproven::Missing(_)) => {
+            return unproven(format!("the state after block {} is not in the bundle", claim.shown_at));
+        }
+        Err(why) => return refused(format!("after block {}: {why}", claim.shown_at)),
+    };
+    if let Some(trust) = check.trust
+        && trust.chain.code_hash != storage.code_hash
+    {
+        return refused("the contract's code is not the code you pinned");
+    }
+    match in_state((check, &storage), digest, header, claim, shown_at) {
+        Ok(found) => found.map_or_else(
+            || refused(format!("the state after block {} does not contain its anchor", claim.shown_at)),
+            |found| compare(found, claim, shown_at),
+        ),
+        Err(Unproven::Missing(_)) => unproven(format!(
+            "the part of the state after block {} that holds its anchor is not in the bundle",
+            claim.shown_at
+        )),
+        Err(why) => refused(format!("after block {}: {why}", claim.shown_at)),
+    }
+}
+
+/// An anchor with the number of leaves given by the state; `None` if it is a digest by itself.
+type Counted<'a> = (Anchored<'a>, Option<u64>);
+
+fn in_state<'a>(
+    (check, storage): (&Check<'a>, &Storage<'a>),
+    digest: Digest,
+    header: &Header,
+    claim: &AnchorClaim,
+    shown_at: &BlockHeader,
+) -> Result<Option<Counted<'a>>, Unproven> {
+    // The contract stores no time of a digest by itself: it is known if the block is the one whose state this is.
+    let own_time = |block: u64| (block == shown_at.number).then_some(shown_at.timestamp);
+    let (storage, shown_at, claimed_keys) = (*storage, shown_at.number, claim.keys);
+    let known = &check.known;
+    let anchored =
+        |block, time, account, keys| Anchored { storage, shown_at, block, time, account, keys, claimed_keys };
+    match &claim.anchor {
+        Anchoring::Each {} => {
+            let block = storage.uploaded(header.owner, &digest.0)?;
+            Ok(block.map(|block| (anchored(block, own_time(block), header.owner, None), None)))
+        }
+        Anchoring::Batch { account, root, .. } => {
+            let Some(word) = known.anchor((shown_at, &storage), *account, *root)? else { return Ok(None) };
+            // The contract never stores a time of zero: a word without one shows none.
+            let time = Some(word.time).filter(|time| *time > 0);
+            Ok(Some((anchored(word.block, time, *account, Some(word.keys)), Some(word.count))))
+        }
+    }
+}
+
+fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: &'a BlockHeader) -> Found<'a> {
+    let claimed = match &claim.anchor {
+        Anchoring::Each {} => None,
+        Anchoring::Batch { count, .. } => Some(*count),
+    };
+    if counted != claimed {
+        return refused("its path was made for a different number of leaves than the chain has");
+    }
+    let (found, said) = (anchored.block, claim.block);
+    if found < said && claimed == Some(1) {
+        // The contract stores only a root's first block. A batch of one whose block was skipped has no other root.
+        return unproven(format!(
+            "the state has it in block {found}; no state shows that it was anchored again in block {said}"
+        ));
+    }
+    if found != said {
+        return refused(format!("the chain has it in block {found}, the bundle says {said}"));
+    }
+    if anchored.block > shown_at.number || anchored.time.is_some_and(|time| time > shown_at.timestamp) {
+        return refused("the state dates its anchor to a block later than the state itself");
+    }
+    Found::Shown(anchored, shown_at)
+}
+
+/// Who sealed the block that shows it.
+fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) -> Level {
+    let time = anchored
+        .time
+        .map_or_else(|| "at an unknown time".to_owned(), |time| format!("at {}", Timestamp::from_seconds(time)));
+    let what = format!("anchored in block {} {time}", anchored.block);
+    let at = if anchored.block == shown_at.number {
+        String::new()
+    } else {
+        format!(", as block {} has it", shown_at.number)
+    };
+    let Some(trust) = check.trust else {
+        let who = shown_at.sealed_by();
+        let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
+        return Level::new(Standing::Unproven, text);
+    };
+    let found = check.known.seals(check, shown_at, &trust.chain.signers);
+    let quorum = if found.committed.is_some() { trust.commit_quorum() } else { trust.quorum() };
+    let (have, all) = (found.pinned.len(), trust.chain.signers.len());
+    let how = found.committed.map_or_else(String::new, |protocol| format!(" in its own header ({protocol})"));
+    let text = format!("{what}{at}, sealed by {have} of {all} pinned signers{how}");
+    if have < quorum {
+        let counted =
+            if all > 0 { format!("{text}; {quorum} are required") } else { nobody_pinned(&what, &at, shown_at) };
+        return too_few(&found, shown_at, (all, format!("{what}{at}")), counted);
+    }
+    if trust.chain.sealed_by_exporter || shown_at.is_ours() {
+        return Level::new(
+            Standing::OwnChain,
+            format!("{text}: the exporter's own chain, which proves nothing against the exporter"),
+        );
+    }
+    Level::new(Standing::Proven, text)
+}
+
+/// Nothing contradicts a trust file that names nobody, and nothing is proven by it.
+fn nobody_pinned(what: &str, at: &str, shown_at: &BlockHeader) -> String {
+    let who = shown_at.sealed_by();
+    format!("{what}{at}, sealed by {who}: the trust file pins no signers, so this proves nothing")
+}
+
+/// Why the seals on a block are not enough; `all` is the number of pinned signers.
+fn too_few(found: &Seals, shown_at: &BlockHeader, (all, what): (usize, String), counted: String) -> Level {
+    let number = shown_at.number;
+    match (found.flaw, found.committed, found.stranger) {
+        (Some(flaw), Some(protocol), _) => {
+            Level::new(Standing::Refused, format!("block {number} is not sealed as {protocol} demands: {flaw}"))
+        }
+        _ if all == 0 && !found.unsigned => Level::new(Standing::Unproven, counted),
+        (_, _, Some(stranger)) if found.pinned.is_empty() => Level::new(
+            Standing::Refused,
+            format!("block {number} is sealed by {stranger}, who is not a signer you pinned"),
+        ),
+        _ if found.unsigned => Level::new(
+            Standing::Unproven,
+            format!(
+                "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT 2.0): a \
+                 development node, proof of work or another consensus"
+            ),
+        ),
+        _ => Level::new(Standing::Unproven, counted),
+    }
 }

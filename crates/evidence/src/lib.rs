@@ -1,25 +1,17 @@
 //! Evidence bundles: one file with sealed records, their signatures and the proof of when they were anchored, checked
 //! offline by somebody who trusts neither the exporter nor a node.
 #![doc = include_str!("../README.md")]
+#![warn(missing_docs, clippy::missing_errors_doc)]
 
-mod anchoring;
 pub mod archive;
 mod bundle;
 mod committed;
 mod completeness;
-mod disclosure;
-mod form;
-mod header;
-mod heights;
-mod known;
 mod manifest;
-mod packing;
 #[cfg(test)]
 mod readme_tests;
 pub mod recorded;
 mod report;
-mod signing;
-mod stamping;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -29,13 +21,12 @@ mod trust;
 mod verify;
 
 pub use bundle::{
-    AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, REPORT, SUGGESTED,
+    AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, Packing, PackingError,
+    READ_ME, READ_ME_TEXT, REPORT, SUGGESTED, disclose, pack,
 };
-pub use committed::{Committed, Flaw, Protocol, validators_in};
-pub use header::{BlockHeader, LONGEST_HEADER, Seals, seals};
-pub use heights::{Height, MOST_HEIGHTS};
+pub use committed::{BlockHeader, Committed, Flaw, LONGEST_HEADER, Protocol, Seals, seals, validators_in};
+pub use completeness::{Height, MOST_HEIGHTS};
 pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member};
-pub use packing::{Packing, PackingError, READ_ME_TEXT, disclose, pack};
 pub use report::{Disclosed, HeadsClaim, Level, Outcome, RecordReport, Report, Standing, Stretch};
 pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
 pub use trust::{LONGEST_TRUST, Person, PinnedAuthority, PinnedChain, Trust, TrustError};

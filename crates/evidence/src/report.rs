@@ -6,7 +6,7 @@ use authros_crypto::record::Revealed;
 use authros_model::{Address, Birth, Digest, Heads, RecorderId, SignerId, Timestamp, TopicId};
 use serde::Serialize;
 
-use crate::heights::TOPIC;
+use crate::completeness::TOPIC;
 
 /// The result of a level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

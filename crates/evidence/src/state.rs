@@ -6,7 +6,7 @@ use authros_crypto::keccak256;
 use authros_model::{Address, Hash};
 use rlp::{Rlp, RlpStream};
 
-use crate::form::{is_canonical, text};
+use crate::manifest::{is_canonical, text};
 use crate::trie::{EMPTY_ROOT, Step, follow, nibbles};
 
 /// The most nodes in a bundle.

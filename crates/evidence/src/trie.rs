@@ -3,7 +3,7 @@
 use authros_model::Hash;
 use rlp::Rlp;
 
-use crate::form::text;
+use crate::manifest::text;
 
 /// Root of a trie without keys: Keccak-256 of the RLP of nothing.
 pub const EMPTY_ROOT: Hash = Hash([

@@ -87,7 +87,7 @@ impl Trust {
     pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
         let text = std::str::from_utf8(text).ok().filter(|text| text.len() <= LONGEST_TRUST);
         let text = text.ok_or_else(|| TrustError("it is not text, or too long".into()))?;
-        let trust: Self = crate::form::from_toml(text).map_err(|error| TrustError(clean(&error, 300)))?;
+        let trust: Self = crate::manifest::from_toml(text).map_err(|error| TrustError(clean(&error, 300)))?;
         let signers = &trust.chain.signers;
         if signers.iter().enumerate().any(|(at, signer)| signers.iter().skip(at + 1).any(|other| other == signer)) {
             return Err(TrustError("a signer is named twice".into()));

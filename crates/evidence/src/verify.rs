@@ -1,21 +1,23 @@
-//! The check of a bundle against its reader's pins, record by record and level by level.
+//! The check of a bundle against its reader's pins, record by record and level by level: (b), whether the owner was
+//! entitled to sign with the key when the record was anchored; (d), whether a pinned authority stamped its batch. Results
+//! are computed once for many records, by all threads, so that a stranger's file costs no more than its length.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{PoisonError, RwLock};
 
+use crate::bundle::{
+    AnchorClaim, Anchoring, Bundle, BundledRecord, MOST_PLAIN, READ_ME, READ_ME_TEXT, REPORT, opened, vouched,
+};
+use crate::committed::{Anchored, BlockHeader, Seals, anchored, seals};
+use crate::completeness::stretches;
+use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
+use crate::state::{AnchorWord, KeysWord, Storage, Unproven};
+use crate::time::{BundledStamp, Certificate, StampedRoot, TimeError, check_token};
+use crate::trust::{PinnedAuthority, Trust};
+use authros_crypto::merkle::{Climber, LONGEST_PATH, Leaf};
 use authros_crypto::record::{Revealed, signed_bytes};
 use authros_crypto::{Provider, domain, pool, signer_id};
-use authros_model::{Address, Digest, Domain, Hash, Header, Identity, Timestamp, clean};
-
-use crate::anchoring::{Anchored, anchored};
-use crate::bundle::{Bundle, BundledRecord, READ_ME, REPORT};
-use crate::completeness::stretches;
-use crate::disclosure::{MOST_PLAIN, opened, vouched};
-use crate::known::Known;
-use crate::packing::READ_ME_TEXT;
-use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
-use crate::signing::signing_right;
-use crate::stamping::Stamps;
-use crate::trust::Trust;
+use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, SignerId, Timestamp, clean};
 
 /// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;
@@ -305,4 +307,427 @@ fn capped(level: Level, anchor: &Level) -> Level {
 
 fn seconds_between(from: u64, to: u64) -> Option<i64> {
     i64::try_from(to).ok()?.checked_sub(i64::try_from(from).ok()?)
+}
+
+/// Results by what was asked. Two threads that ask the same at once both compute it, and get the same.
+struct Memo<Asked, Found>(RwLock<BTreeMap<Asked, Found>>);
+
+impl<Asked, Found> Default for Memo<Asked, Found> {
+    fn default() -> Self {
+        Self(RwLock::default())
+    }
+}
+
+impl<Asked: Ord, Found: Clone> Memo<Asked, Found> {
+    /// No lock is held while `find` works.
+    fn get(&self, asked: Asked, find: impl FnOnce() -> Found) -> Found {
+        let known = self.0.read().unwrap_or_else(PoisonError::into_inner).get(&asked).cloned();
+        known.unwrap_or_else(|| {
+            let found = find();
+            self.0.write().unwrap_or_else(PoisonError::into_inner).entry(asked).or_insert(found).clone()
+        })
+    }
+}
+
+/// The results of one check so far. Blocks are those after which the state is asked.
+#[derive(Default)]
+pub(crate) struct Known<'a> {
+    storages: Memo<u64, Result<Storage<'a>, Unproven>>,
+    seals: Memo<u64, Seals>,
+    identities: Memo<(Hash, Address), bool>,
+    anchors: Memo<(u64, Address, Hash), Result<Option<AnchorWord>, Unproven>>,
+    keys: Memo<(u64, Address, u64), Result<Option<KeysWord>, Unproven>>,
+    suspensions: Memo<(u64, Address), Result<bool, Unproven>>,
+    rights: Memo<(Address, SignerId, Place), Signed>,
+    sealings: Memo<(u64, u64, Option<u64>), Level>,
+    paths: RwLock<HashMap<(Hash, Climber), &'a [Hash]>>,
+}
+
+/// What there is to know of an anchor.
+type Place = (u64, u64, Option<u64>, Address, Option<u64>, u64);
+
+impl<'a> Known<'a> {
+    /// The contract's storage after a block of the bundle.
+    pub fn storage(&self, check: &Check<'a>, shown_at: &BlockHeader) -> Result<Storage<'a>, Unproven> {
+        self.storages.get(shown_at.number, || Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract))
+    }
+
+    /// The seals on a block of the bundle, by these signers, who are the same at each call.
+    pub fn seals(&self, check: &Check<'_>, shown_at: &BlockHeader, pinned: &[Address]) -> Seals {
+        self.seals.get(shown_at.number, || seals(&check.bundle.headers, shown_at.number, pinned))
+    }
+
+    /// Whether an identity of the bundle proves itself for this account.
+    pub fn is_of(&self, check: &Check<'_>, (hash, identity): (Hash, &Identity), account: Address) -> bool {
+        let prove = || authros_crypto::check_identity(check.provider, &check.domain, &account, identity).is_ok();
+        self.identities.get((hash, account), prove)
+    }
+
+    /// When an account first anchored a root, by the storage after a block.
+    pub fn anchor(
+        &self,
+        (shown_at, storage): (u64, &Storage<'_>),
+        account: Address,
+        root: Hash,
+    ) -> Result<Option<AnchorWord>, Unproven> {
+        self.anchors.get((shown_at, account, root), || storage.anchor(account, root))
+    }
+
+    /// A version of an account's keys, by the storage after a block.
+    pub fn keys(
+        &self,
+        (shown_at, storage): (u64, &Storage<'_>),
+        account: Address,
+        version: u64,
+    ) -> Result<Option<KeysWord>, Unproven> {
+        self.keys.get((shown_at, account, version), || storage.keys(account, version))
+    }
+
+    /// Whether an account is suspended, by the storage after a block.
+    pub fn is_suspended(&self, (shown_at, storage): (u64, &Storage<'_>), account: Address) -> Result<bool, Unproven> {
+        self.suspensions.get((shown_at, account), || storage.is_suspended(account))
+    }
+
+    /// Level (b) of the records that an owner's key signed and that were anchored alike.
+    pub fn right(
+        &self,
+        owner: Address,
+        signer: SignerId,
+        anchored: &Anchored<'_>,
+        judge: impl FnOnce() -> Signed,
+    ) -> Signed {
+        let Anchored { shown_at, block, time, account, keys, claimed_keys, .. } = *anchored;
+        self.rights.get((owner, signer, (shown_at, block, time, account, keys, claimed_keys)), judge)
+    }
+
+    /// Level (c) of the records that were anchored alike.
+    pub fn sealing(&self, anchored: &Anchored<'_>, judge: impl FnOnce() -> Level) -> Level {
+        self.sealings.get((anchored.shown_at, anchored.block, anchored.time), judge)
+    }
+
+    /// Whether a claim's path leads from this leaf to the root it names; a claim without a path has nothing to show. Paths
+    /// of one batch meet: from there on, one that is the same as a path that led to the root is not hashed again.
+    pub fn leads(&self, leaf: &Leaf, claim: &'a AnchorClaim) -> bool {
+        let Anchoring::Batch { root, index, count, path, .. } = &claim.anchor else { return true };
+        let Some(mut climber) = Climber::at(leaf.hash(), *index, *count).filter(|_| path.len() <= LONGEST_PATH) else {
+            return false;
+        };
+        let (mut rest, mut passed) = (path.as_slice(), Vec::with_capacity(path.len()));
+        while let Some((sibling, above)) = rest.split_first() {
+            if !climber.pass(sibling) {
+                return false;
+            }
+            rest = above;
+            let known = self.paths.read().unwrap_or_else(PoisonError::into_inner);
+            if known.get(&(*root, climber)).is_some_and(|known| *known == rest) {
+                break;
+            }
+            drop(known);
+            passed.push((climber, rest));
+        }
+        // Left early: the rest is known to lead there.
+        let leads = passed.len() < path.len() || climber.root() == Some(*root);
+        if leads {
+            let mut known = self.paths.write().unwrap_or_else(PoisonError::into_inner);
+            known.extend(passed.into_iter().map(|(climber, rest)| ((*root, climber), rest)));
+        }
+        leads
+    }
+}
+
+/// The combined result of the tokens over the same roots.
+#[derive(Default)]
+struct Finding {
+    /// The earliest by a pinned authority: before when, and who.
+    proven: Option<(Timestamp, String)>,
+    /// The earliest by the authority's own word.
+    claimed: Option<(Timestamp, String)>,
+    /// What contradicts one of them.
+    refused: Option<TimeError>,
+}
+
+/// The stamps of a bundle, checked once for all records.
+#[derive(Default)]
+pub(crate) struct Stamps<'a> {
+    /// By the roots that they cover.
+    roots: BTreeMap<Hash, Vec<(usize, &'a BundledStamp, &'a StampedRoot)>>,
+    findings: Vec<Finding>,
+}
+
+impl<'a> Stamps<'a> {
+    /// Those of a bundle, by the pinned authorities.
+    pub fn new(bundle: &'a Bundle, trust: Option<&Trust>) -> Self {
+        let pinned = trust.map(|trust| trust.authorities.as_slice()).unwrap_or_default();
+        let read = |authority: &PinnedAuthority| Certificate::from_pem(&authority.certificate).ok();
+        let (names, certificates): (Vec<_>, Vec<_>) =
+            pinned.iter().filter_map(|authority| Some((clean(&authority.name, 80), read(authority)?))).unzip();
+        let mut stamps = Self::default();
+        for (imprint, stamp) in &bundle.stamps {
+            for place in &stamp.roots {
+                stamps.roots.entry(place.root).or_default().push((stamps.findings.len(), stamp, place));
+            }
+            stamps.findings.push(finding(&imprint.0, stamp, &names, &certificates));
+        }
+        stamps
+    }
+
+    /// Level (d) of a record, and before when it existed, if that is proven.
+    pub fn level(&self, digest: Digest, header: &Header, record: &BundledRecord) -> (Level, Option<Timestamp>) {
+        let absent = |text: &str| (Level::new(Standing::Absent, text), None);
+        let Some(inclusion) = record.anchor.as_ref().and_then(|claim| claim.inclusion()) else {
+            return absent("no authority's time stamp: the record is not in a batch");
+        };
+        let Some(found) = self.roots.get(&inclusion.root) else {
+            return absent("no authority's time stamp over its batch is in the bundle");
+        };
+        if !inclusion.proves(&Leaf::of(header, digest)) {
+            return (Level::new(Standing::Refused, "its path does not lead to the stamped root"), None);
+        }
+        let mut best = Finding::default();
+        for (at, stamp, place) in found {
+            let Some(finding) = self.findings.get(*at) else { continue };
+            if !stamp.leads(place) {
+                let text = "the path of its batch's root does not lead to what was stamped";
+                return (Level::new(Standing::Refused, text), None);
+            }
+            best.take(finding);
+        }
+        best.told()
+    }
+}
+
+impl Finding {
+    fn take(&mut self, other: &Self) {
+        self.proven = earlier(self.proven.take(), other.proven.clone());
+        self.claimed = earlier(self.claimed.take(), other.claimed.clone());
+        self.refused = self.refused.take().or_else(|| other.refused.clone());
+    }
+
+    fn told(self) -> (Level, Option<Timestamp>) {
+        if let Some(error) = self.refused {
+            return (Level::new(Standing::Refused, format!("a time stamp: {error}")), None);
+        }
+        if let Some((before, who)) = self.proven {
+            let text = format!(
+                "existed before {before}, by the time stamp of {who}, whom you pinned; certificate revocation is not \
+                 checked"
+            );
+            return (Level::new(Standing::Proven, text), Some(before));
+        }
+        let text = self.claimed.map_or_else(
+            || "it contains no time stamp".to_owned(),
+            |(before, who)| format!("stamped before {before} by {who}, whom you did not pin: this proves nothing yet"),
+        );
+        (Level::new(Standing::Unproven, text), None)
+    }
+}
+
+fn earlier(one: Option<(Timestamp, String)>, other: Option<(Timestamp, String)>) -> Option<(Timestamp, String)> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(if other.0 < one.0 { other } else { one }),
+        (one, other) => one.or(other),
+    }
+}
+
+fn finding(imprint: &[u8; 32], stamp: &BundledStamp, names: &[String], pinned: &[Certificate]) -> Finding {
+    let mut finding = Finding::default();
+    for token in &stamp.tokens {
+        match check_token(token, imprint, None, pinned) {
+            Ok(stamped) => match stamped.pinned.and_then(|place| names.get(place)) {
+                Some(name) => finding.proven = earlier(finding.proven.take(), Some((stamped.before, name.clone()))),
+                None => finding.claimed = earlier(finding.claimed.take(), Some((stamped.before, stamped.signer))),
+            },
+            Err(error) => drop(finding.refused.get_or_insert(error)),
+        }
+    }
+    finding
+}
+
+/// What the state shows about the signer of a record.
+#[derive(Clone)]
+pub(crate) struct Signed {
+    /// Level (b), as far as the state itself is trusted.
+    pub level: Level,
+    /// The key that the owner had registered at the anchoring block.
+    pub owner_key: Option<PublicKey>,
+}
+
+/// Level (b) of a record whose anchor is shown by the state.
+fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
+    check.known.right(header.owner, header.signer, anchored, || right(check, header, anchored))
+}
+
+fn right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
+    match owner_key(check, header, anchored) {
+        Ok(Own::Unknown(why)) => Signed { level: Level::new(Standing::Unproven, why), owner_key: None },
+        Ok(Own::Registered(key)) => {
+            let level = judged(check, header, anchored, &key).unwrap_or_else(|why| unshown(why, anchored));
+            Signed { level, owner_key: Some(key) }
+        }
+        Err(why) => Signed { level: unshown(why, anchored), owner_key: None },
+    }
+}
+
+fn unshown(why: Unproven, anchored: &Anchored<'_>) -> Level {
+    let at = anchored.shown_at;
+    match why {
+        Unproven::Missing(_) => Level::new(
+            Standing::Unproven,
+            format!("the part of the state after block {at} that holds the key's registration is not in the bundle"),
+        ),
+        why => Level::new(Standing::Refused, format!("the key's registration: {why}")),
+    }
+}
+
+fn refused(text: impl Into<String>) -> Level {
+    Level::new(Standing::Refused, text)
+}
+
+fn judged(
+    check: &Check<'_>,
+    header: &Header,
+    anchored: &Anchored<'_>,
+    registered: &PublicKey,
+) -> Result<Level, Unproven> {
+    let (owner, block, at) = (header.owner, anchored.block, anchored.shown_at);
+    let how = match signer_id(registered) == header.signer {
+        true => format!("the key was {owner}'s at block {block}"),
+        false => match lent(header, anchored)? {
+            Ok(()) => {
+                format!("the key {} belongs to a device that {owner} had on loan at block {block}", header.signer)
+            }
+            Err(level) => return Ok(level),
+        },
+    };
+    // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state
+    // after the block, so the block's own state is used if present: the owner may have been suspended later in that
+    // block. A later state in which the owner is suspended does not show that this came after the block.
+    let suspended = check.known.is_suspended((at, &anchored.storage), owner)?;
+    Ok(match (suspended, at == block) {
+        (true, true) => refused(format!("{owner} was suspended at block {block}")),
+        (false, true) => Level::new(Standing::Proven, format!("{how}, and {owner} was not suspended")),
+        (true, false) => Level::new(
+            Standing::Unproven,
+            format!("{how}; {owner} is suspended at block {at}, but there is no proof since when"),
+        ),
+        (false, false) if anchored.account == owner => Level::new(
+            Standing::Proven,
+            format!("{how}, and {owner} was not suspended when this was anchored: it anchored this itself"),
+        ),
+        (false, false) => Level::new(
+            Standing::Unproven,
+            format!("{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}"),
+        ),
+    })
+}
+
+enum Own {
+    /// This one.
+    Registered(PublicKey),
+    /// The state does not show which key it was.
+    Unknown(String),
+}
+
+/// The key that the owner had registered at the anchoring block.
+fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Own, Unproven> {
+    let (owner, block, state) = (header.owner, anchored.block, (anchored.shown_at, &anchored.storage));
+    let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
+    let Some(keys) = check.known.keys(state, owner, version)? else {
+        return Ok(Own::Unknown(format!("{owner} has no version {version} of its keys on this chain")));
+    };
+    // The contract notes the version with the owner's own anchor, but the keys may have changed later in that block.
+    let after = version.checked_add(1).map(|next| check.known.keys(state, owner, next)).transpose()?.flatten();
+    if keys.block > block || after.is_some_and(|after| after.block <= block) {
+        return Ok(Own::Unknown(format!(
+            "version {version} of {owner}'s keys was not the one in force at block {block}"
+        )));
+    }
+    let Some(identity) = check.identity(keys.identity, owner) else {
+        return Ok(Own::Unknown(format!(
+            "the identity {} of {owner} is not in the bundle, or its own proof fails",
+            keys.identity
+        )));
+    };
+    let pinned = check.trust.and_then(|trust| trust.person(owner)).and_then(|person| person.key);
+    if pinned.is_some_and(|pinned| pinned != signer_id(&identity.signing)) {
+        return Ok(Own::Unknown(format!("the key that {owner} had registered is not the one you pinned")));
+    }
+    Ok(Own::Registered(identity.signing))
+}
+
+/// Whether the signer is a device that its owner had lent at the anchoring block.
+fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), Level>, Unproven> {
+    let (owner, block) = (header.owner, anchored.block);
+    let unproven = |text: String| Ok(Err(Level::new(Standing::Unproven, text)));
+    let refused = |text: String| Ok(Err(refused(text)));
+    let Some(loan) = anchored.storage.loan(owner, &header.signer.0)? else {
+        return refused(format!("{owner} had neither registered nor lent the key at block {block}"));
+    };
+    if loan.lent > block && anchored.shown_at > block {
+        return unproven(format!("the device was lent again later; what applied at block {block} is not shown"));
+    }
+    if loan.lent > block {
+        return refused(format!("{owner} lent the device only in block {}, after block {block}", loan.lent));
+    }
+    if loan.recalled != 0 && loan.recalled <= block {
+        return refused(format!("{owner} had recalled the device in block {}", loan.recalled));
+    }
+    match anchored.time {
+        _ if loan.until == 0 => Ok(Ok(())),
+        Some(time) if time < loan.until => Ok(Ok(())),
+        Some(_) => refused(format!("the loan of the device had ended by {}", Timestamp::from_seconds(loan.until))),
+        None => unproven("the loan of the device had an end, but the block's time is not shown".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use authros_crypto::merkle::Tree;
+    use authros_model::{Digest, RecorderId, SignerId, TopicId};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn leaf(seq: u64) -> Leaf {
+        let digest = Digest([u8::try_from(seq % 251).expect("small"); 32]);
+        let (owner, signer) = (Address([1; 20]), SignerId([4; 32]));
+        Leaf { owner, signer, recorder: RecorderId([2; 16]), topic_id: TopicId([3; 16]), seq, digest }
+    }
+
+    /// A claim of leaf `seq`, altered in one of eight ways or not at all.
+    fn claim(tree: &Tree, leaves: u64, (seq, how, at): (u64, u8, usize)) -> AnchorClaim {
+        let (mut root, mut index, mut count) = (tree.root(), seq, leaves);
+        let mut path = tree.path(usize::try_from(seq).expect("small"));
+        let place = at.checked_rem(path.len());
+        match (how, place) {
+            (0, _) => index = at as u64 % (leaves + 2),
+            (1, _) => count = at as u64 % (leaves + 9),
+            (2, _) => root.0[at % 32] ^= 1,
+            (3, Some(place)) => path[place].0[at % 32] ^= 1,
+            (4, Some(place)) => drop(path.remove(place)),
+            (5, Some(place)) => path.insert(place, tree.root()),
+            (6, _) => path.push(tree.root()),
+            (7, Some(place)) => path.swap(place, 0),
+            _ => {}
+        }
+        AnchorClaim::new(1, 1, 1, Anchoring::Batch { account: Address([1; 20]), root, index, count, path })
+    }
+
+    proptest! {
+        #[test]
+        fn a_path_that_meets_others_is_judged_as_it_is_by_itself(
+            leaves in 1_u64..70,
+            asked in proptest::collection::vec((any::<u64>(), 0_u8..24, any::<usize>()), 1..80),
+        ) {
+            let tree = Tree::new((0..leaves).map(|seq| leaf(seq).hash()).collect()).expect("within bounds");
+            let asked: Vec<_> = asked.into_iter().map(|(seq, how, at)| (seq % leaves, how, at)).collect();
+            let claims: Vec<AnchorClaim> = asked.iter().map(|asked| claim(&tree, leaves, *asked)).collect();
+            let known = Known::default();
+            for ((seq, how, _), claim) in asked.iter().zip(&claims) {
+                let alone = claim.inclusion().expect("a batch").proves(&leaf(*seq));
+                prop_assert_eq!(known.leads(&leaf(*seq), claim), alone, "way {}", how);
+                prop_assert!(alone || *how < 8, "unaltered");
+            }
+        }
+    }
 }

@@ -64,9 +64,6 @@ pub fn begin(memory: Memory, network: Network) -> Result<Begun, &'static str> {
 
 /// Tries to open each path and says what came of it, one line for each: so a test can see what a program that began like
 /// the others reaches.
-///
-/// # Errors
-/// The reason, in words, if nobody listens.
 pub fn attempt_all(paths: &[String], begun: Begun) -> Result<(), &'static str> {
     let Begun { mut to, confined, .. } = begun;
     let line = |path: &String| {

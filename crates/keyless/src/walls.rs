@@ -110,9 +110,6 @@ fn of_no_network() -> Result<SeccompRule, BackendError> {
 }
 
 /// Opens a file, or connects to a socket, as whoever took the program over would.
-///
-/// # Errors
-/// The system's.
 pub fn attempt(path: &Path) -> io::Result<()> {
     if fs::symlink_metadata(path)?.file_type().is_socket() {
         return UnixStream::connect(path).map(drop);

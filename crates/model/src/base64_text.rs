@@ -6,17 +6,11 @@ use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Deserializer, Serializer};
 
 /// Writes bytes.
-///
-/// # Errors
-/// Errors of the serializer.
 pub fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&STANDARD.encode(bytes))
 }
 
 /// Reads bytes.
-///
-/// # Errors
-/// If the text is not base64.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
     let text = std::borrow::Cow::<str>::deserialize(deserializer)?;
     STANDARD.decode(text.as_bytes()).map_err(serde::de::Error::custom)
@@ -29,9 +23,6 @@ pub mod option {
     use super::{Deserialize, Deserializer, STANDARD, Serializer};
 
     /// Writes bytes, or null.
-    ///
-    /// # Errors
-    /// Errors of the serializer.
     #[allow(clippy::ref_option, reason = "serde's signature")]
     pub fn serialize<S: Serializer>(bytes: &Option<Vec<u8>>, serializer: S) -> Result<S::Ok, S::Error> {
         match bytes {
@@ -41,9 +32,6 @@ pub mod option {
     }
 
     /// Reads bytes, or null.
-    ///
-    /// # Errors
-    /// If the text is not base64.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<u8>>, D::Error> {
         let text = Option::<String>::deserialize(deserializer)?;
         text.map(|text| STANDARD.decode(text.as_bytes()).map_err(serde::de::Error::custom)).transpose()

@@ -13,7 +13,6 @@ use crate::wire::{Reader, WireError};
 /// How an embedded chain seals its blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Consensus {
     /// Proof of authority as in Clique (EIP-225): 1 to 16 signers take turns. The period is the least
     /// time between two blocks, whole milliseconds, at most 10 minutes.
@@ -38,11 +37,8 @@ impl Consensus {
     pub const POW: Self = Self::Pow { difficulty: Self::PAPER_DIFFICULTY };
     /// One signer; a block as soon as a transaction waits, at most every 100 ms.
     pub const POA: Self = Self::Poa { signers: 1, period: Duration::from_millis(100) };
-    /// The most signers.
     pub const MOST_SIGNERS: u8 = 16;
-    /// The longest period.
     pub const LONGEST_PERIOD: Duration = Duration::from_secs(600);
-    /// The highest difficulty.
     pub const HIGHEST_DIFFICULTY: u64 = 1 << 40;
 
     /// `poa` or `pow`.

@@ -77,7 +77,6 @@ pub struct GapReport {
     pub topic: String,
     /// The sending node; empty if there were too many to tell apart.
     pub publisher: String,
-    /// The reason.
     pub reason: LossReason,
     /// The number of messages.
     pub count: u64,

@@ -30,9 +30,7 @@ impl Scope {
 /// The public terms of a grant, as stated in the chain's event.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GrantTerms {
-    /// The owner.
     pub owner: Address,
-    /// The grantee.
     pub grantee: Address,
     /// The epoch whose key the envelope carries.
     pub epoch: u64,

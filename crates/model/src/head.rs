@@ -1,4 +1,5 @@
 //! The sealed head of a record: the metadata of a message that only readers may see.
+#![warn(missing_docs, clippy::missing_errors_doc)]
 
 use std::collections::BTreeMap;
 

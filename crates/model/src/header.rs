@@ -1,4 +1,5 @@
 //! The public header of a record (CT1), version 1: the part that store, cache and gateway may see.
+#![warn(missing_docs, clippy::missing_errors_doc)]
 
 use serde::{Deserialize, Serialize};
 

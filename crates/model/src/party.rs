@@ -44,9 +44,7 @@ impl FromStr for ContactName {
 /// An account, by address or by its name in the address book.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Party {
-    /// By its address.
     Address(Address),
-    /// By its name.
     Contact(ContactName),
 }
 
@@ -285,7 +283,6 @@ pub enum OperatorRight {
 }
 
 impl OperatorRight {
-    /// Its word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Look => "look",
@@ -295,7 +292,6 @@ impl OperatorRight {
     }
 }
 
-/// The rights of an operator.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct OperatorRights(BTreeSet<OperatorRight>);
 

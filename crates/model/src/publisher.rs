@@ -19,7 +19,6 @@ pub enum PublisherError {
          number), and the type's hash, RIHS01_ and 64 digits, is in the md5sum's place; * is for one that tells none"
     )]
     Publisher(String),
-    /// One of a list.
     #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several with commas")]
     Listed(String),
     /// The policy for pinning publishers.

@@ -14,7 +14,6 @@ use crate::{ByteSize, Digest, Timestamp, TopicId, TopicPattern, clean, time_span
 
 /// First bytes of the body.
 const LABEL: [u8; 19] = *b"AuthROS/retention/1";
-/// The most rules.
 const MOST_RULES: usize = 100;
 
 /// What is kept of topics that match a pattern.
@@ -88,7 +87,6 @@ impl fmt::Display for RetentionRule {
 }
 
 impl RetentionRules {
-    /// The rule for a topic.
     pub fn of(&self, topic: &str) -> Option<&RetentionRule> {
         self.0.iter().find(|rule| fits(rule.pattern.as_bytes(), topic.as_bytes()))
     }
@@ -113,7 +111,6 @@ impl Keeping {
         Self { topics, setting }
     }
 
-    /// The rule for a topic.
     pub fn of(&self, topic: &str) -> Option<RetentionRule> {
         let setting = self.setting.of(topic);
         let own = self.topics.of(topic).and_then(|rule| Some((rule.pattern.as_str(), rule.retention?)));

@@ -20,9 +20,6 @@ const LONGEST: u64 = 100 * 366 * 86_400;
 pub struct SpanError(String);
 
 /// Parses a number followed by its unit; at most a hundred years, 0 allowed.
-///
-/// # Errors
-/// [`SpanError`] says how to write it.
 pub fn time_span(text: &str) -> Result<Duration, SpanError> {
     let wrong = || SpanError(clean(text, 40));
     let text = text.trim();
@@ -43,9 +40,6 @@ pub fn time_span(text: &str) -> Result<Duration, SpanError> {
 }
 
 /// Like [`time_span`], but refuses 0, for uses where nothing could happen within it.
-///
-/// # Errors
-/// [`SpanError`] says how to write it.
 pub fn positive_span(text: &str) -> Result<Duration, SpanError> {
     time_span(text).ok().filter(|span| !span.is_zero()).ok_or_else(|| SpanError(clean(text, 40)))
 }

@@ -91,7 +91,6 @@ impl RecordState {
 pub enum Fact {
     /// It is here and waits for the chain: an owner's notice.
     Stored = 1,
-    /// It is verified.
     Verified = 2,
     /// It is verified, and its ciphertext was deleted.
     Erased = 3,

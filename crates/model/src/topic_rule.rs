@@ -89,7 +89,6 @@ impl FromStr for TopicPattern {
 /// The rule for topics that match a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicRule {
-    /// The topics.
     pub pattern: TopicPattern,
     /// Its line in the settings file, from 1.
     pub line: usize,
@@ -121,7 +120,6 @@ impl TopicRule {
 pub struct TopicRules(pub Vec<Arc<TopicRule>>);
 
 impl TopicRules {
-    /// The rule for a topic.
     pub fn of(&self, topic: &str) -> Option<&Arc<TopicRule>> {
         self.0.iter().find(|rule| rule.pattern.matches(topic))
     }

@@ -32,9 +32,6 @@ impl<'a> Reader<'a> {
     }
 
     /// The next `count` bytes.
-    ///
-    /// # Errors
-    /// [`WireError::Short`] if fewer are left.
     pub fn take(&mut self, count: usize, field: &'static str) -> Result<&'a [u8], WireError> {
         let (head, rest) = self.rest.split_at_checked(count).ok_or(WireError::Short(field))?;
         self.rest = rest;
@@ -42,9 +39,6 @@ impl<'a> Reader<'a> {
     }
 
     /// The next `N` bytes as an array.
-    ///
-    /// # Errors
-    /// [`WireError::Short`] if fewer are left.
     pub fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], WireError> {
         let (head, rest) = self.rest.split_first_chunk().ok_or(WireError::Short(field))?;
         self.rest = rest;
@@ -52,33 +46,21 @@ impl<'a> Reader<'a> {
     }
 
     /// One byte.
-    ///
-    /// # Errors
-    /// [`WireError::Short`] at the end.
     pub fn u8(&mut self, field: &'static str) -> Result<u8, WireError> {
         self.array(field).map(u8::from_be_bytes)
     }
 
     /// Two bytes, big endian.
-    ///
-    /// # Errors
-    /// [`WireError::Short`] at the end.
     pub fn u16(&mut self, field: &'static str) -> Result<u16, WireError> {
         self.array(field).map(u16::from_be_bytes)
     }
 
     /// Four bytes, big endian.
-    ///
-    /// # Errors
-    /// [`WireError::Short`] at the end.
     pub fn u32(&mut self, field: &'static str) -> Result<u32, WireError> {
         self.array(field).map(u32::from_be_bytes)
     }
 
     /// Eight bytes, big endian.
-    ///
-    /// # Errors
-    /// [`WireError::Short`] at the end.
     pub fn u64(&mut self, field: &'static str) -> Result<u64, WireError> {
         self.array(field).map(u64::from_be_bytes)
     }
@@ -94,9 +76,6 @@ impl<'a> Reader<'a> {
     }
 
     /// Ends parsing: nothing may be left.
-    ///
-    /// # Errors
-    /// [`WireError::Long`] if bytes are left.
     pub fn end(&self) -> Result<(), WireError> {
         if self.rest.is_empty() { Ok(()) } else { Err(WireError::Long(self.rest.len())) }
     }

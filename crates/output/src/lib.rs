@@ -86,7 +86,6 @@ impl Output {
         }
     }
 
-    /// The failure.
     pub fn failure(self, failure: &Failure) {
         if self.json {
             let document = serde_json::json!({ "error": { "kind": failure.kind, "message": failure.message } });

@@ -11,14 +11,7 @@ pub enum PipeError {
         "a frame on the pipe claims {found} bytes of {part}, but {most} are allowed; use the same release of both \
          programs"
     )]
-    TooLong {
-        /// Head or payload.
-        part: &'static str,
-        /// The length claimed.
-        found: u64,
-        /// The most allowed.
-        most: u32,
-    },
+    TooLong { part: &'static str, found: u64, most: u32 },
     /// The pipe ended within a frame.
     #[error("the pipe closed in the middle of a frame; the other process was killed or crashed")]
     Cut,

@@ -85,10 +85,7 @@ pub enum Told {
     /// A publisher appeared, or changed its offer.
     WriterHere(Writer),
     /// A publisher is gone.
-    WriterGone {
-        /// Its id.
-        id: String,
-    },
+    WriterGone { id: String },
     /// A message; its bytes with their encapsulation header are the payload.
     Sample {
         /// The publisher's id; announced before.
@@ -101,12 +98,7 @@ pub enum Told {
         arrived: u64,
     },
     /// A topic cannot be read.
-    Refused {
-        /// Topic name.
-        topic: String,
-        /// The reason.
-        reason: String,
-    },
+    Refused { topic: String, reason: String },
     /// The answer to [`Wish::Describe`]. The payload is the definition with all its types, as in MCAP's `ros2msg`, twice: as written
     /// from the node's structured description, and the node's own text; either may be empty.
     Described {
@@ -124,10 +116,7 @@ pub enum Told {
     /// Every half second, and at each change.
     Alive(Counts),
     /// The child is ending on its own.
-    Failed {
-        /// The reason.
-        reason: String,
-    },
+    Failed { reason: String },
 }
 
 /// From the site to the child. The end of the pipe tells the child to end.
@@ -135,10 +124,7 @@ pub enum Told {
 #[serde(tag = "wish", rename_all = "snake_case")]
 pub enum Wish {
     /// Start reading a topic.
-    Watch {
-        /// Its name.
-        topic: String,
-    },
+    Watch { topic: String },
     /// Ask a node for the definition of a type that it publishes.
     Describe {
         /// Its name, `/namespace/name`.
@@ -149,10 +135,7 @@ pub enum Wish {
         type_hash: String,
     },
     /// Stop reading a topic.
-    Unwatch {
-        /// Its name.
-        topic: String,
-    },
+    Unwatch { topic: String },
 }
 
 #[cfg(test)]

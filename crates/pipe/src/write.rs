@@ -28,7 +28,6 @@ pub struct Topic {
     pub type_name: String,
     /// The first two bytes of every message's encapsulation header, the first one high.
     pub encoding: u16,
-    /// The offer.
     pub offer: Offer,
 }
 
@@ -53,7 +52,6 @@ pub enum Order<T = Topic> {
     Advertise {
         /// A number for it, not used before.
         writer: u32,
-        /// The topic.
         topic: T,
         /// Bytes of its first message, a hint for how much room it needs.
         size: u32,
@@ -63,15 +61,9 @@ pub enum Order<T = Topic> {
         patient: bool,
     },
     /// Publish a message; its bytes, in ROS 2 with their encapsulation header, are the payload.
-    Publish {
-        /// The number of its topic.
-        writer: u32,
-    },
+    Publish { writer: u32 },
     /// Take a topic back at once; what is queued for it is not published.
-    Withdraw {
-        /// Its number.
-        writer: u32,
-    },
+    Withdraw { writer: u32 },
     /// Wait no longer for subscribers that are behind now.
     Outrun,
     /// Nothing more will be published; answered by [`Report::Left`] when subscribers have everything.
@@ -97,15 +89,11 @@ pub enum Report {
         participant: String,
     },
     /// A topic is announced.
-    Ready {
-        /// Its number.
-        writer: u32,
-    },
+    Ready { writer: u32 },
     /// A topic is not announced.
     Refused {
         /// Its number.
         writer: u32,
-        /// The reason.
         reason: String,
         /// Whether it is that somebody else publishes it.
         occupied: bool,
@@ -129,10 +117,7 @@ pub enum Report {
         participants: u32,
     },
     /// The child is ending on its own.
-    Failed {
-        /// The reason.
-        reason: String,
-    },
+    Failed { reason: String },
 }
 
 #[cfg(test)]

@@ -4,30 +4,26 @@
 //! own thread, so that none can starve another. Captured messages go to a [`MessageSink`]; sealing, storing and
 //! bounding the ring happen elsewhere.
 
-mod node;
-mod origin;
 mod reader;
-mod registrar;
-mod sequence;
 mod topic;
 
-#[cfg(test)]
-mod tests;
-
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::RosError;
-use super::address::{Endpoint, own_host};
-use super::graph::Unreached;
-use super::slave::SlaveServer;
-use crate::model::{Timestamp, TopicName, TypeName};
-use node::Shared;
-pub(crate) use origin::next_number;
-pub use origin::{Origin, Rival};
-use registrar::Registrar;
+use crate::model::{Timestamp, TopicName, TypeName, clean};
+use crate::ros::RosError;
+use crate::ros::address::{Endpoint, own_host};
+use crate::ros::graph::Unreached;
+use crate::ros::tcpros::{BusLink, Node, SlaveServer};
+use crate::ros::xmlrpc::{CallError, Value, call};
+use topic::Topic;
 
-/// How long starting may wait for names to be resolved.
+pub(crate) use topic::next_number;
+pub use topic::{Origin, Rival};
+
+/// The longest wait for an answer of the master, and for names to be resolved at the start.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// A message as received from its publisher.
@@ -78,58 +74,20 @@ pub enum CaptureNotice {
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// Its type.
         type_name: Arc<str>,
         /// Its origin, as far as can be seen.
         origin: Arc<Origin>,
     },
     /// A publisher that was being read is gone.
-    PublisherLost {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        /// Its number among those seen.
-        number: u64,
-        /// The reason.
-        reason: String,
-    },
+    PublisherLost { topic: Arc<str>, caller_id: String, number: u64, reason: String },
     /// Somebody told this node of a publisher that the master does not list; it is not contacted.
-    UnconfirmedPublisher {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The URI announced.
-        publisher: String,
-    },
+    UnconfirmedPublisher { topic: Arc<str>, publisher: String },
     /// The master lists a publisher that cannot be read; reported once until it can.
-    PublisherUnreachable {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's URI.
-        publisher: String,
-        /// The reason.
-        reason: String,
-    },
+    PublisherUnreachable { topic: Arc<str>, publisher: String, reason: String },
     /// A publisher sends another type than requested; it is not captured.
-    TypeMismatch {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        /// The type requested.
-        wanted: String,
-        /// The type it has.
-        found: String,
-    },
+    TypeMismatch { topic: Arc<str>, caller_id: String, wanted: String, found: String },
     /// A publisher's description of its messages is inconsistent; they are captured as sent.
-    Contradiction {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's node name.
-        caller_id: String,
-        /// The inconsistency.
-        contradiction: String,
-    },
+    Contradiction { topic: Arc<str>, caller_id: String, contradiction: String },
     /// Sequence numbers are missing: this many messages never arrived.
     LostInTransport {
         /// Topic name.
@@ -142,20 +100,10 @@ pub enum CaptureNotice {
         numbers: (u32, u32),
     },
     /// A publisher or an answer was refused, for example a message beyond the length cap.
-    Refused {
-        /// Topic name.
-        topic: Arc<str>,
-        /// The publisher's URI.
-        publisher: String,
-        /// The reason.
-        reason: String,
-    },
+    Refused { topic: Arc<str>, publisher: String, reason: String },
     /// The program that reads ROS 2 ended and is restarted; what was missed meanwhile is reported by
     /// [`Self::LostInTransport`] when its publishers are heard again.
-    ReadingBroken {
-        /// Why.
-        reason: String,
-    },
+    ReadingBroken { reason: String },
     /// A publisher vanished while nothing could be read of it.
     EndUnknown {
         /// Topic name.
@@ -166,19 +114,11 @@ pub enum CaptureNotice {
         at_least: u64,
     },
     /// The master stopped answering; publishers that are connected are still read.
-    MasterLost {
-        /// What happened.
-        reason: String,
-    },
+    MasterLost { reason: String },
     /// The master answers (again).
     MasterBack,
     /// Somebody asked this node to shut down; it does not.
-    ShutdownAsked {
-        /// The caller.
-        by: String,
-        /// The reason it gave.
-        reason: String,
-    },
+    ShutdownAsked { by: String, reason: String },
 }
 
 /// The parameters of a capture.
@@ -195,7 +135,6 @@ pub struct CaptureOptions {
 /// The status of one topic's capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicCapture {
-    /// Topic name.
     pub topic: TopicName,
     /// The type requested, otherwise the one last seen.
     pub type_name: Option<String>,
@@ -270,3 +209,374 @@ impl Drop for Capture {
         self.shared.threads.wait_until_none(deadline);
     }
 }
+
+/// How long a thread pauses after a panic.
+const AFTER_A_PANIC: Duration = Duration::from_millis(500);
+
+/// A lock that survives a panicking thread: the data are plain counters and lists.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What the registrar is to do next.
+#[derive(Default)]
+struct Errands {
+    /// Topics to query the master about at once.
+    pub urgent: BTreeSet<TopicName>,
+    /// Topics to unregister.
+    pub leaving: BTreeSet<TopicName>,
+    /// The capture ends.
+    pub stopping: bool,
+}
+
+/// Shared by all threads of a capture.
+struct Shared {
+    pub master: Endpoint,
+    pub node_name: String,
+    pub sink: Arc<dyn MessageSink>,
+    pub threads: Threads,
+    topics: Mutex<BTreeMap<TopicName, Arc<Topic>>>,
+    errands: Mutex<Errands>,
+    wake: Condvar,
+}
+
+impl Shared {
+    pub fn new(master: Endpoint, node_name: String, sink: Arc<dyn MessageSink>) -> Self {
+        Self {
+            master,
+            node_name,
+            sink,
+            threads: Threads::default(),
+            topics: Mutex::default(),
+            errands: Mutex::default(),
+            wake: Condvar::new(),
+        }
+    }
+
+    pub fn watch(&self, name: TopicName, wanted: Option<TypeName>) {
+        let make = || Arc::new(Topic::new(name.clone(), wanted));
+        lock(&self.topics).entry(name.clone()).or_insert_with(make);
+        self.send(|errands| {
+            errands.leaving.remove(&name);
+            errands.urgent.insert(name);
+        });
+    }
+
+    pub fn unwatch(&self, name: &TopicName) {
+        if let Some(topic) = lock(&self.topics).remove(name) {
+            topic.end();
+            self.send(|errands| {
+                errands.urgent.remove(name);
+                errands.leaving.insert(name.clone());
+            });
+        }
+    }
+
+    pub fn topics(&self) -> Vec<Arc<Topic>> {
+        lock(&self.topics).values().cloned().collect()
+    }
+
+    pub fn topic(&self, name: &str) -> Option<Arc<Topic>> {
+        lock(&self.topics).get(&name.parse().ok()?).cloned()
+    }
+
+    /// Ends all topics; their names stay for unregistering.
+    pub fn stop(&self) {
+        for topic in self.topics() {
+            topic.end();
+        }
+        self.send(|errands| errands.stopping = true);
+    }
+
+    /// Has the master queried about this topic at once.
+    pub fn ask_about(&self, name: &TopicName) {
+        self.send(|errands| {
+            errands.urgent.insert(name.clone());
+        });
+    }
+
+    pub fn notice(&self, notice: CaptureNotice) {
+        self.sink.notice(notice);
+    }
+
+    /// Waits up to `patience` for an errand and takes all of them.
+    pub fn errands(&self, patience: Duration) -> Errands {
+        let idle = |errands: &mut Errands| errands.urgent.is_empty() && errands.leaving.is_empty() && !errands.stopping;
+        let waited = self.wake.wait_timeout_while(lock(&self.errands), patience, idle);
+        let mut errands = waited.unwrap_or_else(PoisonError::into_inner).0;
+        let stopping = errands.stopping;
+        let taken = std::mem::take(&mut *errands);
+        errands.stopping = stopping;
+        taken
+    }
+
+    fn send(&self, change: impl FnOnce(&mut Errands)) {
+        change(&mut lock(&self.errands));
+        self.wake.notify_all();
+    }
+}
+
+impl Node for Shared {
+    fn master_uri(&self) -> String {
+        self.master.to_string()
+    }
+
+    fn subscriptions(&self) -> Vec<(String, String)> {
+        let row = |topic: &Arc<Topic>| {
+            (topic.name.to_string(), topic.status().type_name.unwrap_or_else(|| String::from("*")))
+        };
+        self.topics().iter().map(row).collect()
+    }
+
+    fn publications(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    fn links(&self) -> Vec<BusLink> {
+        self.topics().iter().flat_map(|topic| topic.links()).collect()
+    }
+
+    /// Anyone can send this, so it is only a hint to query the master at once, and a claim to compare with the answer.
+    fn publishers_changed(&self, topic: &str, publishers: &[&str]) {
+        if let Some(topic) = self.topic(topic) {
+            topic.claim(publishers);
+            topic.kick();
+            self.ask_about(&topic.name);
+        }
+    }
+
+    fn outlet(&self, _topic: &str) -> Option<(String, u16)> {
+        None
+    }
+
+    fn shutdown_asked(&self, by: &str, reason: &str) {
+        self.notice(CaptureNotice::ShutdownAsked { by: clean(by, 80), reason: clean(reason, 200) });
+    }
+}
+
+/// Counts running threads, so that shutdown can wait for them, but not forever.
+#[derive(Default)]
+struct Threads {
+    running: Arc<(Mutex<usize>, Condvar)>,
+}
+
+impl Threads {
+    /// Runs `work` in a counted thread until it ends by itself; after a panic, which the panic hook reports, it is
+    /// started again.
+    pub fn spawn(&self, name: &str, mut work: impl FnMut() + Send + 'static) -> std::io::Result<()> {
+        let place = Counted::new(&self.running);
+        std::thread::Builder::new().name(name.into()).spawn(move || {
+            let _place = place;
+            while catch_unwind(AssertUnwindSafe(&mut work)).is_err() {
+                std::thread::sleep(AFTER_A_PANIC);
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Waits until no thread runs; returns whether that happened before `deadline`.
+    pub fn wait_until_none(&self, deadline: Instant) -> bool {
+        let (count, changed) = &*self.running;
+        let patience = deadline.saturating_duration_since(Instant::now());
+        let waited = changed.wait_timeout_while(lock(count), patience, |running| *running > 0);
+        !waited.unwrap_or_else(PoisonError::into_inner).1.timed_out()
+    }
+}
+
+struct Counted(Arc<(Mutex<usize>, Condvar)>);
+
+impl Counted {
+    fn new(running: &Arc<(Mutex<usize>, Condvar)>) -> Self {
+        *lock(&running.0) += 1;
+        Self(Arc::clone(running))
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        *lock(&self.0.0) -= 1;
+        self.0.1.notify_all();
+    }
+}
+
+/// How often every topic is registered again.
+const PERIOD: Duration = Duration::from_millis(500);
+
+/// The pause between two rounds, as a multiple of a round's duration, however many topics there are.
+const REST: u32 = 10;
+
+/// The most publishers of one topic.
+const MOST_PUBLISHERS: usize = 256;
+
+/// The running thread.
+struct Registrar {
+    thread: Threads,
+}
+
+impl Registrar {
+    pub fn start(shared: Arc<Shared>, slave_uri: String) -> Result<Self, RosError> {
+        let thread = Threads::default();
+        let mut work = Work { shared, slave_uri, master_up: None };
+        let spawned = thread.spawn("ros-registrar", move || work.run());
+        spawned.map_err(|error| RosError::system("start a thread", &error))?;
+        Ok(Self { thread })
+    }
+
+    /// Waits for the end, which the shared state already knows about.
+    pub fn stop(&self, deadline: Instant) {
+        self.thread.wait_until_none(deadline);
+    }
+}
+
+struct Work {
+    shared: Arc<Shared>,
+    slave_uri: String,
+    /// Whether the master answered last time.
+    master_up: Option<bool>,
+}
+
+impl Work {
+    fn run(&mut self) {
+        let mut next_round = Instant::now();
+        loop {
+            let errands = self.shared.errands(next_round.saturating_duration_since(Instant::now()));
+            if errands.stopping {
+                return self.leave_all(errands.leaving);
+            }
+            self.unregister(&errands.leaving, Instant::now() + PATIENCE);
+            if Instant::now() < next_round {
+                let urgent = errands.urgent.iter().filter_map(|name| self.shared.topic(name.as_str())).collect();
+                self.register(urgent);
+            } else {
+                let begun = Instant::now();
+                let topics = self.shared.topics();
+                // A newly watched topic is urgent: it does not wait for the round.
+                let period = if topics.is_empty() { PATIENCE } else { PERIOD };
+                self.register(topics);
+                next_round = Instant::now() + period.max(begun.elapsed() * REST);
+            }
+        }
+    }
+
+    /// Registers each topic. One that becomes urgent meanwhile goes first, but only once: a flood of hints for one
+    /// topic must not starve the others.
+    fn register(&mut self, topics: Vec<Arc<Topic>>) {
+        let mut queue: VecDeque<_> = topics.into();
+        let mut hurried = BTreeSet::new();
+        while let Some(topic) = queue.pop_front() {
+            if !topic.has_ended() && !self.register_one(&topic) {
+                return;
+            }
+            let errands = self.shared.errands(Duration::ZERO);
+            if errands.stopping {
+                return;
+            }
+            self.unregister(&errands.leaving, Instant::now() + PATIENCE);
+            for name in errands.urgent {
+                match self.shared.topic(name.as_str()) {
+                    Some(topic) if hurried.insert(name) => queue.push_front(topic),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    /// Registers a topic and handles its publishers; returns whether the master answered.
+    fn register_one(&mut self, topic: &Arc<Topic>) -> bool {
+        // Taken first: only an answer requested later can contradict a claim.
+        let claims = topic.take_claims();
+        let asked_at = Instant::now();
+        let answer = self.publishers(topic);
+        self.master_is(answer.as_ref().map(drop).map_err(ToString::to_string));
+        match answer {
+            Ok(publishers) => {
+                meet(&self.shared, topic, &publishers, asked_at);
+                refute(&self.shared, topic, claims);
+                true
+            }
+            Err(error) => {
+                topic.give_back(claims);
+                if matches!(error, CallError::Connect(_)) {
+                    // Without a master nobody is registered.
+                    topic.asked(asked_at);
+                }
+                false
+            }
+        }
+    }
+
+    fn publishers(&self, topic: &Topic) -> Result<Vec<String>, CallError> {
+        let params = self.params(&[topic.name.as_str(), "*"]);
+        let answer = call(&self.shared.master, "registerSubscriber", &params, Instant::now() + PATIENCE)?;
+        Ok(answer.texts())
+    }
+
+    fn params(&self, middle: &[&str]) -> Vec<Value> {
+        let mut params = vec![Value::text(&*self.shared.node_name)];
+        params.extend(middle.iter().copied().map(Value::text));
+        params.push(Value::text(&*self.slave_uri));
+        params
+    }
+
+    fn master_is(&mut self, state: Result<(), String>) {
+        if self.master_up.replace(state.is_ok()) == Some(state.is_ok()) {
+            return;
+        }
+        self.shared.notice(match state {
+            Ok(()) => CaptureNotice::MasterBack,
+            Err(reason) => CaptureNotice::MasterLost { reason: clean(&reason, 200) },
+        });
+    }
+
+    fn unregister(&self, names: &BTreeSet<TopicName>, deadline: Instant) {
+        for name in names {
+            let params = self.params(&[name.as_str()]);
+            // A master that is gone has forgotten the subscription too.
+            if call(&self.shared.master, "unregisterSubscriber", &params, deadline).is_err() {
+                return;
+            }
+        }
+    }
+
+    fn leave_all(&self, mut names: BTreeSet<TopicName>) {
+        names.extend(self.shared.topics().iter().map(|topic| topic.name.clone()));
+        self.unregister(&names, Instant::now() + Duration::from_secs(1));
+    }
+}
+
+/// Takes note of a topic's publishers and starts a reader for each new one.
+fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Instant) {
+    let refuse = |publisher: &str, reason: &str| {
+        if topic.first_complaint(publisher) {
+            shared.notice(CaptureNotice::Refused {
+                topic: Arc::clone(&topic.label),
+                publisher: clean(publisher, 120),
+                reason: reason.to_owned(),
+            });
+        }
+    };
+    let mut endpoints = Vec::new();
+    for uri in uris {
+        match Endpoint::parse(uri) {
+            Some(_) if endpoints.len() >= MOST_PUBLISHERS => refuse("all others", "too many publishers"),
+            Some(endpoint) => endpoints.push(endpoint),
+            None => refuse(uri, "its address is not http://HOST:PORT"),
+        }
+    }
+    for publisher in topic.list(&endpoints, asked_at) {
+        if let Err(error) = reader::spawn(shared, topic, Arc::clone(&publisher)) {
+            topic.forget(&publisher);
+            refuse(&publisher.endpoint.to_string(), &format!("no thread to read it: {error}"));
+        }
+    }
+}
+
+/// Reports claimed publishers that the master's answer did not list. Nobody connects to them.
+fn refute(shared: &Shared, topic: &Topic, claims: BTreeSet<String>) {
+    for publisher in topic.unconfirmed(claims) {
+        shared.notice(CaptureNotice::UnconfirmedPublisher { topic: Arc::clone(&topic.label), publisher });
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -11,12 +11,7 @@ pub enum RosError {
         "the ROS master at {uri} does not answer ({reason}); start roscore there or correct ros.master (--ros-master, \
          ROS_MASTER_URI)"
     )]
-    Unreachable {
-        /// The master's URI.
-        uri: String,
-        /// What happened.
-        reason: String,
-    },
+    Unreachable { uri: String, reason: String },
     /// A text is not the URI of a master or node.
     #[error("'{0}' is not a ROS address; use http://HOST:PORT, as in http://127.0.0.1:11311")]
     Address(String),
@@ -25,30 +20,13 @@ pub enum RosError {
         "cannot listen for ROS peers on '{host}' ({reason}); set ROS_IP to an address of this machine that the other \
          nodes can reach"
     )]
-    OwnHost {
-        /// The host name or address tried.
-        host: String,
-        /// What happened.
-        reason: String,
-    },
+    OwnHost { host: String, reason: String },
     /// The master answered with a refusal.
     #[error("the ROS master at {uri} refused {call}: {reason}; check the master's log")]
-    Refused {
-        /// The master's URI.
-        uri: String,
-        /// The call it refused.
-        call: &'static str,
-        /// Its words.
-        reason: String,
-    },
+    Refused { uri: String, call: &'static str, reason: String },
     /// The peer is not a ROS master, or a broken one.
     #[error("{uri} answers, but is not a ROS master ({reason}); check that ros.master has roscore's port")]
-    Protocol {
-        /// The URI.
-        uri: String,
-        /// What was wrong with its answer.
-        reason: String,
-    },
+    Protocol { uri: String, reason: String },
     /// The embedded master did not start.
     #[error("the embedded ROS master did not start ({0}); use a running one with --ros-master instead")]
     EmbeddedMaster(String),
@@ -62,12 +40,7 @@ pub enum RosError {
     #[error(
         "ROS 2 domain {domain} cannot be published in: {reason}; look at the ports and the memory of this machine, and try again"
     )]
-    NotPublished {
-        /// The domain.
-        domain: u16,
-        /// What happened.
-        reason: String,
-    },
+    NotPublished { domain: u16, reason: String },
     /// The program in which rosrust runs is not installed.
     #[error(
         "the program in which rosrust runs is not at {0}; install the package authros-rosrust (from source: cargo build -p \
@@ -79,31 +52,16 @@ pub enum RosError {
         "rosrust cannot publish at {uri}: {reason}; check that roscore answers there, and ros.host, or do without: \
          ros.publisher = \"own\", --robots-by own"
     )]
-    NotPublishedByRosrust {
-        /// The master.
-        uri: String,
-        /// What happened.
-        reason: String,
-    },
+    NotPublishedByRosrust { uri: String, reason: String },
     /// Under root, a program that speaks with the network runs as `nobody`, and that user cannot run it.
     #[error(
         "{program} does not start as the user nobody, as whom it runs under root ({reason}); install it so that every user may \
          execute it, as in /usr/bin with mode 755, or run authros as another user"
     )]
-    NotAsNobody {
-        /// The program's path.
-        program: String,
-        /// The system's reason.
-        reason: String,
-    },
+    NotAsNobody { program: String, reason: String },
     /// The operating system did not give what was needed.
     #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]
-    System {
-        /// What was tried.
-        action: &'static str,
-        /// The system's reason.
-        reason: String,
-    },
+    System { action: &'static str, reason: String },
     /// More simulated robots than allowed.
     #[error("cannot simulate {0} robots; the limit is {most}", most = crate::ros::MOST_ROBOTS)]
     Robots(u16),
@@ -112,31 +70,16 @@ pub enum RosError {
     Rate(String),
     /// A message definition that is invalid, or exceeds the limits.
     #[error("the definition of {type_name} cannot be used: {reason}; the publisher sends a bad definition")]
-    Definition {
-        /// The type.
-        type_name: String,
-        /// What is wrong.
-        reason: String,
-    },
+    Definition { type_name: String, reason: String },
     /// A type whose messages are stored, but cannot be read field by field.
     #[error("messages of {type_name} are kept, but their fields cannot be shown: {reason}")]
-    NoFields {
-        /// The type.
-        type_name: String,
-        /// The reason, and what may help.
-        reason: String,
-    },
+    NoFields { type_name: String, reason: String },
     /// A recording that cannot be read or written.
     #[error("the recording cannot be used: {0}")]
     Recording(String),
     /// A message body that does not match its definition.
     #[error("a message of {type_name} does not match its definition: {reason}; show its raw bytes instead")]
-    Body {
-        /// The type.
-        type_name: String,
-        /// What is wrong.
-        reason: String,
-    },
+    Body { type_name: String, reason: String },
 }
 
 impl RosError {

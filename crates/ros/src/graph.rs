@@ -1,19 +1,14 @@
 //! Queries to a ROS master: whether it is there, which topics exist. Every call ends within [`PATIENCE`], whatever the
 //! master does; its answers are untrusted and only names are kept.
 
-mod presence;
-mod reach;
-
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
-use super::RosError;
-use super::address::Endpoint;
-use super::xmlrpc::{CallError, Value, call};
 use crate::model::clean;
-
-pub use presence::Presence;
-pub use reach::Unreached;
+use crate::ros::RosError;
+use crate::ros::address::{Endpoint, connect, own_host, resolve};
+use crate::ros::xmlrpc::{CallError, Value, call};
 
 /// The longest a query may take.
 pub const PATIENCE: Duration = Duration::from_millis(2500);
@@ -64,9 +59,6 @@ pub struct Graph {
 
 impl Graph {
     /// The master at `master_uri`, queried in the name of the node `node_name`. Nothing is sent yet.
-    ///
-    /// # Errors
-    /// [`RosError::Address`] if the URI is not `http://HOST:PORT`.
     pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
         let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
         Ok(Self { master, node_name: node_name.to_owned() })
@@ -94,9 +86,6 @@ impl Graph {
 
     /// [`Graph::topics`] for repeated polling: while the graph is as it was in the `last` answer and all types were
     /// known, types are queried only now and then.
-    ///
-    /// # Errors
-    /// See [`Graph::topics`].
     pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
@@ -161,6 +150,124 @@ fn merge(publishers: &Value, subscribers: &Value, types: &Value) -> Vec<TopicInf
         .collect()
 }
 
+/// The nodes of one topic, as the master named them: clean the names before they are shown.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Presence {
+    /// Nodes that publish it.
+    pub publishers: Vec<String>,
+    /// Nodes that subscribe to it.
+    pub subscribers: Vec<String>,
+}
+
+impl Graph {
+    /// The nodes on a topic now.
+    pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
+        let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
+        let nodes = |index: usize| {
+            let of_state = state.as_array().and_then(|parts| parts.get(index));
+            let found = of_state.and_then(|part| rows(part).find(|(name, _)| *name == topic));
+            found.map(|(_, nodes)| nodes.texts()).unwrap_or_default()
+        };
+        Ok(Presence { publishers: nodes(0), subscribers: nodes(1) })
+    }
+
+    /// Whether another URI leads to this master, as far as names and addresses show.
+    pub fn is_at(&self, uri: &str) -> bool {
+        let Some(other) = Endpoint::parse(uri) else { return false };
+        if other.port != self.master.port {
+            return false;
+        }
+        let places = |endpoint: &Endpoint| resolve(&endpoint.host, endpoint.port, Instant::now() + PATIENCE);
+        match (places(&self.master), places(&other)) {
+            (Ok(ours), Ok(theirs)) => {
+                ours.iter().any(|place| theirs.iter().any(|other| place == other || both_loopback(place, other)))
+            }
+            _ => other.host == self.master.host,
+        }
+    }
+}
+
+fn both_loopback(one: &std::net::SocketAddr, other: &std::net::SocketAddr) -> bool {
+    one.ip().is_loopback() && other.ip().is_loopback()
+}
+
+/// The most nodes tried.
+const MOST_NODES: usize = 20;
+/// How long each attempt may take.
+const EACH: Duration = Duration::from_millis(800);
+
+/// A publisher that cannot be reached at its stated address.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unreached {
+    /// The node's name, cleaned.
+    pub node: String,
+    /// The host and port it stated, cleaned.
+    pub place: String,
+    /// The reason, cleaned.
+    pub reason: String,
+}
+
+impl Graph {
+    /// Tries the addresses that publishers gave the master; returns how many were tried, and those that do not answer.
+    pub fn unreached(&self) -> Result<(usize, Vec<Unreached>), RosError> {
+        let nodes: BTreeSet<String> = self.topics()?.into_iter().flat_map(|topic| topic.publishers).collect();
+        let mut found = Vec::new();
+        let tried = nodes.iter().take(MOST_NODES);
+        let count = tried.len();
+        for node in tried {
+            if let Err((place, reason)) = self.try_node(node) {
+                let (place, reason) = (clean(&place, 120), clean(&reason, 160));
+                found.push(Unreached { node: clean(node, 120), place, reason });
+            }
+        }
+        Ok((count, found))
+    }
+
+    /// The name of the node that publishes a topic from this address, if the master has one.
+    pub(crate) fn node_at(&self, topic: &str, place: &Endpoint) -> Option<String> {
+        let state = self.ask("getSystemState", Instant::now() + PATIENCE).ok()?;
+        let nodes = rows(state.as_array()?.first()?).find(|(name, _)| *name == topic)?.1.texts();
+        nodes.into_iter().take(MOST_NODES).find(|node| self.place_of(node).is_ok_and(|found| found == *place))
+    }
+
+    /// Where a node is, according to the master; otherwise what is wrong, and with whom.
+    fn place_of(&self, node: &str) -> Result<Endpoint, (String, String)> {
+        let parameters = [self.node_name.as_str().into(), node.into()];
+        let uri = call(&self.master, "lookupNode", &parameters, Instant::now() + PATIENCE)
+            .map_err(|error| ("the master".to_owned(), master_error(&self.master, "lookupNode", error).to_string()))?;
+        let uri = uri.as_text().unwrap_or_default().to_owned();
+        Endpoint::parse(&uri).ok_or_else(|| (uri.clone(), "which is not an address".to_owned()))
+    }
+
+    fn try_node(&self, node: &str) -> Result<(), (String, String)> {
+        let place = self.place_of(node)?;
+        let connected = connect(&place.host, place.port, Instant::now() + EACH);
+        connected.map(drop).map_err(|error| (place.authority(), error.to_string()))
+    }
+
+    /// The host that this machine would give other nodes, and what is wrong with it: `given` is `ros.host` or
+    /// ROS_HOSTNAME.
+    ///
+    /// # Errors
+    /// Why other nodes cannot use it, in words.
+    pub fn own_name(&self, given: Option<&str>) -> Result<String, (String, String)> {
+        let deadline = Instant::now() + PATIENCE;
+        let host = own_host(given, &self.master, deadline)
+            .map_err(|error| (given.unwrap_or_default().to_owned(), error.to_string()))?;
+        let fault = |reason: String| (clean(&host, 120), reason);
+        let places = resolve(&host, 0, deadline).map_err(|error| fault(format!("does not resolve: {error}")))?;
+        // An address that can be listened on is this machine's.
+        if !places.iter().any(|place| TcpListener::bind(place).is_ok()) {
+            return Err(fault(format!("resolves to {places:?}, none of which belongs to this machine")));
+        }
+        let master_is_here = matches!(self.master.host.as_str(), "localhost" | "127.0.0.1" | "::1");
+        if !master_is_here && places.iter().all(|place| place.ip().is_loopback()) {
+            return Err(fault("resolves only to loopback, so other machines would connect to themselves".to_owned()));
+        }
+        Ok(host)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -204,5 +311,31 @@ mod tests {
         drop(listener);
         assert!(matches!(graph.ping(), Err(RosError::Unreachable { .. })));
         assert!(matches!(Graph::new("localhost:11311", "/test"), Err(RosError::Address(_))));
+    }
+}
+
+#[cfg(test)]
+mod presence_tests {
+    use super::*;
+    use crate::ros::{EmbeddedMaster, Fleet, FleetOptions};
+
+    #[test]
+    fn a_topic_s_nodes_are_named_and_an_unknown_one_has_none() {
+        let master = EmbeddedMaster::start().expect("master");
+        let graph = Graph::new(master.uri(), "/test").expect("uri");
+        let _fleet = Fleet::start(master.uri(), 1, FleetOptions::default()).expect("fleet");
+        let presence = graph.presence("/robot1/odom").expect("asked");
+        assert_eq!(presence.publishers, ["/robot1_sim"]);
+        assert_eq!(graph.presence("/nobody").expect("asked"), Presence::default());
+    }
+
+    #[test]
+    fn one_master_has_many_addresses() {
+        let graph = Graph::new("http://127.0.0.1:11999/", "/test").expect("uri");
+        assert!(graph.is_at("http://localhost:11999"));
+        assert!(graph.is_at("http://127.0.0.1:11999/RPC2"));
+        assert!(!graph.is_at("http://127.0.0.1:11998"));
+        assert!(!graph.is_at("http://192.0.2.1:11999"));
+        assert!(!graph.is_at("not a URI"));
     }
 }

@@ -24,8 +24,6 @@ pub mod recording;
 pub mod robot;
 pub mod ros2;
 pub mod rosbag2;
-mod rosrust;
-mod slave;
 mod tcpros;
 mod xmlrpc;
 
@@ -35,9 +33,8 @@ pub use error::RosError;
 pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
-pub use publisher::{Advertised, GraphPublisher, Publisher};
+pub use publisher::{Advertised, GraphPublisher, Publisher, RosrustPublisher};
 pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS, RosrustFleet};
-pub use rosrust::RosrustPublisher;
 
 #[cfg(test)]
 mod readme_tests;

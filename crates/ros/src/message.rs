@@ -4,25 +4,16 @@
 //! This never changes captured bodies: decoding is only for display, and both definition and body are treated as
 //! hostile (cycles, depth, counts without bytes, types without size).
 
-mod built_in;
-mod cursor;
 mod decode;
 mod definition;
 mod json;
-mod line;
-mod matrix;
-mod nesting;
 mod ros2;
-mod value;
 
-pub use built_in::built_in_definition;
-pub use decode::{Limits, Picture};
-pub use definition::{Definition, LONGEST_DEFINITION};
-pub use matrix::layout;
-pub use nesting::DEEPEST;
+pub use decode::{Limits, Picture, Value};
+pub use definition::{DEEPEST, Definition, LONGEST_DEFINITION, built_in_definition};
+pub use json::layout;
 pub(super) use ros2::plain_text;
 pub use ros2::{Folders, Source, is_built_in, type_hash};
-pub use value::Value;
 
 use super::RosError;
 

@@ -1,23 +1,14 @@
 //! Messages of well-known types in readable form: lines of numbers, tables, a plot, a picture. Every other type is
 //! shown as its tree of fields. All texts here are clean; everything is bounded, whatever the message claims.
 
-mod codec;
-mod matrix;
-mod motion;
-mod numbers;
 mod picture;
-mod points;
-mod raster;
-mod state;
 
+use crate::model::{Timestamp, clean};
+use crate::ros::message::{Definition, Limits, Value, layout};
+use picture::bytes;
 use serde::{Deserialize, Serialize};
 
-pub use codec::{DECODER_MEMORY, MOST_PIXELS, Rgb, decode};
-pub use picture::{Exported, PictureError, export, file_of};
-pub use raster::Raster;
-
-use super::message::{Definition, Limits, Value};
-use numbers::Body;
+pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, Raster, Rgb, decode, export, file_of};
 
 /// The most rows of a table.
 pub const MOST_ROWS: usize = 200;
@@ -44,7 +35,6 @@ pub struct Readable {
 /// A matrix or list.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Table {
-    /// Its title.
     pub title: String,
     /// Columns; may be empty.
     pub head: Vec<String>,
@@ -55,7 +45,6 @@ pub struct Table {
 /// Points in a plane.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Plot {
-    /// Its title.
     pub title: String,
     /// Names and units of both axes.
     pub axes: (String, String),
@@ -85,16 +74,16 @@ type Reader = fn(&Value, &Body) -> Readable;
 
 fn reader_of(type_name: &str) -> Option<Reader> {
     Some(match type_name {
-        "nav_msgs/Odometry" => motion::odometry,
-        "sensor_msgs/Imu" => motion::inertia,
-        "sensor_msgs/NavSatFix" => motion::fix,
-        "sensor_msgs/LaserScan" => points::scan,
-        "sensor_msgs/PointCloud2" => points::cloud,
-        "nav_msgs/Path" => points::path,
-        "sensor_msgs/JointState" => state::joints,
-        "tf2_msgs/TFMessage" | "tf/tfMessage" => state::transforms,
-        "sensor_msgs/BatteryState" => state::battery,
-        "diagnostic_msgs/DiagnosticArray" => state::diagnostics,
+        "nav_msgs/Odometry" => odometry,
+        "sensor_msgs/Imu" => inertia,
+        "sensor_msgs/NavSatFix" => fix,
+        "sensor_msgs/LaserScan" => picture::scan,
+        "sensor_msgs/PointCloud2" => picture::cloud,
+        "nav_msgs/Path" => picture::path,
+        "sensor_msgs/JointState" => joints,
+        "tf2_msgs/TFMessage" | "tf/tfMessage" => transforms,
+        "sensor_msgs/BatteryState" => battery,
+        "diagnostic_msgs/DiagnosticArray" => diagnostics,
         "sensor_msgs/CompressedImage" => picture::compressed,
         "sensor_msgs/Image" => picture::raw,
         _ => return None,
@@ -121,7 +110,7 @@ pub fn place(definition: &Definition, body: &[u8]) -> Option<Place> {
         _ => return None,
     };
     let value = definition.decode(body, Limits::default()).ok()?;
-    let at = |name: &str| numbers::float(&value, &if path.is_empty() { name.into() } else { format!("{path}.{name}") });
+    let at = |name: &str| float(&value, &if path.is_empty() { name.into() } else { format!("{path}.{name}") });
     let place = if path.is_empty() { (at("longitude")?, at("latitude")?) } else { (at("x")?, at("y")?) };
     let finite = place.0.is_finite() && place.1.is_finite();
     let degrees = path.is_empty();
@@ -136,7 +125,7 @@ pub fn track(title: &str, places: &[Place], here: Option<Place>) -> Option<Plot>
     });
     let flat = |place: &Place| match (place, origin) {
         (Place::Metres(x, y), _) => (*x, *y),
-        (Place::Degrees(longitude, latitude), Some(from)) => motion::around(from, (*longitude, *latitude)),
+        (Place::Degrees(longitude, latitude), Some(from)) => around(from, (*longitude, *latitude)),
         (Place::Degrees(longitude, latitude), None) => (*longitude, *latitude),
     };
     let axes = if origin.is_some() { ("east, m", "north, m") } else { ("x, m", "y, m") };
@@ -148,6 +137,524 @@ pub fn track(title: &str, places: &[Place], here: Option<Place>) -> Option<Plot>
         path: true,
         here: here.as_ref().map(flat),
     })
+}
+
+/// The message's bytes, for arrays that were not expanded.
+struct Body<'a>(pub &'a [u8]);
+
+/// A field as a float.
+fn float(value: &Value, path: &str) -> Option<f64> {
+    as_float(value.get(path)?)
+}
+
+/// A plain value as a float.
+#[allow(clippy::cast_precision_loss, reason = "for the eye")]
+fn as_float(value: &Value) -> Option<f64> {
+    match value {
+        Value::Float(number) => Some(*number),
+        Value::Integer(number) => Some(*number as f64),
+        Value::Unsigned(number) => Some(*number as f64),
+        Value::Bool(flag) => Some(f64::from(u8::from(*flag))),
+        _ => None,
+    }
+}
+
+/// A field as a count.
+fn count(value: &Value, path: &str) -> Option<usize> {
+    match value.get(path)? {
+        Value::Unsigned(number) => usize::try_from(*number).ok(),
+        Value::Integer(number) => usize::try_from(*number).ok(),
+        Value::Bool(flag) => Some(usize::from(*flag)),
+        _ => None,
+    }
+}
+
+/// A field as a clean text.
+fn text(value: &Value, path: &str) -> String {
+    match value.get(path) {
+        Some(Value::Text(text)) => clean(text, 120),
+        Some(stamp @ Value::Message(_)) if seconds(stamp).is_some() => seconds(stamp).unwrap_or_default(),
+        Some(other) => other.flatten(1).into_iter().next().map(|(_, text)| text).unwrap_or_default(),
+        None => String::from("-"),
+    }
+}
+
+/// The header's stamp as a date and as it was sent.
+fn stamp(value: &Value) -> String {
+    let sent = text(value, "header.stamp");
+    let dated = sent.split_once('.').and_then(|(seconds, rest)| {
+        let date = Timestamp::from_seconds(seconds.parse::<u32>().ok()?.into()).to_string();
+        Some(format!("{}.{}Z ({sent})", date.trim_end_matches('Z'), rest.get(..3)?))
+    });
+    dated.unwrap_or(sent)
+}
+
+/// A time or duration of ROS 2, written like those of ROS 1.
+fn seconds(value: &Value) -> Option<String> {
+    let (Value::Integer(seconds), Value::Unsigned(nanoseconds)) = (value.get("sec")?, value.get("nanosec")?) else {
+        return None;
+    };
+    Some(format!("{seconds}.{nanoseconds:09}"))
+}
+
+/// A field as a readable number.
+fn shown(value: &Value, path: &str) -> String {
+    float(value, path).map_or_else(|| String::from("-"), number)
+}
+
+/// x, y, z of a field.
+fn triple(value: &Value, path: &str) -> String {
+    let part = |name: &str| shown(value, &format!("{path}.{name}"));
+    format!("x {}  y {}  z {}", part("x"), part("y"), part("z"))
+}
+
+/// A readable number: four decimals, very small and very large ones with an exponent.
+fn number(number: f64) -> String {
+    let size = number.abs();
+    if size != 0.0 && !(1e-4..1e7).contains(&size) {
+        return format!("{number:.3e}");
+    }
+    let text = format!("{number:.4}");
+    let short = text.trim_end_matches('0').trim_end_matches('.');
+    if short == "-0" { String::from("0") } else { short.to_owned() }
+}
+
+/// The floats of a field, expanded or not; at most `most`, evenly spread.
+fn floats(value: &Value, path: &str, body: &Body, most: usize) -> Vec<(usize, f64)> {
+    match value.get(path) {
+        Some(Value::Array(items)) => {
+            let step = items.len().div_ceil(most.max(1)).max(1);
+            items.iter().enumerate().step_by(step).filter_map(|(at, item)| Some((at, as_float(item)?))).collect()
+        }
+        Some(Value::Large { element, count, bytes, big_endian }) => {
+            large((element, *big_endian), *count, body.0.get(bytes.clone()), most)
+        }
+        _ => Vec::new(),
+    }
+}
+
+fn large((element, big_endian): (&str, bool), count: usize, bytes: Option<&[u8]>, most: usize) -> Vec<(usize, f64)> {
+    let size = match element {
+        "float32" => 4,
+        "float64" => 8,
+        _ => return Vec::new(),
+    };
+    let data = bytes.unwrap_or_default();
+    let step = count.div_ceil(most.max(1)).max(1);
+    let read = |chunk: &[u8]| match (chunk.first_chunk::<8>(), chunk.first_chunk::<4>()) {
+        (Some(eight), _) if size == 8 && big_endian => Some(f64::from_be_bytes(*eight)),
+        (Some(eight), _) if size == 8 => Some(f64::from_le_bytes(*eight)),
+        (_, Some(four)) if size == 4 && big_endian => Some(f64::from(f32::from_be_bytes(*four))),
+        (_, Some(four)) if size == 4 => Some(f64::from(f32::from_le_bytes(*four))),
+        _ => None,
+    };
+    let numbered = data.chunks_exact(size).enumerate().step_by(step);
+    numbered.filter_map(|(at, chunk)| Some((at, read(chunk)?))).collect()
+}
+
+/// A covariance as a square table, if it is one.
+fn square(title: &str, names: &[&str], value: &Value, path: &str) -> Option<Table> {
+    let Some(Value::Array(items)) = value.get(path) else { return None };
+    let side = names.len();
+    if items.len() != side * side {
+        return None;
+    }
+    let cell = |item: &Value| as_float(item).map_or_else(|| String::from("-"), number);
+    let rows = items
+        .chunks(side)
+        .zip(names)
+        .map(|(row, name)| std::iter::once((*name).to_owned()).chain(row.iter().map(cell)).collect());
+    let head = std::iter::once(String::new()).chain(names.iter().map(|name| (*name).to_owned()));
+    Some(Table { title: title.to_owned(), head: head.collect(), rows: rows.collect() })
+}
+
+/// A table of an array's items; its title counts those left out.
+fn listed(title: &str, head: &[&str], value: &Value, path: &str, row: impl Fn(&Value) -> Vec<String>) -> Table {
+    let (rows, all) = match value.get(path) {
+        Some(Value::Array(items)) => (items.iter().take(MOST_ROWS).map(row).collect(), items.len()),
+        Some(Value::Large { count, .. }) => (Vec::new(), *count),
+        _ => (Vec::new(), 0),
+    };
+    let left: Vec<Vec<String>> = rows;
+    let title = if left.len() < all { format!("{title} ({} of {all})", left.len()) } else { title.to_owned() };
+    Table { title, head: head.iter().map(|name| (*name).to_owned()).collect(), rows: left }
+}
+
+/// Roll, pitch and yaw of a quaternion field, in degrees.
+fn angles(value: &Value, path: &str) -> Option<(f64, f64, f64)> {
+    let part = |name: &str| float(value, &format!("{path}.{name}"));
+    let (x, y, z, w) = (part("x")?, part("y")?, part("z")?, part("w")?);
+    let roll = (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y));
+    let pitch = (2.0 * (w * y - z * x)).clamp(-1.0, 1.0).asin();
+    let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    Some((roll.to_degrees(), pitch.to_degrees(), yaw.to_degrees()))
+}
+
+/// The angles of a quaternion field in readable form.
+fn turned(value: &Value, path: &str) -> String {
+    match angles(value, path) {
+        Some((roll, pitch, yaw)) => {
+            format!("roll {}°  pitch {}°  yaw {}°", number(roll), number(pitch), number(yaw))
+        }
+        None => String::from("-"),
+    }
+}
+
+const POSE: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// The earth's mean radius, metres.
+const EARTH: f64 = 6_371_008.8;
+
+fn odometry(value: &Value, _: &Body) -> Readable {
+    let mut out = Readable::default();
+    out.line("Type", "nav_msgs/Odometry");
+    out.line("Stamp (UTC)", stamp(value));
+    out.line("Frames", format!("{} -> {}", text(value, "header.frame_id"), text(value, "child_frame_id")));
+    out.line("Pose, m", triple(value, "pose.pose.position"));
+    out.line("Orientation", turned(value, "pose.pose.orientation"));
+    out.line("Linear velocity, m/s", triple(value, "twist.twist.linear"));
+    out.line("Angular velocity, rad/s", triple(value, "twist.twist.angular"));
+    out.tables.extend(square("Pose covariance", &POSE, value, "pose.covariance"));
+    out.tables.extend(square("Twist covariance", &POSE, value, "twist.covariance"));
+    out.plot = here("Position", ("x, m", "y, m"), value, ("pose.pose.position.x", "pose.pose.position.y"));
+    out
+}
+
+fn here(title: &str, axes: (&str, &str), value: &Value, paths: (&str, &str)) -> Option<Plot> {
+    let point = (float(value, paths.0)?, float(value, paths.1)?);
+    let finite = point.0.is_finite() && point.1.is_finite();
+    finite.then(|| Plot {
+        title: title.to_owned(),
+        axes: (axes.0.to_owned(), axes.1.to_owned()),
+        points: vec![point],
+        path: true,
+        here: Some(point),
+    })
+}
+
+fn inertia(value: &Value, _: &Body) -> Readable {
+    let mut out = Readable::default();
+    let known = |path: &str| match value.get(path) {
+        // REP 145: -1 in the first element = not measured.
+        Some(Value::Array(items)) => !matches!(items.first(), Some(Value::Float(first)) if *first < 0.0),
+        _ => true,
+    };
+    out.line("Stamp (UTC)", stamp(value));
+    out.line("Frame", text(value, "header.frame_id"));
+    let unless = |known: bool, shown: String| if known { shown } else { String::from("not measured") };
+    out.line("Orientation", unless(known("orientation_covariance"), turned(value, "orientation")));
+    out.line(
+        "Angular velocity, rad/s",
+        unless(known("angular_velocity_covariance"), triple(value, "angular_velocity")),
+    );
+    out.line(
+        "Acceleration, m/s²",
+        unless(known("linear_acceleration_covariance"), triple(value, "linear_acceleration")),
+    );
+    for (title, path) in [
+        ("Orientation covariance", "orientation_covariance"),
+        ("Angular velocity covariance", "angular_velocity_covariance"),
+        ("Acceleration covariance", "linear_acceleration_covariance"),
+    ] {
+        out.tables.extend(square(title, &AXES, value, path));
+    }
+    out
+}
+
+fn fix(value: &Value, _: &Body) -> Readable {
+    let mut out = Readable::default();
+    let degrees = |path: &str| float(value, path).map_or_else(|| String::from("-"), |degrees| format!("{degrees:.7}°"));
+    out.line("Stamp (UTC)", stamp(value));
+    out.line("Frame", text(value, "header.frame_id"));
+    out.line("Fix", fix_word(value));
+    out.line("Latitude", degrees("latitude"));
+    out.line("Longitude", degrees("longitude"));
+    out.line("Altitude, m", shown(value, "altitude"));
+    let kind = match count(value, "position_covariance_type") {
+        Some(1) => "approximated",
+        Some(2) => "diagonal known",
+        Some(3) => "known",
+        _ => "unknown",
+    };
+    out.line("Covariance", kind);
+    out.tables.extend(square("Position covariance, m²", &["east", "north", "up"], value, "position_covariance"));
+    out
+}
+
+fn fix_word(value: &Value) -> String {
+    let word = match value.get("status.status") {
+        Some(Value::Integer(-1)) => "no fix",
+        Some(Value::Integer(0)) => "fix",
+        Some(Value::Integer(1)) => "satellite-based augmentation",
+        Some(Value::Integer(2)) => "ground-based augmentation",
+        _ => "unknown",
+    };
+    let services = count(value, "status.service").unwrap_or(0);
+    let named = [(1, "GPS"), (2, "GLONASS"), (4, "BeiDou"), (8, "Galileo")];
+    let names: Vec<&str> = named.iter().filter(|(bit, _)| services & bit != 0).map(|(_, name)| *name).collect();
+    if names.is_empty() { word.to_owned() } else { format!("{word} ({})", names.join(", ")) }
+}
+
+/// Metres east and north of `from`, both in degrees of longitude and latitude; good for some kilometres.
+fn around(from: (f64, f64), to: (f64, f64)) -> (f64, f64) {
+    let east = (to.0 - from.0).to_radians() * from.1.to_radians().cos() * EARTH;
+    (east, (to.1 - from.1).to_radians() * EARTH)
+}
+
+/// A length in readable form.
+fn metres(length: f64) -> String {
+    format!("{} m", number(length))
+}
+
+fn joints(value: &Value, body: &Body) -> Readable {
+    let mut out = Readable::default();
+    out.line("Stamp (UTC)", stamp(value));
+    let Some(Value::Array(names)) = value.get("name") else { return out };
+    let column = |path: &str| -> Vec<String> {
+        floats(value, path, body, usize::MAX).into_iter().map(|(_, value)| number(value)).collect()
+    };
+    let columns = [column("position"), column("velocity"), column("effort")];
+    let rows = names.iter().take(MOST_ROWS).enumerate().map(|(at, name)| {
+        let name = if let Value::Text(name) = name { clean(name, 60) } else { String::new() };
+        let cells = columns.iter().map(|column| column.get(at).cloned().unwrap_or_else(|| String::from("-")));
+        std::iter::once(name).chain(cells).collect()
+    });
+    let head = ["joint", "position, rad or m", "velocity", "effort"].map(String::from).to_vec();
+    out.line("Joints", names.len().to_string());
+    out.tables.push(Table { title: String::from("Joints"), head, rows: rows.collect() });
+    out
+}
+
+fn transforms(value: &Value, _: &Body) -> Readable {
+    let mut out = Readable::default();
+    let head = ["parent", "child", "stamp", "translation, m", "orientation"];
+    let table = listed("Transforms", &head, value, "transforms", |item| {
+        vec![
+            text(item, "header.frame_id"),
+            text(item, "child_frame_id"),
+            text(item, "header.stamp"),
+            triple(item, "transform.translation"),
+            turned(item, "transform.rotation"),
+        ]
+    });
+    out.line("Transforms", table.rows.len().to_string());
+    out.tables.push(table);
+    out
+}
+
+fn battery(value: &Value, body: &Body) -> Readable {
+    let mut out = Readable::default();
+    let word = |path: &str, words: &[&str]| -> String {
+        match value.get(path) {
+            Some(Value::Unsigned(code)) => {
+                let known = usize::try_from(*code).ok().and_then(|code| words.get(code));
+                known.map_or_else(|| format!("code {code}"), |word| (*word).to_owned())
+            }
+            _ => String::from("-"),
+        }
+    };
+    out.line("Stamp (UTC)", stamp(value));
+    let share = float(value, "percentage").filter(|share| share.is_finite());
+    out.line("Charge", share.map_or_else(|| String::from("unknown"), |share| format!("{} %", number(share * 100.0))));
+    out.line("Voltage, V", shown(value, "voltage"));
+    out.line("Current, A", shown(value, "current"));
+    out.line("Temperature, °C", shown(value, "temperature"));
+    out.line("Charge, Ah", format!("{} of {}", shown(value, "charge"), shown(value, "capacity")));
+    out.line("Status", word("power_supply_status", &["unknown", "charging", "discharging", "not charging", "full"]));
+    let health = ["unknown", "good", "overheat", "dead", "overvoltage", "failed", "cold", "watchdog", "safety timer"];
+    out.line("Health", word("power_supply_health", &health));
+    let present = value.get("present").and_then(as_float).is_some_and(|present| present > 0.0);
+    out.line("Present", if present { "yes" } else { "no" });
+    let cells: Vec<String> =
+        floats(value, "cell_voltage", body, MOST_ROWS).into_iter().map(|(_, cell)| number(cell)).collect();
+    if !cells.is_empty() {
+        out.line("Cells, V", cells.join("  "));
+    }
+    out
+}
+
+fn diagnostics(value: &Value, _: &Body) -> Readable {
+    let mut out = Readable::default();
+    out.line("Stamp (UTC)", stamp(value));
+    let head = ["level", "name", "message", "hardware"];
+    let table = listed("Status", &head, value, "status", |item| {
+        let level = match item.get("level") {
+            Some(Value::Integer(0) | Value::Unsigned(0)) => "OK",
+            Some(Value::Integer(1) | Value::Unsigned(1)) => "WARN",
+            Some(Value::Integer(2) | Value::Unsigned(2)) => "ERROR",
+            Some(Value::Integer(3) | Value::Unsigned(3)) => "STALE",
+            _ => "?",
+        };
+        vec![level.to_owned(), text(item, "name"), text(item, "message"), text(item, "hardware_id")]
+    });
+    out.line("Parts", table.rows.len().to_string());
+    let values = value.get("status").map(values).unwrap_or_default();
+    out.tables.push(table);
+    if !values.is_empty() {
+        let head = ["part", "key", "value"].map(String::from).to_vec();
+        out.tables.push(Table { title: String::from("Values"), head, rows: values });
+    }
+    out
+}
+
+fn values(status: &Value) -> Vec<Vec<String>> {
+    let Value::Array(items) = status else { return Vec::new() };
+    let pairs = items.iter().flat_map(|item| match item.get("values") {
+        Some(Value::Array(pairs)) => pairs.iter().map(|pair| (item, pair)).collect(),
+        _ => Vec::new(),
+    });
+    pairs.take(MOST_ROWS).map(|(item, pair)| vec![text(item, "name"), text(pair, "key"), text(pair, "value")]).collect()
+}
+
+/// A raw picture, borrowed from its message.
+struct Matrix<'a> {
+    pub width: usize,
+    pub height: usize,
+    pub encoding: String,
+    pub channels: usize,
+    pub sample: usize,
+    pub big_endian: bool,
+    step: usize,
+    data: std::borrow::Cow<'a, [u8]>,
+}
+
+impl<'a> Matrix<'a> {
+    /// Reads the matrix of a message.
+    pub fn of(value: &Value, body: &'a Body) -> Result<Self, PictureError> {
+        let broken = || PictureError::Broken("its size, step and data do not agree".into());
+        let encoding = match value.get("encoding") {
+            Some(Value::Text(encoding)) => crate::model::clean(encoding, 40),
+            _ => return Err(broken()),
+        };
+        let (channels, sample) = layout(&encoding).ok_or_else(|| PictureError::Encoding(encoding.clone()))?;
+        let number = |field: &str| count(value, field).ok_or_else(broken);
+        let (width, height, step) = (number("width")?, number("height")?, number("step")?);
+        let data = value.get("data").and_then(|data| bytes(data, body)).ok_or_else(broken)?;
+        let row = width.checked_mul(channels * sample).ok_or_else(broken)?;
+        let needed = step.checked_mul(height).ok_or_else(broken)?;
+        if row > step || needed > data.len() || row == 0 || height == 0 {
+            return Err(broken());
+        }
+        let big_endian = number("is_bigendian")? != 0;
+        Ok(Self { width, height, encoding, channels, sample, big_endian, step, data })
+    }
+
+    /// The bytes of a row, without padding.
+    pub fn row(&self, y: usize) -> &[u8] {
+        let start = y * self.step;
+        self.data.get(start..start + self.width * self.channels * self.sample).unwrap_or_default()
+    }
+
+    fn number(&self, x: usize, y: usize, channel: usize) -> u32 {
+        let at = (x * self.channels + channel) * self.sample;
+        let row = self.row(y);
+        let byte = |offset: usize| u32::from(row.get(at + offset).copied().unwrap_or(0));
+        let order = |offset: usize| if self.big_endian { self.sample - 1 - offset } else { offset };
+        (0..self.sample).map(|offset| byte(order(offset)) << (8 * offset)).sum()
+    }
+
+    /// A number as a float, if the numbers are depths.
+    fn depth(&self, x: usize, y: usize) -> f32 {
+        let number = self.number(x, y, 0);
+        if self.encoding.starts_with("32F") {
+            f32::from_bits(number)
+        } else if self.sample == 4 {
+            // Integer depths never get this large; the difference would not be visible.
+            f32::from(u16::try_from(number >> 16).unwrap_or(u16::MAX))
+        } else {
+            f32::from(u16::try_from(number).unwrap_or(u16::MAX))
+        }
+    }
+
+    /// Whether numbers are measurements, to be spread over all greys.
+    pub fn is_depth(&self) -> bool {
+        self.channels == 1 && (self.sample == 4 || self.encoding.starts_with("16"))
+    }
+
+    /// The smallest and the largest measurement; missing ones (0, NaN, infinite) do not count.
+    pub fn depths(&self) -> Option<(f32, f32)> {
+        let mut range: Option<(f32, f32)> = None;
+        for y in 0..self.height {
+            for x in 0..self.width {
+                let depth = self.depth(x, y);
+                if depth.is_finite() && depth != 0.0 {
+                    let (low, high) = range.unwrap_or((depth, depth));
+                    range = Some((low.min(depth), high.max(depth)));
+                }
+            }
+        }
+        range
+    }
+
+    /// The pixels for display.
+    pub fn eye(&self) -> Box<dyn Fn(usize, usize) -> [u8; 3] + '_> {
+        if self.is_depth() {
+            let (low, high) = self.depths().unwrap_or((0.0, 1.0));
+            let scale = 255.0 / (high - low).max(f32::MIN_POSITIVE);
+            return Box::new(move |x, y| {
+                let depth = self.depth(x, y);
+                if depth.is_finite() && depth != 0.0 { [grey((depth - low) * scale); 3] } else { [0; 3] }
+            });
+        }
+        let places = self.places();
+        match places {
+            Places::Pixel(places) => Box::new(move |x, y| places.map(|channel| self.part(x, y, channel))),
+            Places::Bayer(first) => Box::new(move |x, y| self.bayer(x, y, first)),
+            Places::Yuv(luma) => Box::new(move |x, y| self.yuv(x, y, luma)),
+        }
+    }
+
+    fn part(&self, x: usize, y: usize, channel: usize) -> u8 {
+        let number = self.number(x, y, channel);
+        u8::try_from(number >> (8 * (self.sample - 1))).unwrap_or(u8::MAX)
+    }
+
+    fn places(&self) -> Places {
+        match self.encoding.as_str() {
+            "bayer_rggb8" | "bayer_rggb16" => Places::Bayer((0, 0)),
+            "bayer_bggr8" | "bayer_bggr16" => Places::Bayer((1, 1)),
+            "bayer_gbrg8" | "bayer_gbrg16" => Places::Bayer((0, 1)),
+            "bayer_grbg8" | "bayer_grbg16" => Places::Bayer((1, 0)),
+            "yuv422" => Places::Yuv(1),
+            "yuv422_yuy2" => Places::Yuv(0),
+            encoding if encoding.starts_with("rgb") => Places::Pixel([0, 1, 2]),
+            _ if self.channels >= 3 => Places::Pixel([2, 1, 0]),
+            _ => Places::Pixel([0; 3]),
+        }
+    }
+
+    /// Red, one green and blue of the pixel's 2x2 square; `red` = column and row of red in it.
+    fn bayer(&self, x: usize, y: usize, red: (usize, usize)) -> [u8; 3] {
+        let inside = |x: usize, y: usize| self.part(x.min(self.width - 1), y.min(self.height - 1), 0);
+        let (left, top) = (x & !1, y & !1);
+        [
+            inside(left + red.0, top + red.1),
+            inside(left + 1 - red.0, top + red.1),
+            inside(left + 1 - red.0, top + 1 - red.1),
+        ]
+    }
+
+    /// ITU-R BT.601, two pixels sharing their colour.
+    fn yuv(&self, x: usize, y: usize, luma: usize) -> [u8; 3] {
+        let byte = |at: usize| f32::from(self.row(y).get(at).copied().unwrap_or(128));
+        let pair = (x & !1) * 2;
+        let light = byte(x * 2 + luma);
+        let (u, v) = (byte(pair + 1 - luma) - 128.0, byte(pair + 3 - luma) - 128.0);
+        [grey(light + 1.402 * v), grey(light - 0.344 * u - 0.714 * v), grey(light + 1.772 * u)]
+    }
+}
+
+/// The positions of a pixel's colours.
+enum Places {
+    Pixel([usize; 3]),
+    Bayer((usize, usize)),
+    Yuv(usize),
+}
+
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped before")]
+fn grey(value: f32) -> u8 {
+    value.clamp(0.0, 255.0) as u8
 }
 
 #[cfg(test)]

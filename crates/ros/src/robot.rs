@@ -4,32 +4,24 @@
 //! They speak TCPROS like any node, or DDS, so that capture cannot tell them from real ones. Their messages are invented; they
 //! are marked as simulated where they are shown and sealed.
 
-mod cdr;
-mod definitions;
-mod domain;
-mod letters;
 mod messages;
 mod picture;
-mod rosrust;
-mod track;
 
-use std::sync::Arc;
+use std::f64::consts::TAU;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::RosError;
-use super::address::{Endpoint, own_host};
-use super::publisher::{Advertised, Outlet, PublisherNode};
 use crate::model::Timestamp;
-
+use crate::ros::address::{Endpoint, own_host};
+use crate::ros::publisher::{Advertised, Outlet, PublisherNode};
+use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
+use crate::ros::{RosError, RosrustPublisher};
 use picture::Camera;
-use track::Track;
 
-pub use domain::DomainFleet;
-pub use rosrust::RosrustFleet;
-
-pub use definitions::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
+pub use messages::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
 
 /// The most robots in a fleet.
 pub const MOST_ROBOTS: u16 = 64;
@@ -184,7 +176,7 @@ fn repeat(
 
 /// A topic of ours, by its definition.
 fn about(topic: String, type_name: &str, definition: String) -> Advertised {
-    let (type_name, md5sum) = (type_name.to_owned(), definitions::sum_of(type_name, &definition));
+    let (type_name, md5sum) = (type_name.to_owned(), messages::sum_of(type_name, &definition));
     Advertised { topic, type_name, md5sum, definition, latching: false }
 }
 
@@ -210,4 +202,267 @@ fn wait_until(due: Instant, stopping: &AtomicBool) -> bool {
         std::thread::park_timeout(left);
     }
     false
+}
+
+/// A robot's path and pace.
+#[derive(Debug, Clone, Copy)]
+struct Track {
+    centre: (f64, f64),
+    half_width: f64,
+    half_height: f64,
+    phase: f64,
+    /// Radians of the path's parameter per second.
+    pace: f64,
+}
+
+/// Where a robot is on the ground and how it moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Motion {
+    /// Metres.
+    pub x: f64,
+    /// Metres.
+    pub y: f64,
+    /// Radians from the X axis.
+    pub heading: f64,
+    /// Metres per second, along the heading.
+    pub speed: f64,
+    /// Radians per second.
+    pub turn_rate: f64,
+}
+
+impl Track {
+    pub fn of_robot(number: u16) -> Self {
+        let number = f64::from(number);
+        Self {
+            centre: (6.0 * ((number - 1.0) % 4.0), 5.0 * ((number - 1.0) / 4.0).floor()),
+            half_width: 2.0 + 0.25 * (number % 3.0),
+            half_height: 0.9 + 0.1 * (number % 5.0),
+            phase: TAU * (number * 0.618).fract(),
+            pace: TAU / (24.0 + 3.0 * (number % 4.0)),
+        }
+    }
+
+    /// The motion `age` seconds after the start.
+    pub fn at(&self, age: f64) -> Motion {
+        let angle = self.phase + self.pace * age;
+        let (sin, cos) = angle.sin_cos();
+        let (sin2, cos2) = (2.0 * angle).sin_cos();
+        let (vx, vy) = (-self.half_width * self.pace * sin, 2.0 * self.half_height * self.pace * cos2);
+        let square = self.pace * self.pace;
+        let (ax, ay) = (-self.half_width * square * cos, -4.0 * self.half_height * square * sin2);
+        Motion {
+            x: self.centre.0 + self.half_width * cos,
+            y: self.centre.1 + self.half_height * sin2,
+            heading: vy.atan2(vx),
+            speed: vx.hypot(vy),
+            turn_rate: (vx * ay - vy * ax) / (vx * vx + vy * vy),
+        }
+    }
+}
+
+/// What a node of ROS 2 offers if it is not told otherwise.
+const USUAL: Offer = Offer { reliable: true, latched: false, depth: 10 };
+/// CDR, little-endian.
+const LITTLE: u16 = 1;
+/// About how long a message is, bytes.
+const ODOMETRY_SIZE: usize = 720;
+const PICTURE_SIZE: usize = 60_000;
+
+/// Running robots of ROS 2. They leave the domain on drop.
+pub struct DomainFleet {
+    publisher: Arc<Mutex<Ros2Publisher>>,
+    stopping: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl DomainFleet {
+    /// Starts `robots` robots, numbered from 1, in `domain`; `program` names the program that publishes if it is not beside
+    /// this one. A domain in which somebody else publishes their topics is left alone.
+    ///
+    /// # Errors
+    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, [`RosError::NoReader`] if that
+    /// program is missing, [`RosError::NotPublished`] if it cannot publish there.
+    pub fn start(domain: u16, program: Option<&Path>, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
+        if robots > MOST_ROBOTS {
+            return Err(RosError::Robots(robots));
+        }
+        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
+        let publisher = Arc::new(Mutex::new(Ros2Publisher::start(domain, program)?));
+        let mut fleet = Self { publisher, stopping: Arc::default(), threads: Vec::new() };
+        for number in 1..=robots {
+            fleet.add(domain, number, periods)?;
+        }
+        Ok(fleet)
+    }
+
+    fn add(&mut self, domain: u16, number: u16, periods: (Duration, Duration)) -> Result<(), RosError> {
+        let odometry = self.announce(domain, format!("/robot{number}/odom"), "nav_msgs/msg/Odometry", ODOMETRY_SIZE)?;
+        let name = format!("/robot{number}/camera/compressed");
+        let pictures = self.announce(domain, name, "sensor_msgs/msg/CompressedImage", PICTURE_SIZE)?;
+        let track = Track::of_robot(number);
+        self.publish("robot-odometry", odometry, periods.0, move |_, age| {
+            Some(messages::odometry_in_cdr(Timestamp::now(), &track.at(age)))
+        })?;
+        let mut camera = Camera::new(number, track);
+        self.publish("robot-camera", pictures, periods.1, move |seq, age| {
+            camera.shoot(seq, age).map(|jpeg| messages::compressed_image_in_cdr(Timestamp::now(), number, &jpeg))
+        })
+    }
+
+    fn announce(&self, domain: u16, name: String, type_name: &str, size: usize) -> Result<u32, RosError> {
+        let topic = Offered { name, type_name: type_name.to_owned(), encoding: LITTLE, offer: USUAL };
+        let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
+        let refused = |declined: Declined| RosError::NotPublished {
+            domain,
+            reason: format!("{}; choose a domain of their own for the robots, as --ros2 42", declined.reason),
+        };
+        publisher.advertise(&topic, size, (true, false))?.map_err(refused)
+    }
+
+    fn publish(
+        &mut self,
+        name: &str,
+        writer: u32,
+        period: Duration,
+        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
+    ) -> Result<(), RosError> {
+        let publisher = Arc::clone(&self.publisher);
+        let publish = move |seq, age| {
+            let message = make(seq, age);
+            message.is_some_and(|message| {
+                publisher.lock().unwrap_or_else(PoisonError::into_inner).publish(writer, &message)
+            })
+        };
+        self.threads.push(repeat(name, period, &self.stopping, publish)?);
+        Ok(())
+    }
+}
+
+impl Drop for DomainFleet {
+    fn drop(&mut self) {
+        self.stopping.store(true, Ordering::SeqCst);
+        for thread in self.threads.drain(..) {
+            thread.thread().unpark();
+            drop(thread.join());
+        }
+    }
+}
+
+/// Running robots. They leave the graph on drop; what is queued for subscribers is sent first.
+pub struct RosrustFleet {
+    nodes: Vec<Arc<Mutex<RosrustPublisher>>>,
+    stopping: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+fn locked(node: &Mutex<RosrustPublisher>) -> std::sync::MutexGuard<'_, RosrustPublisher> {
+    node.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl RosrustFleet {
+    /// Starts `robots` robots, numbered from 1, at the master; `program` names the program in which rosrust runs if it is
+    /// not beside this one.
+    ///
+    /// # Errors
+    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, [`RosError::NoRosrust`] if that
+    /// program is missing, [`RosError::NotPublishedByRosrust`] if it cannot publish there.
+    pub fn start(
+        master_uri: &str,
+        program: Option<&Path>,
+        robots: u16,
+        options: FleetOptions,
+    ) -> Result<Self, RosError> {
+        if robots > MOST_ROBOTS {
+            return Err(RosError::Robots(robots));
+        }
+        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
+        let mut fleet = Self { nodes: Vec::new(), stopping: Arc::default(), threads: Vec::new() };
+        for number in 1..=robots {
+            let node = RosrustPublisher::start(master_uri, None, &format!("robot{number}_sim"), program)?;
+            fleet.add(node, number, periods)?;
+        }
+        Ok(fleet)
+    }
+
+    fn add(&mut self, mut node: RosrustPublisher, number: u16, periods: (Duration, Duration)) -> Result<(), RosError> {
+        let odometry = about(format!("/robot{number}/odom"), ODOMETRY, odometry_definition());
+        let camera = format!("/robot{number}/camera/compressed");
+        let pictures = about(camera, COMPRESSED_IMAGE, compressed_image_definition());
+        for topic in [&odometry, &pictures] {
+            node.advertise(topic, false)?;
+        }
+        let node = Arc::new(Mutex::new(node));
+        self.nodes.push(Arc::clone(&node));
+        let track = Track::of_robot(number);
+        self.publish("robot-odometry", (&node, odometry), periods.0, move |seq, age| {
+            Some(messages::odometry(seq, Timestamp::now(), &track.at(age)))
+        })?;
+        let mut camera = Camera::new(number, track);
+        self.publish("robot-camera", (&node, pictures), periods.1, move |seq, age| {
+            camera.shoot(seq, age).map(|jpeg| messages::compressed_image(seq, Timestamp::now(), number, &jpeg))
+        })
+    }
+
+    fn publish(
+        &mut self,
+        name: &str,
+        (node, about): (&Arc<Mutex<RosrustPublisher>>, Advertised),
+        period: Duration,
+        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
+    ) -> Result<(), RosError> {
+        let node = Arc::clone(node);
+        let publish = move |seq, age| {
+            let message = make(seq, age);
+            message.is_some_and(|message| {
+                let mut node = locked(&node);
+                // A robot whose process ended comes back as one does that was switched off.
+                if node.broken().is_some() && node.revive().is_err() {
+                    return false;
+                }
+                node.publish(&about.topic, 0, &message)
+            })
+        };
+        self.threads.push(repeat(name, period, &self.stopping, publish)?);
+        Ok(())
+    }
+}
+
+impl Drop for RosrustFleet {
+    fn drop(&mut self) {
+        self.stopping.store(true, Ordering::SeqCst);
+        for thread in self.threads.drain(..) {
+            thread.thread().unpark();
+            drop(thread.join());
+        }
+        self.nodes.iter().for_each(|node| locked(node).leave());
+        let begun = Instant::now();
+        while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| locked(node).is_sent()) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_twist_is_the_derivative_of_the_pose_and_the_path_closes() {
+        let step = 1e-5;
+        for number in 1..=8 {
+            let track = Track::of_robot(number);
+            for tenth in 0..400 {
+                let age = f64::from(tenth) / 10.0;
+                let (before, now, after) = (track.at(age - step), track.at(age), track.at(age + step));
+                let (vx, vy) = ((after.x - before.x) / (2.0 * step), (after.y - before.y) / (2.0 * step));
+                assert!((vx - now.speed * now.heading.cos()).abs() < 1e-6);
+                assert!((vy - now.speed * now.heading.sin()).abs() < 1e-6);
+                let turned = (after.heading - before.heading + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
+                assert!((turned / (2.0 * step) - now.turn_rate).abs() < 1e-4);
+                assert!(now.speed > 0.05);
+            }
+            let round = track.at(TAU / track.pace);
+            assert!((round.x - track.at(0.0).x).abs() < 1e-9 && (round.y - track.at(0.0).y).abs() < 1e-9);
+        }
+    }
 }

@@ -1,4 +1,5 @@
-//! Asks nodes for the definition of a type that they publish: ROS 2's service `~/get_type_description`, which is two topics.
+//! Asks nodes for the definition of a type that they publish: ROS 2's service `~/get_type_description` (REP 2016), which is
+//! two topics. Every length in an answer is checked against the bytes that are there.
 //!
 //! A node's middleware decides how an answer names its request: `rmw_fastrtps` by the identity of a sample beside it,
 //! `rmw_cyclonedds` by two numbers before the body. Others are not asked.
@@ -6,21 +7,17 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use crate::farewell::Departures;
+use crate::graph::{self, Graph, Id};
+use crate::pipe::read::Told;
+use crate::publish::Encoded;
+use crate::quality::{self, Raw, RawAdapter, RawDecoder, Request as Quality};
 use rustdds::bytes::Bytes;
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::{
     DomainParticipant, GUID, Publisher, QosPolicies, RTPSEntity, SampleIdentity, SequenceNumber, Subscriber, TopicKind,
     WriteOptionsBuilder,
 };
-
-use crate::description::{self, Answer, Header};
-use crate::farewell::Departures;
-use crate::graph::{Graph, Id};
-use crate::names;
-use crate::pipe::read::Told;
-use crate::publish::Encoded;
-use crate::quality::{self, Request as Quality};
-use crate::raw::{Raw, RawAdapter, RawDecoder};
 
 const REQUEST_TYPE: &str = "type_description_interfaces::srv::dds_::GetTypeDescription_Request_";
 const ANSWER_TYPE: &str = "type_description_interfaces::srv::dds_::GetTypeDescription_Response_";
@@ -52,7 +49,6 @@ pub struct Question {
     pub node: String,
     /// The type, `package/msg/Type`.
     pub type_name: String,
-    /// Its hash.
     pub type_hash: String,
 }
 
@@ -137,7 +133,7 @@ fn tell(question: Question, answer: Answer) -> (Told, Vec<u8>) {
 
 /// By the maker of a node's middleware.
 fn form(server: Id) -> Option<Form> {
-    match names::vendor(server).as_str() {
+    match graph::vendor(server).as_str() {
         "fastdds" => Some(Form::Beside),
         "cyclonedds" => Some(Form::Before),
         _ => None,
@@ -150,14 +146,14 @@ impl Asked {
         question: &Question,
         graph: &Graph,
     ) -> Result<Self, String> {
-        let Some((request, answer)) = names::description_topics(&question.node) else {
+        let Some((request, answer)) = graph::description_topics(&question.node) else {
             return Err("its name is no name of a node".to_owned());
         };
         let Some(server) = graph.writer_of(&answer, ANSWER_TYPE) else {
             return Err("it does not offer get_type_description".to_owned());
         };
         let Some(form) = form(server) else {
-            return Err(format!("services of {} are not spoken here", names::vendor(server)));
+            return Err(format!("services of {} are not spoken here", graph::vendor(server)));
         };
         let failed = |error: &dyn std::fmt::Debug| format!("it cannot be asked ({error:?})");
         let policies: QosPolicies = quality::policies(Quality { reliable: true, latched: false }, DEPTH);
@@ -200,7 +196,7 @@ impl Asked {
         if self.sent.is_none_or(|sent| sent.elapsed() >= REPEAT) {
             self.number += 1;
             let Question { type_name, type_hash, .. } = &self.question;
-            let body = description::request(self.header(self.number), type_name, type_hash);
+            let body = request(self.header(self.number), type_name, type_hash);
             let options = match self.form {
                 Form::Before => WriteOptionsBuilder::new(),
                 Form::Beside => {
@@ -225,11 +221,9 @@ impl Asked {
             let type_name = &self.question.type_name;
             let found = match self.form {
                 Form::Beside if !related.is_some_and(|id| self.is_own(id)) => None,
-                Form::Beside => description::answer(&message, None, type_name),
+                Form::Beside => answer(&message, None, type_name),
                 // An answer to a former request is as good.
-                Form::Before => {
-                    (1..=self.number).find_map(|number| description::answer(&message, self.header(number), type_name))
-                }
+                Form::Before => (1..=self.number).find_map(|number| answer(&message, self.header(number), type_name)),
             };
             if found.is_some() {
                 return found;
@@ -240,5 +234,376 @@ impl Asked {
 
     fn is_own(&self, id: GUID) -> bool {
         id == self.reader.guid() || id == self.writer.guid()
+    }
+}
+
+/// The longest of the texts that are passed on, bytes.
+pub const LONGEST_TEXT: usize = 1 << 20;
+/// The least bytes of a field, of a type and of a source in an answer.
+const FIELD: usize = 4;
+const TYPE: usize = 4;
+const SOURCE: usize = 4;
+
+/// Two numbers that relate an answer to its request, where both are written before the body (`rmw_cyclonedds`).
+pub type Header = (u64, u64);
+
+/// The body of a request for the sources of a type.
+pub fn request(header: Option<Header>, type_name: &str, type_hash: &str) -> Vec<u8> {
+    let mut body = Writer::default();
+    if let Some((client, number)) = header {
+        body.long(client);
+        body.long(number);
+    }
+    body.text(type_name);
+    body.text(type_hash);
+    body.truth(true);
+    body.0
+}
+
+#[derive(Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// The type with all the types it consists of, as in MCAP's `ros2msg`, twice: the texts that its package was built from, empty
+    /// if there are none in `.msg`, and what is written from its structure.
+    Texts(String, String),
+    /// There is none, and why.
+    Refused(String),
+}
+
+/// Reads an answer with its header of encapsulation; `None` if it belongs to another request.
+pub fn answer(message: &[u8], header: Option<Header>, type_name: &str) -> Option<Answer> {
+    let unreadable = || Answer::Refused("its answer cannot be read".to_owned());
+    let Some(mut reader) = Reader::of(message) else { return Some(unreadable()) };
+    if let Some(own) = header {
+        let theirs = reader.long().zip(reader.long());
+        if theirs != Some(own) {
+            return None;
+        }
+    }
+    Some(read(&mut reader, type_name).unwrap_or_else(unreadable))
+}
+
+fn read(reader: &mut Reader<'_>, type_name: &str) -> Option<Answer> {
+    let is_successful = reader.byte()? == 1;
+    let reason = reader.text()?;
+    if !is_successful {
+        return Some(Answer::Refused(format!("it refuses: {reason}")));
+    }
+    let mut types = vec![structure(reader)?];
+    for _ in 0..reader.count(TYPE)? {
+        types.push(structure(reader)?);
+    }
+    // rclpy's texts may be cut in the middle of a character; the structure does not depend on them.
+    let sources = sources(reader).unwrap_or_default();
+    let (text, structure) = (joined(&sources, type_name), whole_structure(&types, type_name));
+    if text.is_empty() && structure.is_empty() {
+        return Some(Answer::Refused("what it answers cannot be said in .msg, or is too long".to_owned()));
+    }
+    Some(Answer::Texts(text, structure))
+}
+
+fn sources<'a>(reader: &mut Reader<'a>) -> Option<Vec<(&'a str, &'a str, &'a str)>> {
+    (0..reader.count(SOURCE)?).map(|_| Some((reader.text()?, reader.text()?, reader.text()?))).collect()
+}
+
+/// One type of a structured description: its name, and its lines in `.msg`, if these can say it.
+fn structure<'a>(reader: &mut Reader<'a>) -> Option<(&'a str, Option<String>)> {
+    let name = reader.text()?;
+    let mut lines = Some(String::new());
+    for _ in 0..reader.count(FIELD)? {
+        let (field, number, capacity) = (reader.text()?, reader.byte()?, reader.long()?);
+        let (bound, nested, _default) = (reader.long()?, reader.text()?, reader.text()?);
+        // A type without fields is described by this one.
+        if field == "structure_needs_at_least_one_member" {
+            continue;
+        }
+        let line = kind(number, capacity, bound, nested).map(|kind| format!("{kind} {field}\n"));
+        lines = lines.zip(line).map(|(lines, line)| lines + &line);
+    }
+    Some((name, lines))
+}
+
+/// A field's type as `.msg` has it; `None` for one of IDL alone.
+fn kind(number: u8, capacity: u64, bound: u64, nested: &str) -> Option<String> {
+    const PLAIN: [&str; 10] =
+        ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"];
+    let element = match number % 48 {
+        1 => short(nested),
+        plain @ 2..=11 => PLAIN.get(usize::from(plain - 2)).map(|name| (*name).to_owned())?,
+        15 => "bool".to_owned(),
+        16 => "byte".to_owned(),
+        17 => "string".to_owned(),
+        18 => "wstring".to_owned(),
+        21 => format!("string<={bound}"),
+        22 => format!("wstring<={bound}"),
+        _ => return None,
+    };
+    Some(match number / 48 {
+        0 => element,
+        1 => format!("{element}[{capacity}]"),
+        2 => format!("{element}[<={capacity}]"),
+        3 => format!("{element}[]"),
+        _ => return None,
+    })
+}
+
+fn short(name: &str) -> String {
+    name.replacen("/msg/", "/", 1)
+}
+
+/// Empty if a part is missing or cannot be said, or all of it is too long.
+fn whole_structure(types: &[(&str, Option<String>)], type_name: &str) -> String {
+    let parts: Option<Vec<_>> = types.iter().map(|(name, lines)| Some((*name, lines.as_deref()?))).collect();
+    let text = parts.map(|parts| whole(&parts, type_name)).unwrap_or_default();
+    if text.is_empty() { text } else { format!("{WRITTEN}{text}") }
+}
+
+/// Begins a text that is written from a structure.
+const WRITTEN: &str =
+    "# From the structure that the publishing node told: without comments, constants and default values.\n";
+
+/// Empty if there is none of the type itself, or one is not in `.msg`, or all of it is too long.
+fn joined(sources: &[(&str, &str, &str)], type_name: &str) -> String {
+    let parts = sources.iter().map(|(name, encoding, lines)| (*encoding == "msg").then_some((*name, *lines)));
+    parts.collect::<Option<Vec<_>>>().map(|parts| whole(&parts, type_name)).unwrap_or_default()
+}
+
+fn whole(parts: &[(&str, &str)], type_name: &str) -> String {
+    let Some((_, own)) = parts.iter().find(|(name, _)| *name == type_name) else { return String::new() };
+    let mut text = format!("{}\n", own.trim_end());
+    for (name, lines) in parts.iter().filter(|(name, _)| *name != type_name) {
+        text.push_str(&format!("{}\nMSG: {}\n{}\n", "=".repeat(80), short(name), lines.trim_end()));
+    }
+    if text.len() > LONGEST_TEXT { String::new() } else { text }
+}
+
+/// Reads a body from its first byte on; numbers are aligned by their size.
+pub struct Reader<'a> {
+    body: &'a [u8],
+    at: usize,
+    little: bool,
+}
+
+impl<'a> Reader<'a> {
+    /// Of a message with its four bytes of header; `None` for another encoding.
+    pub fn of(message: &'a [u8]) -> Option<Self> {
+        let (header, body) = message.split_at_checked(4)?;
+        (header[0] == 0 && header[1] <= 1).then_some(Self { body, at: 0, little: header[1] == 1 })
+    }
+
+    /// The bytes that are left.
+    pub fn left(&self) -> usize {
+        self.body.len() - self.at.min(self.body.len())
+    }
+
+    fn take(&mut self, length: usize) -> Option<&'a [u8]> {
+        let end = self.at.checked_add(length)?;
+        let found = self.body.get(self.at..end)?;
+        self.at = end;
+        Some(found)
+    }
+
+    fn aligned<const LENGTH: usize>(&mut self) -> Option<[u8; LENGTH]> {
+        self.at = self.at.next_multiple_of(LENGTH);
+        let mut bytes: [u8; LENGTH] = self.take(LENGTH)?.try_into().ok()?;
+        if !self.little {
+            bytes.reverse();
+        }
+        Some(bytes)
+    }
+
+    pub fn byte(&mut self) -> Option<u8> {
+        self.aligned::<1>().map(|[byte]| byte)
+    }
+
+    /// A number of 32 bits.
+    pub fn number(&mut self) -> Option<u32> {
+        self.aligned().map(u32::from_le_bytes)
+    }
+
+    /// A number of 64 bits.
+    pub fn long(&mut self) -> Option<u64> {
+        self.aligned().map(u64::from_le_bytes)
+    }
+
+    /// The length of a list whose elements take `least` bytes each, or more.
+    pub fn count(&mut self, least: usize) -> Option<usize> {
+        let count = self.number()? as usize;
+        (count <= self.left() / least).then_some(count)
+    }
+
+    pub fn text(&mut self) -> Option<&'a str> {
+        let length = self.number()? as usize;
+        let bytes = self.take(length)?;
+        std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).ok()
+    }
+
+    /// An id of 16 bytes in a field of this many.
+    pub fn id(&mut self, length: usize) -> Option<[u8; 16]> {
+        self.take(length)?.first_chunk().copied()
+    }
+}
+
+/// Writes a body, little-endian.
+#[derive(Default)]
+pub struct Writer(pub Vec<u8>);
+
+impl Writer {
+    fn aligned(&mut self, bytes: &[u8]) {
+        self.0.resize(self.0.len().next_multiple_of(bytes.len()), 0);
+        self.0.extend_from_slice(bytes);
+    }
+
+    /// A number of 64 bits.
+    pub fn long(&mut self, number: u64) {
+        self.aligned(&number.to_le_bytes());
+    }
+
+    /// A text; one longer than 32 bits can say is written as empty.
+    pub fn text(&mut self, text: &str) {
+        let (text, length) = u32::try_from(text.len() + 1).map_or(("", 1), |length| (text, length));
+        self.aligned(&length.to_le_bytes());
+        self.0.extend(text.bytes().chain([0]));
+    }
+
+    /// Yes or no.
+    pub fn truth(&mut self, truth: bool) {
+        self.0.push(u8::from(truth));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By hand: one type of one field, one other type, and these sources.
+    fn reply(header: Option<Header>, sources: &[(&str, &str, &str)]) -> Vec<u8> {
+        let mut body = Writer::default();
+        if let Some((client, number)) = header {
+            body.long(client);
+            body.long(number);
+        }
+        body.truth(true);
+        body.text("");
+        let put_number = |body: &mut Writer, number: u32| {
+            body.0.resize(body.0.len().next_multiple_of(4), 0);
+            body.0.extend(number.to_le_bytes());
+        };
+        let put_type = |body: &mut Writer, name: &str| {
+            body.text(name);
+            put_number(body, 1);
+            body.text("force");
+            body.0.push(11);
+            body.long(0);
+            body.long(0);
+            body.text("");
+            body.text("");
+        };
+        put_type(&mut body, "rig_msgs/msg/Grip");
+        put_number(&mut body, 1);
+        put_type(&mut body, "rig_msgs/msg/Jaw");
+        put_number(&mut body, u32::try_from(sources.len()).expect("few"));
+        for (name, encoding, text) in sources {
+            body.text(name);
+            body.text(encoding);
+            body.text(text);
+        }
+        put_number(&mut body, 0);
+        [vec![0, 1, 0, 0], body.0].concat()
+    }
+
+    const GRIP: (&str, &str, &str) = ("rig_msgs/msg/Grip", "msg", "Jaw left # the left one\n\n");
+    const JAW: (&str, &str, &str) = ("rig_msgs/msg/Jaw", "msg", "float64 force\n");
+
+    #[test]
+    fn the_text_of_a_type_is_put_together_in_mcap_s_form() {
+        let expected = format!("Jaw left # the left one\n{}\nMSG: rig_msgs/Jaw\nfloat64 force\n", "=".repeat(80));
+        for header in [None, Some((7, 9))] {
+            let found = answer(&reply(header, &[JAW, GRIP]), header, GRIP.0);
+            assert_eq!(found, Some(Answer::Texts(expected.clone(), written())), "{header:?}");
+        }
+        assert_eq!(answer(&reply(Some((7, 9)), &[GRIP]), Some((7, 8)), GRIP.0), None, "another's");
+    }
+
+    fn written() -> String {
+        format!("{WRITTEN}float64 force\n{}\nMSG: rig_msgs/Jaw\nfloat64 force\n", "=".repeat(80))
+    }
+
+    #[test]
+    fn the_structure_is_told_where_the_texts_help_nobody() {
+        let long = "x".repeat(LONGEST_TEXT);
+        let cut = (JAW.0, "msg", "float64 force # 10\u{b0}");
+        for sources in [&[JAW][..], &[], &[GRIP, (JAW.0, "idl", "module x {};")], &[(GRIP.0, "msg", &long)]] {
+            let found = answer(&reply(None, sources), None, GRIP.0);
+            assert_eq!(found, Some(Answer::Texts(String::new(), written())), "{sources:?}");
+        }
+        // A text that ends within a character.
+        let mut spoilt = reply(None, &[GRIP, cut]);
+        let place = spoilt.windows(2).position(|pair| pair == "\u{b0}".as_bytes()).expect("there");
+        spoilt[place + 1] = b' ';
+        assert_eq!(answer(&spoilt, None, GRIP.0), Some(Answer::Texts(String::new(), written())));
+    }
+
+    #[test]
+    fn every_kind_of_field_is_written_as_in_msg_or_not_at_all() {
+        let cases = [
+            ((2, 0, 0, ""), Some("int8")),
+            ((58, 36, 0, ""), Some("float32[36]")),
+            ((11 + 96, 3, 0, ""), Some("float64[<=3]")),
+            ((17 + 144, 0, 0, ""), Some("string[]")),
+            ((22 + 96, 4, 3, ""), Some("wstring<=3[<=4]")),
+            ((21, 0, 10, ""), Some("string<=10")),
+            ((1 + 144, 0, 0, "a/msg/B"), Some("a/B[]")),
+            ((1, 0, 0, "a/srv/B_Request"), Some("a/srv/B_Request")),
+            ((15, 0, 0, ""), Some("bool")),
+            ((16, 0, 0, ""), Some("byte")),
+            // A long double, a char of IDL, a text of fixed length, and none.
+            ((12, 0, 0, ""), None),
+            ((13, 0, 0, ""), None),
+            ((19, 0, 0, ""), None),
+            ((0, 0, 0, ""), None),
+            ((48 * 4 + 2, 0, 0, ""), None),
+        ];
+        for ((number, capacity, bound, nested), expected) in cases {
+            assert_eq!(kind(number, capacity, bound, nested).as_deref(), expected, "{number}");
+        }
+    }
+
+    #[test]
+    fn what_helps_nobody_is_refused_with_a_reason() {
+        let whole = reply(None, &[GRIP, JAW]);
+        let second = whole.windows(JAW.0.len()).position(|part| part == JAW.0.as_bytes()).expect("there") + 40;
+        for end in 0..second {
+            assert!(matches!(answer(&whole[..end], None, GRIP.0), Some(Answer::Refused(_))), "{end}");
+        }
+        assert!(matches!(answer(&whole, None, "rig_msgs/msg/Other"), Some(Answer::Refused(_))), "of another type");
+        // No byte makes it take what is not there.
+        for place in 4..whole.len() {
+            for byte in [0, 1, 0x7f, 0xff] {
+                let mut spoilt = whole.clone();
+                spoilt[place] = byte;
+                assert!(answer(&spoilt, None, GRIP.0).is_some(), "{place} {byte}");
+            }
+        }
+        let mut refusal = Writer::default();
+        refusal.truth(false);
+        refusal.text("not mine");
+        let refusal = [vec![0, 1, 0, 0], refusal.0].concat();
+        assert_eq!(answer(&refusal, None, GRIP.0), Some(Answer::Refused("it refuses: not mine".into())));
+    }
+
+    #[test]
+    fn a_request_is_aligned_and_begins_with_its_numbers_where_they_are_wanted() {
+        let plain = request(None, "a/msg/B", "RIHS01_0");
+        let expected = [8, 0, 0, 0]
+            .into_iter()
+            .chain(*b"a/msg/B\0")
+            .chain([9, 0, 0, 0])
+            .chain(*b"RIHS01_0\0")
+            .chain([1])
+            .collect::<Vec<u8>>();
+        assert_eq!(plain, expected);
+        let related = request(Some((2, 3)), "a/msg/B", "RIHS01_0");
+        assert_eq!(related[..16], [2, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(related[16..], expected);
     }
 }

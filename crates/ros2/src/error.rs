@@ -10,14 +10,7 @@ pub enum Ros2Error {
     Pipe(#[from] PipeError),
     /// The network could not be joined.
     #[error("cannot join ROS 2 domain {domain} ({reason}); check that the UDP ports from {port} up are free")]
-    Join {
-        /// The domain.
-        domain: u16,
-        /// The message.
-        reason: String,
-        /// The first port of the domain.
-        port: u32,
-    },
+    Join { domain: u16, reason: String, port: u32 },
     /// The network threads are gone, as happens after the process was stopped.
     #[error(
         "the threads that read the network ended, as they do after the process was suspended; they are being restarted"
@@ -25,12 +18,7 @@ pub enum Ros2Error {
     Threads,
     /// The operating system refused a resource.
     #[error("cannot {action} ({reason}); free some memory and sockets")]
-    System {
-        /// The attempt.
-        action: &'static str,
-        /// The system's message.
-        reason: String,
-    },
+    System { action: &'static str, reason: String },
 }
 
 impl Ros2Error {

@@ -6,21 +6,13 @@
 use authros_pipe as pipe;
 
 mod capture;
-mod cdr;
 mod describing;
-mod description;
 mod error;
 mod farewell;
 mod graph;
-mod names;
-mod nodes;
 mod publish;
 mod quality;
-mod raw;
-mod reading;
-mod rtps;
 mod threads;
-mod wishes;
 
 pub use capture::run;
 pub use error::Ros2Error;

@@ -55,7 +55,6 @@ fn publish(domain: u16, begun: Begun) -> Result<(), String> {
 enum Purpose<'a> {
     /// To read a domain.
     Read(u16),
-    /// To publish in one.
     Publish(u16),
     /// To say in a domain that a participant, by the prefix of its ids, is gone.
     Bury(u16, [u8; 12]),

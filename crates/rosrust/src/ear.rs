@@ -34,9 +34,6 @@ pub struct Ear {
 
 impl Ear {
     /// Listens to a topic under this name.
-    ///
-    /// # Errors
-    /// If it is not let in.
     pub fn open(served: &Served, name: &str) -> io::Result<Self> {
         let stream = shake_hands(served, name)?;
         stream.set_read_timeout(None)?;
@@ -80,9 +77,6 @@ impl Last {
 }
 
 /// Asks a node where it serves a topic.
-///
-/// # Errors
-/// What is wrong with its answer.
 pub fn find(node_uri: &str, topic: &str) -> io::Result<Served> {
     let wrong = |what: &str| io::Error::other(format!("rosrust does not say where it serves the topic: {what}"));
     let uri: xml_rpc::Url = node_uri.parse().map_err(|_| wrong("its own address is none"))?;
@@ -103,9 +97,6 @@ fn place(answer: Value, topic: &str) -> Option<Served> {
 }
 
 /// Subscribes under a name; messages follow.
-///
-/// # Errors
-/// If it is not let in.
 fn shake_hands(served: &Served, name: &str) -> io::Result<TcpStream> {
     let mut stream = TcpStream::connect((served.host.as_str(), served.port))?;
     stream.set_read_timeout(Some(PATIENCE))?;

@@ -19,12 +19,7 @@ pub enum RosrustError {
     Deaf(String),
     /// The operating system refused a resource.
     #[error("cannot {action} ({reason}); free some memory and threads")]
-    System {
-        /// The attempt.
-        action: &'static str,
-        /// The system's message.
-        reason: String,
-    },
+    System { action: &'static str, reason: String },
 }
 
 /// The longest reason in the words of another library, characters.

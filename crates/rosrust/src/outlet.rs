@@ -36,9 +36,6 @@ pub struct Outlet {
 
 impl Outlet {
     /// Announces a topic.
-    ///
-    /// # Errors
-    /// Why that fails, in words.
     pub fn begin(ros: &Ros, topic: &Described, definition: String) -> Result<Self, String> {
         let description = RawMessageDescription {
             msg_definition: definition,

@@ -23,7 +23,6 @@ pub trait Outlet {
 /// What has left the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Taken {
-    /// Messages.
     pub messages: u32,
     /// Of these the ones that a subscriber did not get, or perhaps not, because it read too slowly.
     pub dropped: u32,
@@ -39,7 +38,6 @@ enum Fate {
     Dropped,
 }
 
-/// The queue.
 #[derive(Default)]
 pub struct Queue {
     waiting: VecDeque<(u32, Vec<u8>)>,

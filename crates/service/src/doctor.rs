@@ -14,8 +14,8 @@ use crate::pipeline::network_pin_in;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::site::keyring_faults;
-use crate::store::notes::ProfileAccounts;
+use crate::site::{STORE_LOST, keyring_faults, misses_store, store_loss};
+use crate::store::notes::{ProfileAccounts, StoreWasGone};
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
 /// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
@@ -335,16 +335,20 @@ const DAMAGED: &str = "keep a copy of the home, then restore the last backup: au
 /// Whether the store is well-formed, and what is noted in it can be read.
 fn store(home: &Home, sheet: &mut Sheet) {
     let path = home.ledger();
-    if !path.exists() && home.chain().join("chain.db").exists() {
-        let text = format!("{} is gone, and the embedded chain of this home is there", path.display());
-        let advice = "restore the last backup: authros restore FILE; without one, name the contract with --contract";
-        return sheet.fail("store", &text, advice);
+    if misses_store(home) {
+        let text = format!("{} is gone, and keys or the embedded chain of this home are there", path.display());
+        return sheet.fail("store", &text, STORE_LOST);
     }
     if !path.exists() {
         return sheet.ok("store", &format!("{} does not exist yet", path.display()));
     }
     match snapshot::examine(&path) {
-        Ok(bytes) => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
+        Ok(bytes) => match Glance::at(&path).and_then(|ledger| ledger.note(&StoreWasGone {})) {
+            Ok(Some(missed)) if matches!(network_pin_in(&path), Ok(None)) => {
+                sheet.fail("store", &store_loss(home, missed), STORE_LOST);
+            }
+            _ => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
+        },
         Err(error) => return sheet.fail("store", &error.to_string(), DAMAGED),
     }
     match Glance::at(&path).and_then(|ledger| ledger.check_notes()) {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::StoreError;
 use crate::database::Statements as _;
-use crate::ledger::{Database, Erasure};
+use crate::ledger::{Erasure, Notes};
 use crate::model::{
     Address, ContactName, Digest, Domain, Hash, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp,
     TopicId, TopicName, TypeName, clean,
@@ -84,6 +84,8 @@ notes! {
     RestoredAt {} = "restored at": Timestamp, "when this home was restored";
     /// Up to which block a copied ledger's accounts may have anchored without it.
     ForeignHistory {} = "foreign history": u64, "up to which block anchors of other copies are history";
+    /// When the store was first missed in a home that had keys or an embedded chain already.
+    StoreWasGone {} = "store was gone": Timestamp, "when the store was missed";
     /// Anchors by this home's accounts that it did not send.
     SeenForeign {} = "foreign anchors": ForeignAnchors, "the anchors that this home did not send";
     /// Up to which text of [`crate::WaitingFile`] its losses are counted.
@@ -426,10 +428,6 @@ pub struct PolicyKept {
     pub refused: Option<String>,
 }
 
-/// The notes of a home.
-#[derive(Debug, Clone)]
-pub struct Notes(pub(crate) Database);
-
 impl Notes {
     /// What is noted; `None` if nothing is.
     ///
@@ -475,11 +473,8 @@ impl Notes {
     /// [`StoreError::DiskFull`] and the like; the note is then unchanged.
     pub fn forget<N: Note>(&self, note: &N, value: &N::Value) -> Result<(), StoreError> {
         let row = row(note, value)?;
-        self.0.write(move |session| {
-            let sql = "DELETE FROM notes WHERE kind = ?1 AND about = ?2 AND value = ?3";
-            session.connection.run(sql, row)?;
-            Ok(())
-        })
+        let sql = "DELETE FROM notes WHERE kind = ?1 AND about = ?2 AND value = ?3";
+        self.0.run(sql, row)
     }
 }
 

@@ -2,10 +2,10 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::action::{Errand, Tag};
+use super::State;
 use super::form::{Field, Form, Line};
 use super::popup::{self, Confirm, Popup, Purpose};
-use super::state::State;
+use super::verb::{Errand, Tag};
 use crate::model::Party;
 use crate::service::Command;
 use crate::service::command::Administration;
@@ -154,9 +154,6 @@ fn form(act: Act) -> Form {
 }
 
 /// The question after a completed form.
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
     let party = |line: usize| -> Result<Party, (usize, String)> {
         form.text(line).trim().parse().map_err(|error| (line, format!("{error}")))

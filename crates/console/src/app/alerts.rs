@@ -4,9 +4,8 @@
 use std::collections::VecDeque;
 
 use super::leaving::not_captured;
-use super::policies;
-use super::screens::grants::{is_active, is_given};
-use super::state::State;
+use super::screens::{is_active, is_given};
+use super::{State, policies};
 use crate::model::{Address, Timestamp};
 use crate::service::NoticeLevel;
 use crate::service::reply::{AlertView, GrantRow, HealthLevel, LifeLine, PartHealth, Severity, SiteView};

@@ -6,13 +6,11 @@ use std::path::PathBuf;
 
 use zeroize::Zeroizing;
 
-use super::action::{Contents, Effect, Tag};
-use super::feed::Feed;
 use super::incidents::{self, Deed};
 use super::popup::Popup;
-use super::screen::Screen;
-use super::state::State;
-use super::{identity_path, opening, paths, perform, playing, policies, profiles};
+use super::update::Feed;
+use super::verb::{Contents, Effect, Tag};
+use super::{Screen, State, identity_path, opening, palette, perform, policies};
 use crate::model::{ErrorKind, Verdict};
 use crate::service::command::{self as ask, Ask, SecretBytes};
 use crate::service::reply::{CheckView, ExportedFile, IdentityView, PinsView, Provenance, TransactionView};
@@ -55,7 +53,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             });
         }
         Tag::BackUp => return named(state, tag, ask::BackUpKeys::heard(result), "keyring", |keys| keys),
-        Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
+        Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| perform::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
         Tag::Contact(_) => done(state, tag, ask::ListContacts::heard(result), |state, rows| {
@@ -180,7 +178,7 @@ fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect>
     let Err(failure) = result else { return Vec::new() };
     if let Some(former) = former {
         // Back to the profile that this console can speak for.
-        let effects = profiles::switch(state, former);
+        let effects = perform::switch(state, former);
         state.former = None;
         state.complain(failure.message);
         return effects;
@@ -291,7 +289,7 @@ fn written<T>(
     result: Result<T, Failure>,
     write: impl FnOnce(&State, Option<PathBuf>, T) -> Effect,
 ) -> Vec<Effect> {
-    let base = paths::folder_of(state, tag);
+    let base = palette::folder_of(state, tag);
     match result {
         Ok(answer) => vec![write(state, base, answer)],
         Err(failure) => {

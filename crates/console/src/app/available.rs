@@ -2,19 +2,13 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::action::Tag;
 use super::administration::Act;
-use super::feed::Feed;
-use super::screen::Screen;
-use super::screens::gateway::robot_of;
-use super::screens::grants::{is_active, is_given};
-use super::state::State;
-use super::verb::{Verb, entry_of};
+use super::screens::{is_active, is_given, robot_of};
+use super::update::Feed;
+use super::verb::{Tag, Verb, entry_of};
+use super::{Screen, State};
 
 /// Whether `verb` can be done now.
-///
-/// # Errors
-/// The reason why not.
 pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     let entry = entry_of(verb, state.screen).ok_or("unknown")?;
     if entry.changes && state.settings.read_only {

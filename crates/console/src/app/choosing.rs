@@ -1,14 +1,13 @@
 //! Popups in which one of a few is chosen: what to browse, a theme, a list's columns. Browsing shows the records of
 //! others by owner, own ones by topic and state, both by type and time; a choice sets the filter of the list.
 
-use super::action::Effect;
 use super::form::Field;
-use super::key::Key;
+use super::keymap::Key;
 use super::popup::Popup;
-use super::screen::Screen;
-use super::screens::grants::{end, is_active, is_given, scope};
-use super::state::State;
+use super::screens::{end, is_active, is_given, scope};
 use super::table::{self, Table};
+use super::verb::Effect;
+use super::{Screen, State};
 use crate::service::reply::RecordView;
 
 /// One thing to choose.

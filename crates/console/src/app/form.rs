@@ -5,11 +5,10 @@ use std::path::PathBuf;
 
 use zeroize::Zeroizing;
 
-use super::action::{Errand, Tag};
-use super::key::Key;
-use super::paths::{self, PathKind};
-use super::state::Settings;
-use super::when;
+use super::keymap::Key;
+use super::palette::{self, PathKind};
+use super::verb::{Errand, Tag};
+use super::{Settings, when};
 use crate::model::grant::MOST_TOPICS;
 use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
@@ -20,22 +19,15 @@ pub enum Input {
     /// Typed text.
     Text(Field),
     /// One of a few words.
-    Choice {
-        /// The words.
-        options: Vec<String>,
-        /// The chosen one.
-        chosen: usize,
-    },
+    Choice { options: Vec<String>, chosen: usize },
 }
 
 /// One line of a form.
 #[derive(Debug)]
 pub struct Line {
-    /// Its label.
     pub label: &'static str,
     /// The meaning of an empty field, or an example.
     pub hint: &'static str,
-    /// Its input.
     pub input: Input,
     /// What its text leads to, if it is a path: tab completes it.
     pub path: Option<PathKind>,
@@ -63,7 +55,6 @@ impl Line {
 /// A form on screen.
 #[derive(Debug)]
 pub struct Form {
-    /// Its title.
     pub title: String,
     /// Lines above the fields.
     pub notes: Vec<String>,
@@ -213,7 +204,6 @@ impl Field {
         self.offered
     }
 
-    /// The text.
     pub fn text(&self) -> &str {
         &self.text
     }
@@ -308,9 +298,6 @@ pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
 }
 
 /// The command of a completed [`create_identity`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read_create(form: &Form) -> Result<Errand, (usize, String)> {
     if form.text(0).chars().count() < SHORTEST_PASSPHRASE {
         return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
@@ -328,9 +315,6 @@ pub fn unlock(profile: &str, notes: Vec<String>) -> Form {
 }
 
 /// The command of a completed [`unlock`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
     if form.text(0).is_empty() {
         return Err((0, "type the passphrase, or leave with esc".to_owned()));
@@ -389,9 +373,6 @@ impl GrantWish {
 }
 
 /// The terms of a completed [`grant`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, (usize, String)> {
     let grantee: Party = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     if grantee.address().is_some_and(|address| Some(address) == own) {
@@ -425,9 +406,6 @@ pub fn unpin(topic: &str, publisher: &str) -> Form {
 }
 
 /// The command of a completed [`unpin`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
     let topic: TopicName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let caller_id = form.text(1).trim().to_owned();
@@ -460,11 +438,8 @@ pub struct KeyWish {
 }
 
 /// The key file of a completed [`load_key`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, (usize, String)> {
-    let path = paths::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
+    let path = palette::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
     Ok(KeyWish { kind: kind(form), path, passphrase })
 }
@@ -482,9 +457,6 @@ pub fn export_key(folder: Line) -> Form {
 }
 
 /// The command of a completed [`export_key`].
-///
-/// # Errors
-/// The field in error, and why.
 pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
     let kind = kind(form);
     if kind == KeyKind::Eoa && form.text(1).chars().count() < SHORTEST_PASSPHRASE {

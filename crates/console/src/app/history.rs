@@ -22,12 +22,10 @@ const QUIET: u64 = 3 * SECOND;
 /// The period of the graphs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Period {
-    /// One minute.
     Minute,
     /// A quarter of an hour.
     #[default]
     Quarter,
-    /// An hour.
     Hour,
 }
 
@@ -41,7 +39,6 @@ impl Period {
         }
     }
 
-    /// In minutes.
     pub fn minutes(self) -> u64 {
         match self {
             Self::Minute => 1,

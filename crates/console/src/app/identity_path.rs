@@ -3,11 +3,10 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::action::{Effect, Errand, Tag};
-use super::feed::Feed;
-use super::form;
 use super::popup::{Popup, Purpose};
-use super::state::State;
+use super::update::Feed;
+use super::verb::{Effect, Errand, Tag};
+use super::{State, form};
 use crate::service::reply::IdentityView;
 use crate::service::{Command, Failure};
 

@@ -1,15 +1,13 @@
 //! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
 
-use super::action::{Effect, Errand, Tag};
-use super::feed::Feed;
 use super::form::{ALL_TOPICS, Field, Form, Line};
-use super::key::Key;
+use super::keymap::Key;
 use super::perform::{copy, go};
 use super::popup::{Confirm, Popup, Purpose};
-use super::screen::Screen;
-use super::screens::grants::day;
-use super::state::State;
-use super::{granting, palette, table};
+use super::screens::day;
+use super::update::Feed;
+use super::verb::{Effect, Errand, Tag};
+use super::{Screen, State, granting, palette, table};
 use crate::model::{IncidentName, Timestamp, TopicName};
 use crate::service::command::filter::past;
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
@@ -306,9 +304,6 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 }
 
 /// The command of a filled form.
-///
-/// # Errors
-/// The line that is wrong, and why.
 pub fn read(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
     let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     if state.incidents.rows.iter().any(|row| row.name == name) {
@@ -349,9 +344,6 @@ fn note_form(name: &IncidentName) -> Form {
 }
 
 /// The command of a filled form for a note.
-///
-/// # Errors
-/// The line that is wrong, and why.
 pub fn read_note(form: &Form) -> Result<Errand, (usize, String)> {
     let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let text = form.text(1).trim().to_owned();
@@ -393,7 +385,7 @@ pub fn taken_back(name: &IncidentName) -> Errand {
 
 /// An incident was opened, noted or closed.
 pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
-    let held = super::words::counted(view.records, "record");
+    let held = super::counted(view.records, "record");
     let text = match deed {
         Deed::Open => format!("incident {}: {held} kept so far (U: undo)", view.name),
         Deed::Note => format!("incident {}: note added", view.name),

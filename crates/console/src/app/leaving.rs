@@ -1,11 +1,11 @@
 //! Leaving: what stops with this console and what goes on without it; at once, when all is verified, or after the
 //! capture was paused so that it can be.
 
-use super::action::{Effect, Errand, Tag};
-use super::feed::Feed;
-use super::key::Key;
+use super::State;
+use super::keymap::Key;
 use super::popup::Popup;
-use super::state::State;
+use super::update::Feed;
+use super::verb::{Effect, Errand, Tag};
 use crate::service::reply::{HeldUp, TopicRow};
 use crate::service::{Command, Operation};
 
@@ -53,10 +53,10 @@ impl Behind {
                     "To keep it running without a console, use: authros serve".to_owned()
                 },
             ],
-            Some(what) => vec![format!("{} continues {site}.", super::words::sentence(what))],
+            Some(what) => vec![format!("{} continues {site}.", super::sentence(what))],
             None => Vec::new(),
         };
-        lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::words::sentence(&what))));
+        lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
         lines
     }
 
@@ -205,7 +205,6 @@ pub enum Capture {
     Watched,
     /// Not until the keyring is unlocked.
     WaitsForKey,
-    /// Paused.
     Paused,
     /// Waiting for somebody to publish it.
     NoPublisher,

@@ -3,14 +3,11 @@
 
 use zeroize::Zeroizing;
 
-use super::action::{Contents, Effect, Errand, Tag};
-use super::key::Key;
+use super::keymap::Key;
 use super::perform::{copy, perform};
-use super::popup::{Lookup, Popup};
-use super::popup_keys::scrolled;
-use super::screen::Screen;
-use super::state::State;
-use super::verb::Verb;
+use super::popup::{Lookup, Popup, scrolled};
+use super::verb::{Contents, Effect, Errand, Tag, Verb};
+use super::{Screen, State};
 use crate::model::{Timestamp, TopicName};
 use crate::service::command::ViewPath;
 use crate::service::reply::{CoverageView, OpenedView, PathView, Provenance};

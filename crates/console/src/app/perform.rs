@@ -1,25 +1,20 @@
-//! What each verb does, and how the last act is undone, if it can be.
-
+//! What each verb does, and how the last act is undone, if it can be: also speaking for another profile of the same home,
+//! and playing shared records into the reader's own ROS.
 #![deny(clippy::wildcard_enum_match_arm)]
 
-use super::action::{Contents, Effect, Errand, Tag};
 use super::available::available;
 use super::choosing::{self, Browse};
-use super::feed::Feed;
+use super::form::{self, Field, Form, Line};
 use super::identity_path::{self, Need};
 use super::leaving::{self, Leaving};
 use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
-use super::screen::Screen;
-use super::screens::grants::other_side;
-use super::screens::log::LogLine;
-use super::state::State;
-use super::verb::Verb;
-use super::{
-    administration, contacts, form, granting, incidents, opening, palette, paths, playing, policies, profiles, table,
-    update,
-};
-use crate::model::TopicName;
-use crate::service::reply::TopicRow;
+use super::screens::{LogLine, other_side};
+use super::update::{self, Feed, start};
+use super::verb::{Contents, Effect, Errand, Tag, Verb};
+use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
+use crate::model::{Address, Party, ProfileName, TopicName};
+use crate::service::command::{Pace, PlayWishes};
+use crate::service::reply::{PlayEnd, PlayedView, TopicRow};
 use crate::service::{Command, Operation};
 
 /// Performs `verb`, or says why that is not possible now.
@@ -33,14 +28,14 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Details => return details(state),
         Verb::Open => return record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
         Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
-        Verb::Export => paths::begin(state),
+        Verb::Export => palette::begin(state),
         Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
         Verb::CopyCommand => return palette::copy_last(state),
         Verb::Quit => return quit(state),
-        Verb::Play => return playing::toggle(state),
+        Verb::Play => return toggle(state),
         Verb::Publishers => return publishers(state),
         Verb::Inspect => return policies::open(state),
         Verb::Lock => return update::lock(state),
@@ -71,11 +66,11 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Read => read_line(state),
         Verb::Tasks => tasks(state),
         Verb::Readers => readers(state),
-        Verb::Contacts => contacts::open(state),
+        Verb::Contacts => granting::open_contacts(state),
         Verb::SetPolicy => policies::begin(state),
         Verb::Incident => incidents::begin(state),
         Verb::Incidents => incidents::open(state),
-        Verb::Profile => profiles::open(state),
+        Verb::Profile => open(state),
         Verb::EndTour => state.tour = None,
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,
@@ -95,7 +90,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Extend => granting::begin_extension(state),
         Verb::Revoke => revoke(state),
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, form::load_key())),
-        Verb::ExportKey => paths::begin_key(state),
+        Verb::ExportKey => palette::begin_key(state),
         Verb::Rotate => state.popups.push(Popup::Confirm(popup::rotate())),
     }
     Vec::new()
@@ -394,7 +389,7 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
         Some(Undo::Granted(grantee)) => {
             let row = state.grants.rows.iter().find(|row| {
                 let is_it = row.grantee.to_string() == grantee || row.name.as_deref() == Some(grantee.as_str());
-                is_it && super::screens::grants::is_given(row) && super::screens::grants::is_active(row)
+                is_it && super::screens::is_given(row) && super::screens::is_active(row)
             });
             match row.map(|row| popup::revoke(state, row)) {
                 Some(question) => state.popups.push(Popup::Confirm(question)),
@@ -405,4 +400,101 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
         None => state.inform("nothing to undo"),
     }
     Vec::new()
+}
+
+/// Plays the selected record's topic under `/shared/NAME`, or ends the playback.
+pub fn toggle(state: &mut State) -> Vec<Effect> {
+    if state.work.iter().any(|tag| matches!(tag, Tag::Play(_))) {
+        return vec![state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay })];
+    }
+    let key = state.row_key();
+    let row = state.shared.rows.iter().find(|row| Some(&row.id) == key.as_ref());
+    let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
+    let Some((owner, name, topic)) = found else { return Vec::new() };
+    let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {
+        state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
+        return Vec::new();
+    };
+    let played = format!("{prefix}{topic}");
+    let wishes = PlayWishes {
+        owner: Some(Party::Address(owner)),
+        topics: vec![pattern],
+        pace: Pace::Follow,
+        prefix: Some(prefix),
+        ..PlayWishes::default()
+    };
+    identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }])
+}
+
+/// `/shared/` and the owner's name in a form that a graph allows, or else the beginning of the address.
+fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
+    let plain = |name: &str| name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
+    let of_name = name.and_then(|name| format!("/shared/{}", plain(name)).parse().ok());
+    of_name.or_else(|| {
+        let digits: String = owner.to_string().chars().skip(2).take(8).collect();
+        format!("/shared/x{digits}").parse().ok()
+    })
+}
+
+/// The message when it has ended.
+pub fn ended(state: &mut State, view: &PlayedView) {
+    let published = view.published;
+    let not = view.refused + view.missing;
+    let rest = if not > 0 { format!(", {not} records NOT published") } else { String::new() };
+    let text = |why: &str| format!("playback ended ({why}): {published} messages published{rest}");
+    match view.ended_by {
+        PlayEnd::Asked | PlayEnd::Whole => state.inform(text(view.ended_by.word())),
+        PlayEnd::Revoked => state.complain(text("the grant was revoked")),
+        PlayEnd::Expired => state.complain(text("the grant has expired")),
+        PlayEnd::Locked => state.complain(text("the keyring was locked")),
+        PlayEnd::Site => state.complain(text("the site stopped")),
+    }
+}
+
+/// Asks for which profile.
+pub fn open(state: &mut State) {
+    let lines = vec![Line::text("Profile", "name of a profile in this home", Field::default())];
+    let known: Vec<String> = state.settings.profiles.iter().map(ToString::to_string).collect();
+    let mut notes = vec![format!("Now: {}. A keyring opened here stays open until you quit.", state.settings.profile)];
+    if !known.is_empty() {
+        notes.push(format!("Profiles: {}", known.join(" ")));
+    }
+    state.popups.push(Popup::Form(Purpose::Profile, Form::new("Switch to another profile", notes, lines)));
+}
+
+/// The profile of a completed form.
+pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
+    form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))
+}
+
+/// Switches to another profile: everything known belongs to the previous one and is requested anew.
+pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
+    if profile == state.settings.profile {
+        state.inform(format!("this console already uses profile {profile}"));
+        return Vec::new();
+    }
+    if let Some(work) = state.work.iter().find(|tag| tag.is_work()) {
+        let text = format!("{} is still running; wait until it ends, then switch to {profile}", work.words());
+        state.inform(text);
+        return Vec::new();
+    }
+    let mut settings = state.settings.clone();
+    settings.profile.clone_from(&profile);
+    // The successor would be given the flags of the start, with another profile.
+    settings.leaves_site = false;
+    let mut next = State::new(settings);
+    (next.now, next.touched, next.size) = (state.now, state.now, state.size);
+    (next.mouse, next.local_time, next.period) = (state.mouse, state.local_time, state.period);
+    next.theme = std::mem::take(&mut state.theme);
+    next.tour = state.tour.take();
+    next.log = std::mem::take(&mut state.log);
+    next.screen = Screen::Overview;
+    next.former = Some(state.settings.profile.clone());
+    // Requests of the previous profile are still answered, but not for this one.
+    next.feeds.follow(&state.feeds);
+    *state = next;
+    state.inform(format!("this console now uses profile {profile}"));
+    let mut effects = vec![Effect::SpeakFor(profile)];
+    effects.extend(start(state));
+    effects
 }

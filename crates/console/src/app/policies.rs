@@ -3,18 +3,15 @@
 
 use std::path::{Path, PathBuf};
 
-use super::action::{Effect, Errand, Tag};
-use super::feed::Feed;
 use super::form::{Field, Form, Line};
 use super::granting::complete_from;
-use super::key::Key;
-use super::palette;
-use super::paths::{self, PathKind};
+use super::keymap::Key;
+use super::palette::{self, PathKind};
 use super::perform::copy;
-use super::popup::{Confirm, Lookup, Popup, Purpose};
-use super::popup_keys::scrolled;
-use super::screen::Screen;
-use super::state::State;
+use super::popup::{Confirm, Lookup, Popup, Purpose, scrolled};
+use super::update::Feed;
+use super::verb::{Effect, Errand, Tag};
+use super::{Screen, State};
 use crate::config::{RingWish, RobotPolicy};
 use crate::model::{Timestamp, clean};
 use crate::service::Failure;
@@ -242,12 +239,9 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 }
 
 /// What a completed form leads to: a question at once, or first the text of the file.
-///
-/// # Errors
-/// The field in error, and why.
 pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, (usize, String)> {
     let robot = named(state, form)?;
-    match paths::of_line(form, FILE, &state.settings) {
+    match palette::of_line(form, FILE, &state.settings) {
         Some(path) => {
             state.reading = Some(path.clone());
             Ok(vec![Effect::ReadText(path)])
@@ -284,7 +278,7 @@ pub fn text_read(state: &mut State, path: &Path, read: Result<String, String>) {
         return;
     }
     let Some(Popup::Form(Purpose::SetPolicy, form)) = state.popups.last() else { return };
-    if paths::of_line(form, FILE, &state.settings).as_deref() != Some(path) {
+    if palette::of_line(form, FILE, &state.settings).as_deref() != Some(path) {
         return;
     }
     let asked = named(state, form).and_then(|robot| {
@@ -320,7 +314,7 @@ fn summary(policy: &RobotPolicy) -> [String; 3] {
             format!("{}{}", names.join(" "), if more > 0 { format!(" and {more} more") } else { String::new() })
         }
     });
-    let rules = policy.rules.as_ref().map_or_else(own, |rules| super::words::counted(rules.0.len() as u64, "rule"));
+    let rules = policy.rules.as_ref().map_or_else(own, |rules| super::counted(rules.0.len() as u64, "rule"));
     let ring = match &policy.ring {
         RingWish::Own => own(),
         RingWish::Off => "none".to_owned(),

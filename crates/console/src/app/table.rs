@@ -3,12 +3,11 @@
 
 use std::collections::BTreeSet;
 
-use super::feed::Feed;
 use super::form::Field;
-use super::key::Key;
-use super::screen::Screen;
-use super::screens::{gateway, grants, topics};
-use super::state::State;
+use super::keymap::Key;
+use super::screens::{self, topics};
+use super::update::Feed;
+use super::{Screen, State};
 
 /// The most filters remembered.
 const MOST_REMEMBERED: usize = 50;
@@ -299,7 +298,7 @@ fn turn_page(state: &mut State, by: isize) {
     }
 }
 
-fn records(state: &mut State, feed: Feed) -> &mut super::screens::records::Records {
+fn records(state: &mut State, feed: Feed) -> &mut super::screens::Records {
     if feed == Feed::Shared { &mut state.shared } else { &mut state.uploads }
 }
 
@@ -307,8 +306,8 @@ fn records(state: &mut State, feed: Feed) -> &mut super::screens::records::Recor
 pub fn sort(state: &mut State) {
     let orders = match state.screen {
         Screen::Topics => topics::SORTS.len(),
-        Screen::Grants => grants::SORTS.len(),
-        Screen::Gateway => gateway::SORTS.len(),
+        Screen::Grants => screens::GRANT_SORTS.len(),
+        Screen::Gateway => screens::GATEWAY_SORTS.len(),
         _ => 2,
     };
     if let Some(table) = state.table_mut() {

@@ -3,15 +3,12 @@
 
 use jiff::tz::TimeZone;
 
-use super::state::State;
+use super::State;
 use crate::model::{Timestamp, positive_span};
 use crate::service::reply::PartHealth;
 
 /// The moment `text` means, counted from `now` and rounded up to the whole second; `None` in the answer = no end
 /// (empty text).
-///
-/// # Errors
-/// What to write instead.
 pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     let text = text.trim();
     if text.is_empty() || text == "never" {

@@ -11,8 +11,7 @@ use signal_hook::iterator::{Handle, Signals};
 use signal_hook::{flag, low_level};
 use zeroize::Zeroizing;
 
-use super::backend;
-use super::guard::THREAD_PREFIX;
+use super::{THREAD_PREFIX, encode};
 use crate::app::{Action, Key};
 
 /// How long the thread waits for a key before it checks whether it should end. Each check costs CPU on an idle console,
@@ -22,9 +21,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const REST: Duration = Duration::from_millis(200);
 
 /// Gives what is typed to `typed` until `stop` is set.
-///
-/// # Errors
-/// If the thread cannot be started.
 pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<thread::JoinHandle<()>> {
     let read = move || {
         while !stop.load(Ordering::Relaxed) {
@@ -58,7 +54,7 @@ fn actions(event: Event) -> Vec<Action> {
             _ => Vec::new(),
         },
         Event::Resize(columns, rows) => {
-            let (columns, rows) = backend::known((columns, rows), |name| std::env::var(name).ok());
+            let (columns, rows) = encode::known((columns, rows), |name| std::env::var(name).ok());
             vec![Action::Resize { columns, rows }]
         }
         _ => Vec::new(),
@@ -123,9 +119,6 @@ pub struct Listener {
 
 impl Listener {
     /// Passes every signal to `heard`, from a thread of its own.
-    ///
-    /// # Errors
-    /// If the handlers cannot be installed.
     pub fn start(heard: impl Fn(i32) + Send + 'static) -> io::Result<Self> {
         let mut signals = Signals::new(ENDING.into_iter().chain([SIGTSTP, SIGCONT]))?;
         let handle = signals.handle();
@@ -146,9 +139,6 @@ impl Drop for Listener {
 }
 
 /// Stops this process until it is continued.
-///
-/// # Errors
-/// If the signal cannot be raised.
 pub fn stop_here() -> io::Result<()> {
     low_level::emulate_default_handler(SIGTSTP)
 }

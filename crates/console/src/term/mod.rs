@@ -4,31 +4,40 @@
 //! frame, and the caller's thread feeds `app::update`. It restores the terminal however it ends. What is shown is
 //! decided in `app` and `ui`.
 
-pub mod ask;
-pub mod backend;
 pub mod encode;
 pub mod files;
-pub mod guard;
-pub mod host;
 pub mod input;
 pub mod pixels;
 pub mod renderer;
 
-#[cfg(test)]
-mod library;
-mod session;
+use std::fs::OpenOptions;
+use std::io::{self, BufRead as _, BufReader, IsTerminal, Write};
+use std::panic::{self, PanicHookInfo};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, MutexGuard, OnceLock, PoisonError, TryLockError};
+use std::thread;
+use std::time::{Duration, Instant};
 
-use std::io::{self, IsTerminal};
-use std::path::PathBuf;
-
-use tokio::runtime::Handle;
-
-use crate::app::Keymap;
+use crate::app::palette::Sought;
 use crate::app::tour::Cast;
+use crate::app::when::Zone;
+use crate::app::{Action, Contents, Effect, Keymap, Settings, State, Tag, update};
 use crate::config::Pictures;
-use crate::model::{ErrorKind, ProfileName};
-use crate::service::{Client, Failure};
-use crate::ui::{ThemeError, Themes};
+use crate::model::{ErrorKind, ProfileName, Timestamp};
+use crate::service::client::site_gone;
+use crate::service::{Client, Command, Failure};
+use crate::ui::{Theme, ThemeError, Themes};
+use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
+use encode::Depth;
+use input::Listener;
+use pixels::Pixels;
+use renderer::{Budget, OVER_SSH, Painter, Stage, Wish};
+use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
+use tokio::runtime::Handle;
+use tokio::sync::broadcast::error::RecvError;
+use zeroize::Zeroizing;
 
 /// The console's appearance and permissions.
 #[expect(clippy::struct_excessive_bools, reason = "each is a setting of its own")]
@@ -126,9 +135,557 @@ pub fn is_interactive() -> bool {
 ///
 /// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for some seconds afterwards, and
 /// forever if the terminal is gone: the caller should end the process soon.
-///
-/// # Errors
-/// [`TermError`] if the terminal fails.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
-    session::Session::open(client, handle, options)?.run()
+    Session::open(client, handle, options)?.run()
 }
+
+/// How often the terminal is checked.
+const WATCH_EVERY: Duration = Duration::from_secs(1);
+/// How long to wait for a size to settle.
+const SETTLE: Duration = Duration::from_millis(40);
+/// How long a frame being written is waited for before the terminal counts as stuck.
+const STUCK_AFTER: Duration = Duration::from_millis(1500);
+
+/// One run of the console.
+pub struct Session {
+    host: Host,
+    stage: Arc<Stage>,
+    messages: Receiver<Message>,
+    stop: Arc<AtomicBool>,
+    reading: Option<thread::JoinHandle<()>>,
+    resized: Option<(u16, u16, Instant)>,
+    watched_at: Instant,
+    themes: Themes,
+    mouse: bool,
+    kept: PathBuf,
+    /// The profile whose screens are remembered.
+    profile: ProfileName,
+    _guard: Guard,
+    _signals: Listener,
+}
+
+impl Session {
+    /// Takes the terminal and draws the first frame.
+    pub fn open(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<Self, TermError> {
+        let depth = Depth::from_environment(|name| std::env::var(name).ok());
+        let theme = theme(options, depth)?;
+        let directory = std::env::current_dir()?;
+        let mut state = first_state(&client, options, &directory);
+        state.theme.clone_from(&theme.name);
+        if let Some(kept) = files::read(&options.kept) {
+            crate::app::recall(&mut state, &kept);
+        }
+        let (size, reported) = encode::size()?;
+        state.size = size;
+        if !reported {
+            state.warn(encode::ADVICE);
+        }
+        let (sending, messages) = channel();
+        let signals = Listener::start(sender(&sending, Message::Signal))?;
+        let guard = Guard::enter(
+            pixels::taking_away(options.pictures),
+            sender(&sending, |fault| Message::Act(Action::Fault(fault))),
+            sender(&sending, Message::Broken),
+        )?;
+        let rate = bytes_per_second(options);
+        let painter = Painter::new(depth, state.size).with_pixels(Pixels::new(options.pictures, rate));
+        let stage = Arc::new(Stage::new(state, theme));
+        let budget = Budget::new(rate, Instant::now());
+        renderer::start(Arc::clone(&stage), painter, budget, sender(&sending, |_| Message::TerminalFailed))?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let reading = Some(input::start(Arc::clone(&stop), sender(&sending, Message::Act))?);
+        let session = Self {
+            profile: client.profile().clone(),
+            host: Host { client, handle: handle.clone(), messages: sending, directory },
+            stage,
+            messages,
+            stop,
+            reading,
+            resized: None,
+            watched_at: Instant::now(),
+            themes: options.themes.clone(),
+            mouse: options.mouse,
+            kept: options.kept.clone(),
+            _guard: guard,
+            _signals: signals,
+        };
+        session.host.listen();
+        if session.mouse {
+            session.stage.change(Wish::Now, |scene| scene.extra.push_str(TAKE_MOUSE));
+        }
+        Ok(session)
+    }
+
+    /// Runs until the console ends, and restores the terminal.
+    pub fn run(mut self) -> Result<ExitReason, TermError> {
+        let effects = crate::app::update::start(&mut self.stage.scene().state);
+        let mut ended = self.carry_out(effects);
+        while ended.is_none() {
+            let received = self.messages.recv_timeout(self.patience());
+            ended = match received {
+                Ok(message) => self.receive(message),
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => Some(Err(TermError::Fault("its threads ended".to_owned()))),
+            };
+            ended = ended.or_else(|| self.look_around());
+        }
+        self.close();
+        if matches!(ended, Some(Ok(ExitReason::LeaveSite))) {
+            self.leave_the_keys();
+        }
+        ended.unwrap_or(Ok(ExitReason::Quit))
+    }
+
+    /// How long until the next check is due.
+    fn patience(&self) -> Duration {
+        let deadline = self.stage.scene().state.deadline();
+        let now = Timestamp::now();
+        let due = deadline.map(|at| Duration::from_nanos(at.0.saturating_sub(now.0)));
+        let settled = self.resized.map(|(_, _, at)| at.saturating_duration_since(Instant::now()));
+        [due, settled].into_iter().flatten().fold(WATCH_EVERY, Duration::min)
+    }
+
+    fn receive(&mut self, message: Message) -> Option<Result<ExitReason, TermError>> {
+        match message {
+            Message::Act(Action::Resize { columns, rows }) => {
+                self.resized = Some((columns, rows, Instant::now() + SETTLE));
+                None
+            }
+            Message::Act(action) => self.act(action),
+            Message::Signal(signal) if input::ends(signal) => Some(Ok(ended_by(signal))),
+            Message::Signal(signal) if input::suspends(signal) => self.suspend(),
+            Message::Signal(signal) if input::continues(signal) => self.retake(),
+            Message::Signal(_) => None,
+            Message::TerminalFailed if io::stdin().is_terminal() => {
+                Some(Err(TermError::Fault("the terminal accepts no more output".to_owned())))
+            }
+            Message::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+            Message::Broken(what) => Some(Err(TermError::Fault(what))),
+        }
+    }
+
+    /// Is the terminal still there, has time changed anything?
+    fn look_around(&mut self) -> Option<Result<ExitReason, TermError>> {
+        if self.watched_at.elapsed() >= WATCH_EVERY {
+            self.watched_at = Instant::now();
+            if !io::stdin().is_terminal() {
+                return Some(Ok(ExitReason::TerminalGone));
+            }
+        }
+        if let Some((columns, rows, _)) = self.resized.take_if(|(_, _, at)| *at <= Instant::now()) {
+            // Even if the size is the old one again: the terminal may have cut off its content.
+            self.stage.change(Wish::None, |scene| scene.anew = true);
+            return self.act(Action::Resize { columns, rows });
+        }
+        let deadline = self.stage.scene().state.deadline();
+        if deadline.is_some_and(|at| at <= Timestamp::now()) {
+            return self.act(Action::Tick(Timestamp::now()));
+        }
+        None
+    }
+
+    fn act(&mut self, action: Action) -> Option<Result<ExitReason, TermError>> {
+        let wish = match action {
+            Action::Answered { .. } | Action::Told(_) | Action::Missed | Action::Tick(_) => Wish::Data,
+            _ => Wish::Now,
+        };
+        let effects = self.stage.change(wish, |scene| {
+            let mut effects = update(&mut scene.state, Action::Tick(Timestamp::now()));
+            effects.extend(update(&mut scene.state, action));
+            effects
+        });
+        self.carry_out(effects)
+    }
+
+    fn carry_out(&mut self, effects: Vec<Effect>) -> Option<Result<ExitReason, TermError>> {
+        for effect in effects {
+            match effect {
+                Effect::Send(command, tag) => self.host.ask(command, tag),
+                Effect::Quit => return Some(Ok(ExitReason::Quit)),
+                Effect::LeaveSite => return Some(Ok(ExitReason::LeaveSite)),
+                Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
+                Effect::Suspend => return self.suspend(),
+                Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
+                Effect::ShowTheme(name) => self.show_theme(&name),
+                Effect::ToggleAscii => self.stage.change(Wish::Now, |scene| scene.theme.ascii = !scene.theme.ascii),
+                Effect::Mouse(taken) => self.take_mouse(taken),
+                Effect::CopyText(text) => {
+                    self.stage.change(Wish::Now, |scene| scene.extra.push_str(&files::sequence(&text)));
+                }
+                Effect::SpeakFor(profile) => self.host.speak_for(profile),
+                Effect::WriteFiles { base, directory, files } => self.host.write(base, directory, files),
+                Effect::FindPaths(sought) => self.host.find(sought),
+                Effect::ReadText(path) => self.host.read(path),
+            }
+        }
+        None
+    }
+
+    fn show_theme(&self, name: &str) {
+        // The names are those of the state, which come from here.
+        let Ok(theme) = self.themes.named(name) else { return };
+        self.stage.change(Wish::Now, |scene| {
+            let now = &scene.theme;
+            scene.theme = theme.with_ascii(now.ascii).with_shades(now.shades).with_pixels(now.pixels);
+            drop(update(&mut scene.state, Action::ThemeIs(name.to_owned())));
+        });
+    }
+
+    fn take_mouse(&mut self, taken: bool) {
+        self.mouse = taken;
+        let bytes = if taken { TAKE_MOUSE } else { LEAVE_MOUSE };
+        self.stage.change(Wish::Now, |scene| scene.extra.push_str(bytes));
+    }
+
+    /// Gives the terminal to the shell until this process is continued.
+    fn suspend(&mut self) -> Option<Result<ExitReason, TermError>> {
+        self.stage.change(Wish::None, |scene| scene.suspended = true);
+        let stopped = {
+            let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
+            restore();
+            input::stop_here()
+        };
+        if let Err(error) = stopped {
+            return Some(Err(error.into()));
+        }
+        self.stage.change(Wish::None, |scene| scene.suspended = false);
+        self.retake().or_else(|| self.act(Action::Resumed))
+    }
+
+    /// Takes the terminal again after other programs had it.
+    fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
+        let taken = {
+            let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
+            take().and_then(|()| encode::size())
+        };
+        self.stage.change(Wish::Now, |scene| scene.anew = true);
+        if self.mouse {
+            self.take_mouse(true);
+        }
+        match taken {
+            Ok(((columns, rows), _)) => self.act(Action::Resize { columns, rows }),
+            Err(error) => Some(Err(error.into())),
+        }
+    }
+
+    /// Waits until the thread that reads keys has ended: the next question at the terminal would share them with it.
+    fn leave_the_keys(&mut self) {
+        // A new size is what it wakes up for without a key; without that it ends within its patience.
+        rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::WINCH).ok();
+        if let Some(reading) = self.reading.take() {
+            drop(reading.join());
+        }
+    }
+
+    /// Ends the threads and gives the terminal back.
+    fn close(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if *self.host.client.profile() == self.profile {
+            files::write(&self.kept, &crate::app::kept(&self.stage.scene().state));
+        }
+        self.stage.change(Wish::None, |scene| scene.over = true);
+        let writing = finished(&self.stage);
+        if writing.is_some() {
+            restore();
+        } else {
+            abandon();
+        }
+    }
+}
+
+/// The state before the first answer.
+fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> State {
+    let mut state = State::new(Settings {
+        profile: client.profile().clone(),
+        operator: options.operator.clone(),
+        read_only: options.read_only,
+        directory: directory.to_owned(),
+        home: std::env::var_os("HOME").map(PathBuf::from),
+        keymap: options.keymap.clone(),
+        themes: options.themes.names(),
+        lock_after: options.lock_after,
+        process: std::process::id(),
+        asks_passphrase: options.asks_passphrase,
+        profiles: options.profiles.clone(),
+        tour: options.tour.clone(),
+        leaves_site: options.leaves_site,
+        zone: Zone::new(jiff::tz::TimeZone::system()),
+    });
+    (state.now, state.mouse) = (Timestamp::now(), options.mouse);
+    state
+}
+
+/// Waits for the frame being written; `None` if the terminal takes no bytes.
+fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
+    let patience = Instant::now() + STUCK_AFTER;
+    loop {
+        match stage.output.try_lock() {
+            Ok(writing) => return Some(writing),
+            Err(TryLockError::Poisoned(poisoned)) => return Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) if Instant::now() >= patience => return None,
+            Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(5)),
+        }
+    }
+}
+
+fn ended_by(signal: i32) -> ExitReason {
+    let gone = input::hangs_up(signal) || !io::stdin().is_terminal();
+    if gone { ExitReason::TerminalGone } else { ExitReason::Signal(signal) }
+}
+
+fn theme(options: &ConsoleOptions, depth: Depth) -> Result<Theme, TermError> {
+    let fitting = if depth == Depth::None { "mono" } else { "night" };
+    let theme = options.themes.named(options.theme.as_deref().unwrap_or(fitting))?;
+    let pixels = options.pictures != Pictures::HalfBlocks;
+    Ok(theme.with_ascii(options.ascii).with_shades(depth.shades()).with_pixels(pixels))
+}
+
+fn bytes_per_second(options: &ConsoleOptions) -> Option<u32> {
+    let over_ssh = std::env::var_os("SSH_CONNECTION").is_some();
+    options.bytes_per_second.or_else(|| over_ssh.then_some(OVER_SSH))
+}
+
+/// Messages to the updating thread.
+pub enum Message {
+    /// An action for `app::update`.
+    Act(Action),
+    Signal(i32),
+    /// The terminal takes no more bytes.
+    TerminalFailed,
+    /// A thread of the console panicked.
+    Broken(String),
+}
+
+/// The site and the files.
+pub struct Host {
+    /// Talks to the site.
+    pub client: Client,
+    /// Runs what waits.
+    pub handle: Handle,
+    /// To the updating thread.
+    pub messages: Sender<Message>,
+    /// Where files are written.
+    pub directory: PathBuf,
+}
+
+impl Host {
+    /// Forwards the site's events.
+    pub fn listen(&self) {
+        let mut events = self.client.events();
+        let say = sender(&self.messages, Message::Act);
+        self.handle.spawn(async move {
+            loop {
+                match events.recv().await {
+                    Ok(event) => say(Action::Told(event)),
+                    Err(RecvError::Lagged(_)) => say(Action::Missed),
+                    Err(RecvError::Closed) => return,
+                }
+            }
+        });
+    }
+
+    /// Speaks for this profile from now on.
+    pub fn speak_for(&mut self, profile: ProfileName) {
+        self.client = self.client.for_profile(profile);
+    }
+
+    /// Sends a command; its answer comes as an action.
+    pub fn ask(&self, command: Command, tag: Tag) {
+        let answer = self.client.send(command);
+        let say = sender(&self.messages, Message::Act);
+        self.handle.spawn(async move {
+            let result = answer.await.unwrap_or_else(|_| Err(site_gone()));
+            say(Action::Answered { tag, result: Box::new(result) });
+        });
+    }
+
+    /// Writes files; their paths come as an action.
+    pub fn write(&self, base: Option<PathBuf>, directory: Option<String>, contents: Vec<Contents>) {
+        let base = base.unwrap_or_else(|| self.directory.clone());
+        let say = sender(&self.messages, Message::Act);
+        self.handle.spawn_blocking(move || {
+            say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
+        });
+    }
+
+    /// Reads a file as text; it comes as an action.
+    pub fn read(&self, path: PathBuf) {
+        let say = sender(&self.messages, Message::Act);
+        self.handle.spawn_blocking(move || {
+            let read = files::read_text(&path);
+            say(Action::TextRead(path, read));
+        });
+    }
+
+    /// Reads which paths begin as typed; they come as an action.
+    pub fn find(&self, sought: Sought) {
+        let say = sender(&self.messages, Message::Act);
+        self.handle.spawn_blocking(move || {
+            let found = files::find(&sought);
+            say(Action::PathsFound(sought, found));
+        });
+    }
+}
+
+/// Sends things to the updating thread, each wrapped.
+pub fn sender<T, W: Fn(T) -> Message>(messages: &Sender<Message>, wrap: W) -> impl Fn(T) + use<T, W> {
+    let messages = messages.clone();
+    // After the end nobody listens, and nothing is lost by that.
+    move |thing| drop(messages.send(wrap(thing)))
+}
+
+/// Alternate screen, no cursor, bracketed paste.
+const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[?2004h\x1b[2J";
+/// The way back, also from a half-drawn frame and with the mouse taken.
+const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?1006l\x1b[?1000l\x1b[?2004l\x1b[?25h\x1b[?1049l";
+/// Buttons and wheel are sent to the console, in cells.
+pub const TAKE_MOUSE: &str = "\x1b[?1000h\x1b[?1006h";
+/// The terminal has the mouse for itself again.
+pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
+/// The prefix of the console's thread names.
+pub const THREAD_PREFIX: &str = "console-";
+
+static ENTERED: AtomicBool = AtomicBool::new(false);
+/// Removes our pictures before the screen is given back.
+static TAKE_PICTURES: OnceLock<&'static str> = OnceLock::new();
+
+type Hook = Box<dyn Fn(&PanicHookInfo<'_>) + Send + Sync + 'static>;
+
+/// Holds the terminal in the console's modes; restores it when dropped.
+#[derive(Debug)]
+pub struct Guard {
+    _private: (),
+}
+
+impl Guard {
+    /// Takes the terminal; when it is given back, `take_pictures` is written first. A panic of the console restores it
+    /// before anything is printed; if the panic was not in the caller's thread, `broken` is called, because nothing
+    /// draws or reads any more. A panic of any other thread is passed to `fault` and leaves the terminal alone.
+    pub fn enter(
+        take_pictures: &'static str,
+        fault: impl Fn(String) + Send + Sync + 'static,
+        broken: impl Fn(String) + Send + Sync + 'static,
+    ) -> io::Result<Self> {
+        // One console per process: the first one counts.
+        TAKE_PICTURES.get_or_init(|| take_pictures);
+        take()?;
+        let previous: Arc<Hook> = Arc::new(panic::take_hook());
+        let console = thread::current().id();
+        panic::set_hook(Box::new(move |info| {
+            let thread = thread::current();
+            let own = thread.name().is_some_and(|name| name.starts_with(THREAD_PREFIX));
+            if own || thread.id() == console || !ENTERED.load(Ordering::SeqCst) {
+                restore();
+                previous(info);
+                if own {
+                    broken(describe(info));
+                }
+            } else {
+                fault(describe(info));
+            }
+        }));
+        Ok(Self { _private: () })
+    }
+}
+
+impl Drop for Guard {
+    fn drop(&mut self) {
+        restore();
+    }
+}
+
+/// Takes the terminal, at the beginning or after a suspension.
+pub fn take() -> io::Result<()> {
+    if ENTERED.load(Ordering::SeqCst) {
+        // The shell may have changed the modes behind our back; enabling them twice has no effect.
+        patiently(disable_raw_mode)?;
+    }
+    patiently(enable_raw_mode)?;
+    ENTERED.store(true, Ordering::SeqCst);
+    write(ENTER)
+}
+
+/// In the background, changing modes stops the process, and is interrupted when it continues.
+fn patiently(change: impl Fn() -> io::Result<()>) -> io::Result<()> {
+    loop {
+        match change() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            result => return result,
+        }
+    }
+}
+
+/// Gives the terminal back, once; nothing is written to one that is gone.
+pub fn restore() {
+    if !ENTERED.swap(false, Ordering::SeqCst) {
+        return;
+    }
+    if io::stdin().is_terminal() {
+        // Nothing can be done about a terminal that fails now.
+        drop(write(&[TAKE_PICTURES.get().copied().unwrap_or_default(), LEAVE].concat()));
+        drop(disable_raw_mode());
+    }
+}
+
+/// The terminal is gone or stuck: write nothing to it any more.
+pub fn abandon() {
+    if ENTERED.swap(false, Ordering::SeqCst) && io::stdin().is_terminal() {
+        drop(disable_raw_mode());
+    }
+}
+
+/// Writes to the terminal, bypassing our buffers.
+pub fn write(bytes: &str) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    out.write_all(bytes.as_bytes())?;
+    out.flush()
+}
+
+fn describe(info: &PanicHookInfo<'_>) -> String {
+    let place = info.location().map(|at| format!("{}:{}", at.file(), at.line())).unwrap_or_default();
+    let thread = thread::current();
+    let payload = info.payload();
+    let text = payload.downcast_ref::<&str>().copied();
+    let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given");
+    format!("{} failed at {place}: {text}", thread.name().unwrap_or("a background task"))
+}
+
+/// Space for a line, so that a secret's buffer is never moved.
+const CAPACITY: usize = 4096;
+/// The character Ctrl-C types when it sends no signal.
+const CANCEL: char = '\u{3}';
+
+/// Restores the terminal's previous modes.
+struct Kept<'a>(&'a std::fs::File, Termios);
+
+impl Drop for Kept<'_> {
+    fn drop(&mut self) {
+        tcsetattr(self.0, OptionalActions::Now, &self.1).ok();
+    }
+}
+
+/// Asks for a secret at the terminal that controls this process; `None` if standard input is not a terminal, or the
+/// answer is Ctrl-C, Ctrl-D or nothing.
+pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
+    if !io::stdin().is_terminal() {
+        return Ok(None);
+    }
+    let Ok(mut terminal) = OpenOptions::new().read(true).write(true).open("/dev/tty") else { return Ok(None) };
+    let before = tcgetattr(&terminal)?;
+    let mut modes = before.clone();
+    // Ctrl-C is read, rather than being a signal: the terminal would be left without its echo.
+    modes.local_modes.remove(LocalModes::ECHO | LocalModes::ISIG);
+    modes.local_modes.insert(LocalModes::ECHONL);
+    tcsetattr(&terminal, OptionalActions::Flush, &modes)?;
+    write!(terminal, "{question}: ")?;
+    let kept = Kept(&terminal, before);
+    let mut line = Zeroizing::new(String::with_capacity(CAPACITY));
+    BufReader::new(&terminal).read_line(&mut line)?;
+    drop(kept);
+    let typed = line.trim_end_matches(['\r', '\n']).len();
+    line.truncate(typed);
+    Ok(Some(line).filter(|line| !line.is_empty() && !line.contains(CANCEL)))
+}
+
+#[cfg(test)]
+mod library;

@@ -1,5 +1,6 @@
 //! The thread that owns the screen: draws only the newest frame, only when something changed, and within its budget.
 
+use super::encode::{Depth, FrameBackend};
 use std::io;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -9,9 +10,7 @@ use ratatui::Terminal;
 use ratatui::backend::Backend as _;
 use ratatui::layout::Size;
 
-use super::backend::FrameBackend;
-use super::encode::Depth;
-use super::guard::{self, THREAD_PREFIX};
+use super::THREAD_PREFIX;
 use super::pixels::Pixels;
 use crate::app::State;
 use crate::ui::{self, Theme};
@@ -83,9 +82,6 @@ fn cells((columns, rows): (u16, u16)) -> Size {
 }
 
 /// Starts the thread; `failed` is called when the terminal takes no more bytes.
-///
-/// # Errors
-/// If the thread cannot be started.
 pub fn start(
     stage: Arc<Stage>,
     mut painter: Painter,
@@ -146,7 +142,7 @@ fn due<'a>(stage: &Stage, mut scene: MutexGuard<'a, Scene>, budget: &Budget) -> 
 /// Writes a frame, unless the terminal was given away while it was drawn.
 fn send(stage: &Stage, bytes: &str) -> io::Result<()> {
     let _writing = stage.output.lock().unwrap_or_else(PoisonError::into_inner);
-    if is_given_away(stage) { Ok(()) } else { guard::write(bytes) }
+    if is_given_away(stage) { Ok(()) } else { super::write(bytes) }
 }
 
 /// Whether the shell has the terminal: until this process is continued, or for good.

@@ -2,14 +2,12 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, columns, right_of, row};
 use super::theme::Role;
-use super::words::wrap;
+use super::{Canvas, columns, right_of, row, wrap};
 use crate::app::available::available;
-use crate::app::feed::Feed;
 use crate::app::leaving::Standing;
-use crate::app::popup_keys::hints;
-use crate::app::update::under_way;
+use crate::app::popup::hints;
+use crate::app::update::{Feed, under_way};
 use crate::app::verb::{Entry, VERBS, Verb};
 use crate::app::{Screen, State};
 use crate::service::NoticeLevel;

@@ -2,17 +2,13 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, right_of, row};
+use super::lists::watched;
 use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
-use super::topics::watched;
-use super::words::{count, kilobytes, moment, rate, size, wrap};
-use super::{bars, gateway, plot};
+use super::{Canvas, bars, below, count, gateway, kilobytes, moment, plot, rate, right_of, row, size, wrap};
 use crate::app::popup::Lookup;
-use crate::app::screens::grants::{end, is_active, is_given, scope, soon};
-use crate::app::screens::log::level_word;
-use crate::app::screens::records::Records;
 use crate::app::screens::topics::KEPT_SAMPLES;
+use crate::app::screens::{Records, end, is_active, is_given, level_word, scope, soon};
 use crate::app::{Screen, State, opening};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};

@@ -2,18 +2,15 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, row};
-use super::keys::line;
+use super::lists::{empty, line};
 use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
-use super::topics::empty;
-use super::words;
-use crate::app::State;
-use crate::app::feed::Feed;
+use super::{Canvas, below, row};
+use crate::app::screens::{GATEWAY_SORTS, Member, day};
+use crate::app::{State, counted};
+
 use crate::app::policies::{Standing, words as stands};
-use crate::app::screens::gateway::{Member, SORTS};
-use crate::app::screens::grants::day;
-use crate::app::words::counted;
+use crate::app::update::Feed;
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
 
@@ -128,7 +125,7 @@ fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u1
     for refused in view.refused.iter().take(MOST_REASONS) {
         let reason = refused.text.split(';').next().unwrap_or_default();
         let label = if place == 0 { "Refused" } else { "" };
-        let text = format!("{:>7}  {reason}", words::count(refused.count));
+        let text = format!("{:>7}  {reason}", super::count(refused.count));
         line(canvas, row(area, place), label, &text, Role::Warning);
         place += 1;
     }
@@ -137,7 +134,7 @@ fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u1
             canvas,
             row(area, place),
             "",
-            &format!("{:>7}  for other reasons (9: audit)", words::count(more)),
+            &format!("{:>7}  for other reasons (9: audit)", super::count(more)),
             Role::Dim,
         );
         place += 1;
@@ -156,7 +153,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
         (false, true) => ("Robots", OF_OWNER),
         (_, false) => ("Senders", COLUMNS),
     };
-    let order = order(&SORTS, &gateway.table);
+    let order = order(&GATEWAY_SORTS, &gateway.table);
     let mut note = format!("{} of {}", rows.len(), gateway.all_members().len());
     if senders || !robots {
         let connected = rows.iter().filter(|row| row.is_connected()).count();
@@ -194,8 +191,8 @@ fn cells(state: &State, row: &Member, policy: bool) -> Vec<(String, Role)> {
     cells.extend([
         (of(|sender| sender.account.short()), Role::Accent),
         (of(|sender| sender.peer.clone().unwrap_or_default()), Role::Dim),
-        (of(|sender| words::count(sender.frames)), Role::Body),
-        (of(|sender| words::size(sender.bytes)), Role::Body),
+        (of(|sender| super::count(sender.frames)), Role::Body),
+        (of(|sender| super::size(sender.bytes)), Role::Body),
     ]);
     if !policy {
         cells.push((of(|sender| sender.since.map(Timestamp::clock).unwrap_or_default()), Role::Dim));
@@ -210,7 +207,7 @@ fn cells_of_owner(state: &State, row: &Member) -> Vec<(String, Role)> {
         (row.name(), Role::Body),
         row.robot.map(standing).unwrap_or_default(),
         (row.robot.and_then(|robot| robot.address.clone()).unwrap_or_else(|| "-".to_owned()), Role::Dim),
-        (words::count(waiting), if waiting > 0 { Role::Body } else { Role::Dim }),
+        (super::count(waiting), if waiting > 0 { Role::Body } else { Role::Dim }),
         last(state, row),
     ]
 }
@@ -221,7 +218,7 @@ fn last(state: &State, row: &Member) -> (String, Role) {
 
 /// The clock of today; how long ago, if that is longer than a day.
 fn when(last: Timestamp, now: Timestamp) -> String {
-    if now.0.saturating_sub(last.0) < DAY { last.clock() } else { format!("{} ago", words::age(last, now)) }
+    if now.0.saturating_sub(last.0) < DAY { last.clock() } else { format!("{} ago", super::age(last, now)) }
 }
 
 /// A name of what is known, the words, and their role.
@@ -262,7 +259,7 @@ fn runs(row: &RobotRow) -> Fact {
 
 fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
     let since = row.drift_since?;
-    Some(("drift", format!("since {}, for {}", words::second(since), words::age(since, now)), Role::Warning))
+    Some(("drift", format!("since {}, for {}", super::second(since), super::age(since, now)), Role::Warning))
 }
 
 /// All that is known of a robot, besides its topics and the policy's text.
@@ -271,13 +268,13 @@ pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let seen = row.last_seen.map_or_else(
         || "never".to_owned(),
         |at| {
-            format!("{}, {} ago; {} wait here", words::second(at), words::age(at, now), counted(row.waiting, "record"))
+            format!("{}, {} ago; {} wait here", super::second(at), super::age(at, now), counted(row.waiting, "record"))
         },
     );
     let (stands, role) = standing(row);
     let policy = match (row.wanted, view.set_at) {
         (0, _) => ("policy", "no policy was set".to_owned(), Role::Dim),
-        (_, Some(at)) => ("policy", format!("{stands}; set {}", words::second(at)), role),
+        (_, Some(at)) => ("policy", format!("{stands}; set {}", super::second(at)), role),
         (_, None) => ("policy", stands, role),
     };
     let mut facts = vec![policy, runs(row)];

@@ -2,16 +2,13 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, right_of, row};
 use super::table::{Column, draw_plain};
 use super::theme::Role;
-use super::{bars, plot, topics, words};
-use crate::app::State;
+use super::{Canvas, bars, below, lists, plot, right_of, row};
 use crate::app::alerts::Alert;
-use crate::app::feed::Feed;
 use crate::app::history::{Flow, highest};
-use crate::app::screen::{FirstStep, first_steps};
-use crate::app::state::GRAPH_PARTS;
+use crate::app::update::Feed;
+use crate::app::{FirstStep, GRAPH_PARTS, State, first_steps};
 use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
 
@@ -45,7 +42,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         let failure = state.feeds.slot(Feed::Site).failure.as_ref();
         let (text, role) =
             failure.map_or(("The site is starting…", Role::Dim), |failure| (&failure.message, Role::Bad));
-        let lines = words::wrap(&clean(text, 500), rest.width);
+        let lines = super::wrap(&clean(text, 500), rest.width);
         for (line, text) in (0u16..).zip(&lines) {
             canvas.put(row(rest, line), text, role);
         }
@@ -88,7 +85,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     let width = (area.width / 5).min(16);
     for (place, (name, count)) in (0u16..).zip(stations) {
         let column = Rect { width, ..right_of(area, place * width) };
-        let count = words::count(count);
+        let count = super::count(count);
         // `confirmed ›` and a gap must fit.
         let arrow = if place == 4 || width < 12 { "" } else { " ›" };
         canvas.puts(row(column, 0), &[(name, Role::Title), (arrow, Role::Dim)]);
@@ -99,7 +96,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     draw_law(canvas, row(area, 3), life);
     let lost = life.lost_in_transport > 0;
     if lost {
-        let text = format!("{} lost in transport before capture", words::count(life.lost_in_transport));
+        let text = format!("{} lost in transport before capture", super::count(life.lost_in_transport));
         canvas.put(row(area, 4), &text, Role::Warning);
     }
     below(area, 4 + u16::from(lost))
@@ -122,12 +119,12 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
         ("✖ NOT balanced: ", Role::Bad)
     };
     let mut rest =
-        canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
+        canvas.puts(area, &[(verdict, role), (&super::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
     // Unusual states are named if there are any; figures grow, and the line is short.
     let named = parts.into_iter().enumerate().filter(|(place, (count, ..))| *place < 2 || *count > 0);
     for (place, (count, name, role)) in named {
         let plus = if place == 0 { "" } else { " + " };
-        rest = canvas.puts(rest, &[(plus, Role::Dim), (&words::count(count), role), (" ", role), (name, Role::Dim)]);
+        rest = canvas.puts(rest, &[(plus, Role::Dim), (&super::count(count), role), (" ", role), (name, Role::Dim)]);
     }
     if life.right_ended + life.quarantined + life.dropped + life.tampered == 0 {
         canvas.put(rest, "; none held, dropped or tampered", Role::Dim);
@@ -179,11 +176,11 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
         vec![
             (row.topic.clone(), Role::Body),
             (row.type_name.clone().unwrap_or_default(), Role::Dim),
-            (words::rate(row.hz), Role::Accent),
-            (words::kilobytes(row.bytes_per_second), Role::Body),
-            topics::watched(row),
+            (super::rate(row.hz), Role::Accent),
+            (super::kilobytes(row.bytes_per_second), Role::Body),
+            lists::watched(row),
             (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
-            topics::simulated(row.simulated),
+            lists::simulated(row.simulated),
         ]
     });
     draw_plain(canvas, area, COLUMNS, rows.collect());
@@ -236,7 +233,7 @@ fn panels(state: &State, flow: Flow) -> [Panel; 4] {
     let rate = |now: f64, values: &[Option<f64>]| format!("{now:.1}/s, peak {:.1}", highest(values).max(now));
     let after = flow.after.map_or_else(
         || "none verified".to_owned(),
-        |(half, most)| format!("p50 {}, p99 {}", words::seconds(half), words::seconds(most)),
+        |(half, most)| format!("p50 {}, p99 {}", super::seconds(half), super::seconds(most)),
     );
     let pending = state.pending_records();
     let most = highest(&flow.pending).max(f64::from(u32::try_from(pending).unwrap_or(u32::MAX)));
@@ -257,7 +254,7 @@ fn panels(state: &State, flow: Flow) -> [Panel; 4] {
         },
         Panel {
             name: "pending",
-            text: format!("{}, peak {most:.0}", words::count(pending)),
+            text: format!("{}, peak {most:.0}", super::count(pending)),
             scale: highest(&flow.pending),
             values: flow.pending,
             role: Role::Warning,

@@ -4,9 +4,8 @@
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
 
-use super::bars;
-use super::canvas::{Canvas, below, row};
 use super::theme::{Rgb, Role, SIXTEEN, Shades, distance};
+use super::{Canvas, bars, below, row};
 use crate::ros::readable::{Plot, Raster};
 
 /// The smallest width that is plotted, metres or the unit of the axes.

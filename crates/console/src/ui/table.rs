@@ -2,8 +2,8 @@
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
+use super::{Canvas, below, columns, right_of, row};
 use crate::app::choosing::wanted;
 use crate::app::table::Table;
 use crate::app::{Screen, State};
@@ -13,7 +13,6 @@ const WIDEST_NAME: u16 = 56;
 /// What chosen columns leave of it at least.
 const LEAST_NAME: u16 = 12;
 
-/// One column.
 #[derive(Debug, Clone, Copy)]
 pub struct Column {
     /// Its head.
@@ -153,7 +152,6 @@ pub struct Sheet<'a> {
     pub title: &'a str,
     /// The rest of the title line.
     pub note: String,
-    /// The columns.
     pub columns: &'a [Column],
     /// Keys of all rows, in order.
     pub keys: &'a [String],

@@ -261,7 +261,7 @@ fn in_trouble() -> Robot {
     site.health[1].text = "retry in 4 s".to_owned();
     site.health[2].level = HealthLevel::Failed;
     site.health[2].text = "the disk of /srv/authros is full; free some space".to_owned();
-    robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
+    robot.is_answered(&Tag::Feed(crate::app::update::Feed::Site, 0), Ok(Reply::Site(site)));
     let text = "chain: http://127.0.0.1:8545 does not answer, so nothing is anchored there; start the node again \
                 and the chain goes on by itself, nothing sealed is lost meanwhile";
     let notice = Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned(), about: None };
@@ -277,7 +277,7 @@ fn kept_proofs_are_in_the_first_line_when_they_are_not_well() {
             PartHealth { part: "proofs".to_owned(), level, text: "none kept yet".to_owned(), ..site.health[0].clone() };
         site.health.push(proofs);
         robot.hears_of(Part::Health);
-        robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
+        robot.is_answered(&Tag::Feed(crate::app::update::Feed::Site, 0), Ok(Reply::Site(site)));
         let text = shown(&robot.state, &night());
         assert_eq!(text.lines().next().is_some_and(|line| line.contains("proofs")), is_told, "{text}");
     }
@@ -287,7 +287,7 @@ fn kept_proofs_are_in_the_first_line_when_they_are_not_well() {
 fn a_failed_list_says_why_in_its_place() {
     let mut robot = Robot::at_work(true);
     robot.types("7");
-    let tag = Tag::Feed(crate::app::feed::Feed::Chain, 0);
+    let tag = Tag::Feed(crate::app::update::Feed::Chain, 0);
     robot.is_answered(&tag, Err(fixtures::failure(ErrorKind::Unreachable, "http://127.0.0.1:8545 does not answer")));
     assert!(shown(&robot.state, &night()).contains("127.0.0.1:8545 does not answer"));
 }

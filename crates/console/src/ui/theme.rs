@@ -76,16 +76,10 @@ impl Role {
 pub enum ThemeError {
     /// There is no theme of that name.
     #[error("there is no theme '{name}'; choose {known}")]
-    Unknown {
-        /// The requested name.
-        name: String,
-        /// The existing names.
-        known: String,
-    },
+    Unknown { name: String, known: String },
     /// A theme file is wrong.
     #[error("{file} line {line}: {what}")]
     File {
-        /// The file.
         file: String,
         /// The line, from 1.
         line: usize,
@@ -113,7 +107,6 @@ pub enum Shades {
     /// As many as wanted.
     #[default]
     All,
-    /// The sixteen.
     Sixteen,
     /// None: characters instead.
     None,
@@ -122,7 +115,6 @@ pub enum Shades {
 /// The style of each role.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Theme {
-    /// Its name.
     pub name: String,
     /// Draw with ASCII characters only.
     pub ascii: bool,
@@ -137,9 +129,6 @@ pub struct Theme {
 
 impl Theme {
     /// The embedded theme of that name.
-    ///
-    /// # Errors
-    /// [`ThemeError::Unknown`] if there is none.
     pub fn named(name: &str) -> Result<Self, ThemeError> {
         let text = embedded_text(name).ok_or_else(|| unknown(name, EMBEDDED.map(|(known, _)| known).join(", ")))?;
         read(name, text, &[])
@@ -166,7 +155,6 @@ impl Theme {
         self.pixels && !self.ascii && self.shades != Shades::None && colours()
     }
 
-    /// The style of a role.
     pub fn style(&self, role: Role) -> Style {
         self.styles[role as usize]
     }
@@ -179,9 +167,6 @@ pub struct Themes(Vec<Theme>);
 impl Themes {
     /// The embedded ones and those in the operator's files (name and text). A file contains only what differs from its
     /// `base`; one with the name of an embedded theme replaces it.
-    ///
-    /// # Errors
-    /// [`ThemeError`] naming file and line.
     pub fn with_files(files: &[(String, String)]) -> Result<Self, ThemeError> {
         let mut themes = EMBEDDED.iter().map(|(name, _)| Theme::named(name)).collect::<Result<Vec<_>, _>>()?;
         let mut from: Vec<(String, &str)> = Vec::new();
@@ -209,10 +194,6 @@ impl Themes {
         self.0.iter().map(|theme| theme.name.clone()).collect()
     }
 
-    /// The theme of that name.
-    ///
-    /// # Errors
-    /// [`ThemeError::Unknown`] if there is none.
     pub fn named(&self, name: &str) -> Result<Theme, ThemeError> {
         let found = self.0.iter().find(|theme| theme.name == name).cloned();
         found.ok_or_else(|| unknown(name, self.names().join(", ")))
@@ -322,9 +303,6 @@ impl Source<'_> {
 
 /// A theme from the text of its file; what it does not name is as in its base among `known`. If none is known, it must
 /// be complete.
-///
-/// # Errors
-/// The line that is wrong, and why.
 pub fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, ThemeError> {
     let source = Source { file, text };
     let parsed: ThemeFile = toml::from_str(text).map_err(|error| {

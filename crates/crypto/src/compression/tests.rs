@@ -44,7 +44,7 @@ fn every_shape_of_matrix_comes_back() {
                 for (big_endian, apart) in [(false, 1), (true, 2)] {
                     let matrix = Matrix { big_endian, apart, ..shape(rows, columns, channels, sample) };
                     let body = smooth(&matrix, 3);
-                    let packed = matrix::pack(&body, &matrix).expect("fits");
+                    let packed = pack_matrix(&body, &matrix).expect("fits");
                     assert_eq!(unpack(Compression::Matrix, &packed, body.len()), Ok(body), "{matrix:?}");
                 }
             }
@@ -114,7 +114,7 @@ proptest! {
         let sample = [1, 2, 4][sample];
         let rows = (bytes.len() - start) / (columns * channels * sample);
         let matrix = Matrix { start, rows, columns, channels, sample, big_endian, apart };
-        let packed = matrix::pack(&bytes, &matrix).expect("fits");
+        let packed = pack_matrix(&bytes, &matrix).expect("fits");
         prop_assert_eq!(unpack(Compression::Matrix, &packed, bytes.len()), Ok(bytes.clone()));
         restored(&bytes, Some(&matrix));
     }

@@ -8,10 +8,9 @@ use ctr::cipher::{
 use ctr::{CtrCore, flavors::Ctr32BE};
 
 use super::*;
-use crate::CryptoError;
 use crate::gcm::{self, BlockCipher};
 use crate::sm3::sm3;
-use crate::sm4_gcm;
+use crate::{CryptoError, sm4_gcm};
 
 fn kernels() -> Vec<Available> {
     Kernel::ALL.into_iter().filter_map(Kernel::available).collect()

@@ -16,9 +16,8 @@ use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 use crate::der::CipherParts;
 use crate::kernel::sm2::{Affine, Scalar, Signer, SignerTable, multiply, multiply_both, multiply_generator, verifies};
 use crate::model::{PublicKey, Signature};
-use crate::passphrase::random_bytes;
 use crate::provider::DISTINGUISHED_ID;
-use crate::secret::unprefixed;
+use crate::secret::{random_bytes, unprefixed};
 use crate::sm3::{Sm3Hasher, sm3};
 use crate::{CryptoError, kernel};
 

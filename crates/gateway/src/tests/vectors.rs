@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::*;
-use crate::crypto::{Ephemeral, SmSecret, TransportKey, derive};
+use crate::crypto::{Ephemeral, SmSecret, TransportKey, kdf};
 use crate::gateway::command::{Inner, Part, Speaker, split};
 use crate::gateway::frame::{FrameKind, encode};
 use crate::gateway::hello::{ClientHello, GatewayHello, ListSummary};
@@ -47,7 +47,7 @@ fn computed() -> Vec<(&'static str, Vec<u8>)> {
     out.push(("first ND2 of the gateway", text));
     out.push(("first frame of the gateway", encode(FrameKind::Transfer, &sealed)));
     out.push(("gateway identity key", pair(0x21).public.0.to_vec()));
-    out.push(("gateway fingerprint", derive::signer_id(&pair(0x21).public).0.to_vec()));
+    out.push(("gateway fingerprint", kdf::signer_id(&pair(0x21).public).0.to_vec()));
     out
 }
 

@@ -1,36 +1,20 @@
 //! Reads a bag chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
 //! messages is returned; a damaged one is skipped as a whole.
 
-use std::collections::{BTreeSet, HashMap};
-use std::io::{BufRead, Read, Seek, SeekFrom};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
-use super::MAGIC;
-use super::index::{ChunkMessages, ENTRY, chunk_position};
-use super::record::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, Op, connection, sized};
-use super::search::{chunk_compression, next_chunk};
+use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, sized};
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, TOO_LARGE,
-    go_to, read_at, unpack,
+    Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
+    TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
 /// The most positions of chunks that are remembered from the index.
 const MOST_PLACES: usize = 1 << 20;
-
-/// The chunk being read.
-#[derive(Debug, Default)]
-struct Chunk {
-    bytes: Vec<u8>,
-    at: usize,
-    /// Its offset in the file.
-    position: u64,
-    /// Whether its end is missing, which was already reported.
-    cut: bool,
-    /// Whether a checksum covered its bytes.
-    guarded: bool,
-}
 
 /// What is at a position of the file.
 enum Found {
@@ -443,16 +427,9 @@ impl<R: BufRead + Seek> BagReader<R> {
     }
 
     /// The rest of a chunk cannot be read.
-    fn end_chunk(&mut self, mut chunk: Chunk) {
+    fn end_chunk(&mut self, chunk: Chunk) {
         self.chunk_messages = None;
-        if !chunk.cut {
-            let left = chunk.bytes.len() - chunk.at;
-            let text = format!("the last {left} bytes of a chunk were skipped: they are not bag records");
-            self.findings.note(chunk.position, &text);
-        }
-        // The memory is reused for the next one.
-        chunk.bytes.clear();
-        self.chunk = Chunk { bytes: chunk.bytes, ..Chunk::default() };
+        self.chunk = chunk.end(&mut self.findings, "bag");
     }
 }
 
@@ -461,4 +438,138 @@ fn record_in(bytes: &[u8]) -> Option<(&[u8], &[u8], usize)> {
     let (header, rest) = sized(bytes)?;
     let (data, rest) = sized(rest)?;
     Some((header, data, bytes.len() - rest.len()))
+}
+
+/// Bytes of an entry: a time, and the message's offset in its chunk.
+const ENTRY: usize = 12;
+
+/// The messages of a chunk, or an index's entries, of one connection; in any order.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+struct Entries {
+    count: u64,
+    /// Of their digests, which are no secret: who forges a bag can forge its index as well.
+    sum: u64,
+}
+
+impl Entries {
+    fn add(&mut self, entry: [u8; ENTRY]) {
+        let number = |part: Option<&[u8; 8]>| part.map_or(0, |bytes| u64::from_le_bytes(*bytes));
+        let (time, offset) = (number(entry.first_chunk()), number(entry.last_chunk()));
+        self.count += 1;
+        self.sum = self.sum.wrapping_add(mixed(mixed(time).wrapping_add(offset)));
+    }
+}
+
+/// Spreads a number over all bits (SplitMix64), so that sums of different entries differ.
+fn mixed(number: u64) -> u64 {
+    let number = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let number = (number ^ (number >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let number = (number ^ (number >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    number ^ (number >> 31)
+}
+
+/// The messages of the chunk that was read last, by connection, without those whose index was met.
+#[derive(Debug, Default)]
+pub(super) struct ChunkMessages {
+    of: BTreeMap<u32, Entries>,
+}
+
+impl ChunkMessages {
+    /// Adds a message that begins at this offset of its chunk.
+    pub fn add(&mut self, fields: &Fields<'_>, offset: usize) {
+        let time: Option<[u8; 8]> = fields.bytes("time").and_then(|bytes| bytes.try_into().ok());
+        let (Some(connection), Some(time)) = (fields.u32("conn"), time) else { return };
+        let mut entry = [0; ENTRY];
+        entry[..8].copy_from_slice(&time);
+        entry[8..].copy_from_slice(&u32::try_from(offset).unwrap_or(u32::MAX).to_le_bytes());
+        self.of.entry(connection).or_default().add(entry);
+    }
+
+    /// How many messages of a connection there are.
+    pub fn count(&self, connection: u32) -> u64 {
+        self.of.get(&connection).map_or(0, |entries| entries.count)
+    }
+
+    /// Whether the entries of a connection's index are its messages; these are then done with.
+    pub fn take(&mut self, connection: u32, index: &[u8]) -> bool {
+        let mut entries = Entries::default();
+        index.as_chunks::<ENTRY>().0.iter().for_each(|entry| entries.add(*entry));
+        self.of.remove(&connection).unwrap_or_default() == entries
+    }
+
+    /// A connection whose index was not met.
+    pub fn left(&self) -> Option<u32> {
+        self.of.keys().next().copied()
+    }
+}
+
+/// The position that the index at the end gives for a chunk; `None` if it is not as rosbag writes it.
+fn chunk_position(fields: &Fields<'_>, length: u64) -> Option<u64> {
+    let is_whole = fields.u32("ver") == Some(1)
+        && fields.u32("count").is_some_and(|count| u64::from(count) * 8 == length)
+        && ["start_time", "end_time"].iter().all(|name| fields.time(name).is_some());
+    fields.u64("chunk_pos").filter(|_| is_whole)
+}
+
+/// Part of every chunk header: a field of four bytes, `op=` and the chunk's code.
+const MARK: &[u8] = b"\x04\0\0\0op=\x05";
+
+/// The greatest distance from the start of a chunk record to the mark, bytes.
+const LONGEST_LEAD: u64 = 64;
+
+/// The longest chunk header searched for, bytes.
+const LONGEST: usize = 128;
+
+const WINDOW: usize = 64 * 1024;
+
+/// The compression of a chunk, from its header; `None` if it is unknown.
+fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression> {
+    match fields.bytes("compression")? {
+        b"none" => Some(ChunkCompression::None),
+        b"bz2" => Some(ChunkCompression::Bz2),
+        b"lz4" => Some(ChunkCompression::Lz4),
+        _ => None,
+    }
+}
+
+/// The first position at or after `from` where a chunk record begins.
+fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
+    let mut at = from;
+    let mut window = Vec::with_capacity(WINDOW);
+    loop {
+        window.clear();
+        file.seek(SeekFrom::Start(at))?;
+        file.by_ref().take(WINDOW as u64).read_to_end(&mut window)?;
+        let marks = window.windows(MARK.len()).enumerate().filter(|(_, bytes)| *bytes == MARK);
+        for mark in marks.map(|(index, _)| at + index as u64).collect::<Vec<_>>() {
+            if let Some(start) = start_of_chunk(file, from, mark)? {
+                return Ok(Some(start));
+            }
+        }
+        if window.len() < WINDOW {
+            return Ok(None);
+        }
+        at += (WINDOW - MARK.len() + 1) as u64;
+    }
+}
+
+/// The start of the chunk record whose mark is at `mark`.
+fn start_of_chunk(file: &mut (impl Read + Seek), from: u64, mark: u64) -> io::Result<Option<u64>> {
+    let first = from.max(mark.saturating_sub(LONGEST_LEAD));
+    let mut bytes = Vec::with_capacity(LONGEST * 2);
+    file.seek(SeekFrom::Start(first))?;
+    file.by_ref().take(LONGEST as u64 * 2).read_to_end(&mut bytes)?;
+    let lead = usize::try_from(mark - first).unwrap_or(0);
+    // The nearest start that gives a valid header is the right one.
+    let starts = (0..=lead.saturating_sub(4)).rev().filter(|start| start + 4 <= lead);
+    let is_chunk =
+        |start: &usize| bytes.get(*start..).and_then(sized).is_some_and(|(header, _)| is_chunk_header(header));
+    Ok(starts.into_iter().find(is_chunk).map(|start| first + start as u64))
+}
+
+fn is_chunk_header(header: &[u8]) -> bool {
+    header.len() <= LONGEST
+        && Fields::parse(header).is_some_and(|fields| {
+            fields.op() == Some(Op::Chunk) && chunk_compression(&fields).is_some() && fields.u32("size").is_some()
+        })
 }

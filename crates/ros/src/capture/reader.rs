@@ -7,11 +7,8 @@ use std::net::TcpStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::node::Shared;
-use super::origin::{Origin, host_of};
-use super::sequence::{Sequence, header_seq};
-use super::topic::{Publisher, Topic};
-use super::{CaptureNotice, Message};
+use super::topic::{Origin, Publisher, Sequence, Topic, header_seq, host_of};
+use super::{CaptureNotice, Message, Shared};
 use crate::model::{Timestamp, TypeName, clean};
 use crate::ros::address::{Endpoint, UNRESOLVED, connect};
 use crate::ros::graph::{Graph, Unreached};

@@ -6,8 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::*;
-use crate::ros::slave::{BusLink, Node, SlaveServer};
-use crate::ros::tcpros::ConnectionHeader;
+use crate::ros::tcpros::{BusLink, ConnectionHeader, Node, SlaveServer};
 use crate::ros::xmlrpc::call;
 use crate::ros::{EmbeddedMaster, MessageSink};
 

@@ -1,21 +1,21 @@
 //! A program without keys that speaks with the network in the site's place: found, started, supervised, ended.
 
-mod run;
-#[cfg(test)]
-mod tests;
-
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
+use std::io::{BufReader, Read, Write};
 use std::os::fd::AsRawFd as _;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crate::model::clean;
+use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
+use crate::pipe::{receive, send};
 use crate::ros::RosError;
-
-#[cfg(test)]
-pub use run::State;
-pub use run::{Declined, Run};
+use serde::Serialize;
 
 /// The user and the group `nobody` of Linux.
 const NOBODY: u32 = 65534;
@@ -40,7 +40,6 @@ pub fn find(name: &str, given: Option<&Path>) -> Result<PathBuf, PathBuf> {
 pub struct Errand {
     /// The program's path.
     pub program: PathBuf,
-    /// Its arguments.
     pub arguments: Vec<String>,
     /// Its whole environment.
     pub environment: Vec<(&'static str, String)>,
@@ -140,3 +139,339 @@ impl Participant {
         drop(std::thread::Builder::new().name("ros2 last".to_owned()).spawn(move || drop(child.wait())));
     }
 }
+
+/// Interval between checks that the program still reports.
+const TICK: Duration = Duration::from_millis(500);
+/// After this many checks without a report it is killed; checks are counted, not time, so that a machine that slept blames
+/// nobody.
+const SILENT_TICKS: u32 = 10;
+/// The longest reason taken, and the most answers kept.
+const LONGEST_REASON: usize = 400;
+const MOST_ANSWERS: usize = 4096;
+
+/// Why a topic is not published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Declined {
+    /// In words.
+    pub reason: String,
+    /// Whether it is that somebody else publishes it.
+    pub occupied: bool,
+}
+
+/// What the program has reported.
+#[derive(Debug, Default)]
+pub struct State {
+    /// It is in the domain.
+    pub joined: bool,
+    /// It can open no file and no local socket.
+    pub confined: bool,
+    /// Its answers about topics, by their number.
+    pub answers: BTreeMap<u32, Result<(), Declined>>,
+    /// Sizes of the messages that it has not confirmed, oldest first.
+    unconfirmed: VecDeque<usize>,
+    unconfirmed_bytes: usize,
+    dropped: u64,
+    unacknowledged: u64,
+    best_effort: u64,
+    left: bool,
+    reports: u64,
+    broken: Option<String>,
+    participant: Option<Participant>,
+}
+
+impl State {
+    /// Takes a report.
+    ///
+    /// # Errors
+    /// Why the program must be ended, in words.
+    pub fn take(&mut self, report: Report, domain: u16) -> Result<(), String> {
+        self.reports += 1;
+        match report {
+            Report::Hello { version, domain: joined, confined } => {
+                if (version, joined) != (crate::pipe::VERSION, domain) {
+                    let own = crate::pipe::VERSION;
+                    return Err(format!(
+                        "it uses pipe version {version}, but {own} is required; install both programs from the same release"
+                    ));
+                }
+                (self.joined, self.confined) = (true, confined);
+            }
+            Report::Joined { participant } => self.participant = Participant::new(domain, participant),
+            Report::Ready { writer } => self.answer(writer, Ok(())),
+            Report::Refused { writer, reason, occupied } => {
+                self.answer(writer, Err(Declined { reason: clean(&reason, LONGEST_REASON), occupied }));
+            }
+            Report::Taken { messages, dropped, unacknowledged, unconfirmed } => {
+                for _ in 0..messages {
+                    let Some(size) = self.unconfirmed.pop_front() else { break };
+                    self.unconfirmed_bytes -= size;
+                }
+                self.dropped += u64::from(dropped.min(messages));
+                (self.unacknowledged, self.best_effort) = (u64::from(unacknowledged), unconfirmed);
+            }
+            Report::Left => self.left = true,
+            Report::Alive { .. } => {}
+            Report::Failed { reason } => return Err(clean(&reason, LONGEST_REASON)),
+        }
+        Ok(())
+    }
+
+    fn answer(&mut self, writer: u32, answer: Result<(), Declined>) {
+        if self.answers.len() < MOST_ANSWERS {
+            self.answers.insert(writer, answer);
+        }
+    }
+
+    /// A message was handed to it.
+    pub fn hand_out(&mut self, size: usize) {
+        self.unconfirmed.push_back(size);
+        self.unconfirmed_bytes += size;
+    }
+
+    /// The message handed out last did not reach it.
+    pub fn take_back(&mut self) {
+        self.unconfirmed_bytes -= self.unconfirmed.pop_back().unwrap_or(0);
+    }
+
+    /// Messages that it was handed and has not confirmed, and their bytes.
+    pub fn unconfirmed(&self) -> (usize, usize) {
+        (self.unconfirmed.len(), self.unconfirmed_bytes)
+    }
+
+    /// Messages that were sent and that a subscriber has yet to acknowledge.
+    pub fn unacknowledged(&self) -> u64 {
+        self.unacknowledged
+    }
+
+    /// Messages that were sent to subscribers that do not acknowledge.
+    pub fn best_effort(&self) -> u64 {
+        self.best_effort
+    }
+
+    /// Messages that subscribers missed; if it has ended, also those that it held and those that were not acknowledged.
+    pub fn missed(&self) -> u64 {
+        let held = if self.broken.is_some() { self.unconfirmed.len() as u64 + self.unacknowledged } else { 0 };
+        self.dropped + held
+    }
+}
+
+#[derive(Default)]
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+    to_child: Mutex<Option<ChildStdin>>,
+    child: Mutex<Option<Child>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    fn state(&self) -> MutexGuard<'_, State> {
+        locked(&self.state)
+    }
+
+    fn read(&self, from: &mut impl Read, domain: u16) -> String {
+        loop {
+            match receive::<Report>(from) {
+                Ok(Some((report, _))) => {
+                    let taken = self.state().take(report, domain);
+                    self.changed.notify_all();
+                    if let Err(reason) = taken {
+                        return reason;
+                    }
+                }
+                Ok(None) => return "the program that publishes has ended".to_owned(),
+                Err(error) => return error.to_string(),
+            }
+        }
+    }
+
+    fn watch_over(&self) {
+        let (mut before, mut silent) = (0, 0);
+        let mut state = self.state();
+        while state.broken.is_none() {
+            let (next, waited) = self.changed.wait_timeout(state, TICK).unwrap_or_else(PoisonError::into_inner);
+            state = next;
+            if !waited.timed_out() && state.reports != before {
+                (before, silent) = (state.reports, 0);
+                continue;
+            }
+            silent = if state.reports == before && waited.timed_out() { silent + 1 } else { silent };
+            before = state.reports;
+            if silent >= SILENT_TICKS {
+                silent = 0;
+                drop(state);
+                self.kill();
+                state = self.state();
+            }
+        }
+    }
+
+    fn kill(&self) {
+        if let Some(child) = locked(&self.child).as_mut() {
+            drop(child.kill());
+        }
+    }
+}
+
+/// A run; the program is ended with it.
+pub struct Run {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+    program: PathBuf,
+}
+
+impl Run {
+    /// Starts the program, which is to say that it has joined `domain`.
+    ///
+    /// # Errors
+    /// [`RosError::System`] if it, or a thread for it, does not start.
+    pub fn start(errand: &Errand, domain: u16) -> Result<Self, RosError> {
+        let (child, to, from) = start(errand)?;
+        let shared = Arc::new(Shared::default());
+        *locked(&shared.child) = Some(child);
+        *locked(&shared.to_child) = Some(to);
+        let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new(), program: errand.program.clone() };
+        let reading = Arc::clone(&shared);
+        run.keep("ros out", move || {
+            let reason = reading.read(&mut BufReader::new(from), domain);
+            reading.state().broken.get_or_insert(reason);
+            reading.changed.notify_all();
+            // A caller that writes to it must not wait for it.
+            reading.kill();
+        })?;
+        run.keep("ros out watch", move || shared.watch_over())?;
+        Ok(run)
+    }
+
+    fn keep(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), RosError> {
+        let started = std::thread::Builder::new().name(name.to_owned()).spawn(work);
+        self.threads.push(started.map_err(|error| RosError::system("start a thread for a program", &error))?);
+        Ok(())
+    }
+
+    /// Sends an order with its payload.
+    pub fn order<T: Serialize>(&self, order: &Order<T>, payload: &[u8]) -> Result<(), String> {
+        let mut to = locked(&self.shared.to_child);
+        let sent = to.as_mut().map(|to| send(to, order, payload).and_then(|()| Ok(to.flush()?)));
+        match sent {
+            Some(Ok(())) => Ok(()),
+            Some(Err(error)) => {
+                // Half a frame may be in the pipe: nothing can follow it.
+                *to = None;
+                Err(error.to_string())
+            }
+            None => Err("the program that publishes has ended".to_owned()),
+        }
+    }
+
+    /// Hands out a message; false if the program does not get it.
+    pub fn publish<T: Serialize>(&self, order: &Order<T>, message: &[u8]) -> bool {
+        // Counted first: it may be confirmed at once.
+        self.shared.state().hand_out(message.len());
+        let sent = self.order(order, message).is_ok();
+        if !sent {
+            self.shared.state().take_back();
+        }
+        sent
+    }
+
+    /// Whether more messages should wait for subscribers that are behind, or for the program.
+    pub fn is_crowded(&self) -> bool {
+        let (messages, bytes) = self.unconfirmed();
+        messages >= MOST_UNCONFIRMED / 2 || bytes >= MOST_UNCONFIRMED_BYTES / 2
+    }
+
+    /// Waits until the state has something, at most for `patience`.
+    pub fn wait<T>(
+        &self,
+        patience: Duration,
+        mut find: impl FnMut(&mut State) -> Option<T>,
+    ) -> Result<Option<T>, String> {
+        let begun = Instant::now();
+        let mut state = self.shared.state();
+        loop {
+            if let Some(found) = find(&mut state) {
+                return Ok(Some(found));
+            }
+            if let Some(reason) = &state.broken {
+                return Err(reason.clone());
+            }
+            let left = patience.saturating_sub(begun.elapsed());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            state = self.shared.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Whether it has said that it can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.shared.state().confined
+    }
+
+    /// Ends it at once.
+    pub fn kill(&self) {
+        self.shared.kill();
+    }
+
+    /// The number of its process.
+    pub fn process(&self) -> Option<u32> {
+        locked(&self.shared.child).as_ref().map(Child::id)
+    }
+
+    /// See [`State::unconfirmed`].
+    pub fn unconfirmed(&self) -> (usize, usize) {
+        self.shared.state().unconfirmed()
+    }
+
+    /// Whether subscribers have everything.
+    pub fn has_left(&self) -> bool {
+        self.shared.state().left
+    }
+
+    /// Why it has ended, if it has.
+    pub fn broken(&self) -> Option<String> {
+        self.shared.state().broken.clone()
+    }
+
+    /// See [`State::unacknowledged`].
+    pub fn unacknowledged(&self) -> u64 {
+        self.shared.state().unacknowledged()
+    }
+
+    /// See [`State::best_effort`].
+    pub fn best_effort(&self) -> u64 {
+        self.shared.state().best_effort()
+    }
+
+    /// See [`State::missed`].
+    pub fn missed(&self) -> u64 {
+        self.shared.state().missed()
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        // The end of its pipe tells it to leave.
+        locked(&self.shared.to_child).take();
+        let child = locked(&self.shared.child).take();
+        if let Some(mut child) = child {
+            let has_left = end(&mut child);
+            let participant = self.shared.state().participant.take();
+            if let Some(participant) = participant.filter(|_| !has_left) {
+                participant.bury(&self.program);
+            }
+        }
+        self.shared.state().broken.get_or_insert_with(|| "it was ended".to_owned());
+        self.shared.changed.notify_all();
+        for thread in self.threads.drain(..) {
+            drop(thread.join());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -2,10 +2,12 @@
 //! MCAP's own bytes of it, without code and length, so that it comes out as it went in.
 
 use std::collections::BTreeMap;
+use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::sync::Arc;
 
-use super::record::{Code, Fields, put_length, put_text};
+use super::{Code, Fields, MAGIC, beside_line, end_summary, put_length, put_record, put_text};
 use crate::model::Timestamp;
+use crate::ros::RosError;
 use crate::ros::recording::{Channel, Encoding};
 
 /// The name under which all of it is filed; no topic of ROS begins like this.
@@ -45,7 +47,6 @@ pub struct AttachedFile<'a> {
 pub enum BesideContent<'a> {
     /// An attachment.
     File(AttachedFile<'a>),
-    /// Metadata.
     Metadata {
         /// Its name, as written.
         name: Arc<str>,
@@ -181,4 +182,233 @@ pub fn attachment_record(logged_at: Timestamp, name: &str, media_type: &str, dat
     let checksum = crc32fast::hash(&out);
     out.extend_from_slice(&checksum.to_le_bytes());
     out
+}
+
+/// Bytes of the footer and of the magic behind it.
+const TAIL: u64 = 9 + 20 + 8;
+
+/// Bytes of the record that ends the data.
+const DATA_END: u64 = 9 + 4;
+
+/// The longest summary, bytes.
+const LONGEST_SUMMARY: u64 = 256 << 20;
+
+/// Where the count of attachments is in the content of a statistics record.
+const ATTACHMENTS: usize = 8 + 2 + 4;
+
+/// Writes all bytes, counting them and their CRC-32.
+struct Counted<W> {
+    out: W,
+    position: u64,
+    checksum: crc32fast::Hasher,
+}
+
+impl<W: Write> Counted<W> {
+    fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
+        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.position += bytes.len() as u64;
+        self.checksum.update(bytes);
+        Ok(())
+    }
+}
+
+/// Copies a file that its recorder closed to `out`, with `file` attached.
+///
+/// # Errors
+/// [`RosError::Recording`] if it was not closed, is damaged at its end, cannot be read, or the copy cannot be written.
+pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>) -> Result<(), RosError> {
+    let mut source = BufReader::new(source);
+    let unreadable = |error: std::io::Error| RosError::unreadable(&error);
+    let length = source.seek(SeekFrom::End(0)).map_err(unreadable)?;
+    let not_closed = || RosError::recording("nothing can be attached to it: it was not closed, or its end is damaged");
+    let footer = length.checked_sub(TAIL).ok_or_else(not_closed)?;
+    let tail = between(&mut source, footer, length)?;
+    let mut fields = Fields(&tail);
+    let start = match fields.record() {
+        Some((code, content)) if code == Code::Footer as u8 && fields.0 == MAGIC => Fields(content).u64(),
+        _ => None,
+    };
+    let start = start.ok_or_else(not_closed)?;
+    let (has_summary, after_data) = if start == 0 { (false, footer) } else { (true, start) };
+    let data_end = after_data.checked_sub(DATA_END).filter(|_| after_data <= footer).ok_or_else(not_closed)?;
+    let mut end = Fields(&between(&mut source, data_end, after_data)?).0.to_vec();
+    let checksum = match Fields(&end).record() {
+        Some((code, content)) if code == Code::DataEnd as u8 => Fields(content).u32(),
+        _ => None,
+    };
+    let has_checksum = checksum.ok_or_else(not_closed)? != 0;
+
+    let mut out = Counted { out, position: 0, checksum: crc32fast::Hasher::new() };
+    source.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+    copy(&mut source, data_end, &mut out)?;
+    let record = attachment(file);
+    let line = beside_line(&BesideContent::File(file.clone()), data_end, record.len() as u64);
+    out.put(&record)?;
+    end.clear();
+    let checksum = if has_checksum { out.checksum.clone().finalize() } else { 0 };
+    put_record(&mut end, Code::DataEnd, |out| out.extend_from_slice(&checksum.to_le_bytes()));
+    out.put(&end)?;
+    if has_summary {
+        let summary = between(&mut source, start, footer)?;
+        let summary = with_line(&summary, &line, out.position).ok_or_else(not_closed)?;
+        out.put(&summary)?;
+    } else {
+        out.put(tail.get(..tail.len() - MAGIC.len()).unwrap_or_default())?;
+    }
+    out.put(MAGIC)?;
+    out.out.flush().map_err(|error| RosError::unwritable(&error))
+}
+
+fn between(source: &mut (impl Read + Seek), from: u64, to: u64) -> Result<Vec<u8>, RosError> {
+    let wanted = to.saturating_sub(from);
+    if wanted > LONGEST_SUMMARY {
+        return Err(RosError::recording("nothing can be attached to it: its summary is too long"));
+    }
+    let mut bytes = Vec::new();
+    source.seek(SeekFrom::Start(from)).map_err(|error| RosError::unreadable(&error))?;
+    source.by_ref().take(wanted).read_to_end(&mut bytes).map_err(|error| RosError::unreadable(&error))?;
+    Ok(bytes)
+}
+
+fn copy(source: &mut impl Read, mut left: u64, out: &mut Counted<impl Write>) -> Result<(), RosError> {
+    let mut buffer = vec![0; 256 * 1024];
+    while left > 0 {
+        let wanted = usize::try_from(left).unwrap_or(usize::MAX).min(buffer.len());
+        let block = buffer.get_mut(..wanted).unwrap_or_default();
+        source.read_exact(block).map_err(|error| RosError::unreadable(&error))?;
+        out.put(block)?;
+        left -= wanted as u64;
+    }
+    Ok(())
+}
+
+fn attachment(file: &AttachedFile<'_>) -> Vec<u8> {
+    let mut content = Vec::with_capacity(file.data.len() + 256);
+    content.extend_from_slice(&file.logged_at.0.to_le_bytes());
+    content.extend_from_slice(&file.created_at.to_le_bytes());
+    put_text(&mut content, &file.name);
+    put_text(&mut content, &file.media_type);
+    content.extend_from_slice(&(file.data.len() as u64).to_le_bytes());
+    content.extend_from_slice(file.data);
+    let checksum = crc32fast::hash(&content);
+    content.extend_from_slice(&checksum.to_le_bytes());
+    let mut record = Vec::with_capacity(content.len() + 16);
+    put_record(&mut record, Code::Attachment, |out| out.extend_from_slice(&content));
+    record
+}
+
+/// The summary with one more attachment, at its new place; `None` if it is damaged.
+fn with_line(summary: &[u8], line: &[u8], start: u64) -> Option<Vec<u8>> {
+    let mut groups: Vec<(Code, Vec<u8>)> = Vec::new();
+    let mut rest = Fields(summary);
+    while !rest.0.is_empty() {
+        let (code, content) = rest.record()?;
+        let code = Code::from_byte(code)?;
+        let mut content = content.to_vec();
+        match code {
+            Code::SummaryOffset => continue,
+            Code::Statistics => {
+                let count = content.get_mut(ATTACHMENTS..ATTACHMENTS + 4)?;
+                let more = u32::from_le_bytes((&*count).try_into().ok()?).checked_add(1)?;
+                count.copy_from_slice(&more.to_le_bytes());
+            }
+            _ => {}
+        }
+        put_in_group(&mut groups, code, &content);
+    }
+    put_in_group(&mut groups, Code::AttachmentIndex, line);
+    let (mut out, mut places) = (Vec::new(), Vec::new());
+    for (code, records) in &groups {
+        places.push((*code, start + out.len() as u64, records.len() as u64));
+        out.extend_from_slice(records);
+    }
+    end_summary(&mut out, start, &places);
+    Some(out)
+}
+
+/// Appends a record to those of its kind, which are together in a summary.
+fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
+    let mut record = Vec::with_capacity(content.len() + 9);
+    put_record(&mut record, code, |out| out.extend_from_slice(content));
+    match groups.iter_mut().find(|(known, _)| *known == code) {
+        Some((_, records)) => records.extend_from_slice(&record),
+        None => groups.push((code, record)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::io::Cursor;
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::model::Timestamp;
+    use crate::ros::mcap::{Beside, McapReader, McapWriter};
+    use crate::ros::recording::{Channel, ChunkCompression, Encoding, RecordedMessage};
+
+    fn recorded(messages: u64) -> Vec<u8> {
+        let channel = Arc::new(Channel {
+            topic: "/words".into(),
+            type_name: "std_msgs/msg/String".into(),
+            md5sum: "*".into(),
+            definition: "string data".into(),
+            caller_id: "".into(),
+            latching: false,
+            encoding: Encoding::Cdr { idl: false },
+            about: BTreeMap::new(),
+        });
+        let mut writer = McapWriter::begin(Cursor::new(Vec::new()), ChunkCompression::Lz4).expect("begun");
+        for number in 0..messages {
+            writer.write(&channel, Timestamp(1_000 + number), &vec![7; 300_000]).expect("written");
+        }
+        writer.finish().expect("finished").into_inner()
+    }
+
+    fn all(bytes: &[u8]) -> Vec<RecordedMessage> {
+        let mut reader = McapReader::open(Cursor::new(bytes)).expect("MCAP");
+        let mut found = Vec::new();
+        while let Some(message) = reader.next_message().expect("readable") {
+            found.push(message);
+        }
+        assert!(reader.findings().is_whole(), "{:?}", reader.findings());
+        found
+    }
+
+    fn file(data: &[u8]) -> AttachedFile<'_> {
+        let (name, media_type) = ("run.mcap.authros".into(), "application/zip".into());
+        AttachedFile { logged_at: Timestamp(5), created_at: 6, name, media_type, data, checksum: 0 }
+    }
+
+    #[test]
+    fn a_copy_has_the_same_messages_in_the_same_places_and_what_was_attached() {
+        let before = recorded(9);
+        let (mut once, mut twice) = (Vec::new(), Vec::new());
+        attach(Cursor::new(&before), &mut once, &file(b"proof")).expect("attached");
+        attach(Cursor::new(&once), &mut twice, &file(b"another")).expect("attached");
+        let (messages, mut found) = (all(&before), all(&twice));
+        let (last, proof) = (found.pop().expect("attached"), found.pop().expect("attached"));
+        assert_eq!(found, messages);
+        for (attached, data) in [(proof, &b"proof"[..]), (last, b"another")] {
+            let Some(BesideContent::File(attached)) = Beside::Attachment.parse(&attached.body) else {
+                panic!("a file")
+            };
+            assert_eq!((&*attached.name, attached.data, attached.logged_at.0), ("run.mcap.authros", data, 5));
+            assert_ne!(attached.checksum, 0);
+        }
+        let some = before.len() / 2;
+        assert!(once.len() > before.len() && once[..some] == before[..some]);
+    }
+
+    #[test]
+    fn nothing_is_attached_to_what_was_not_closed() {
+        let whole = recorded(3);
+        for end in [0, 8, 100, whole.len() - 8, whole.len() - 1] {
+            assert!(attach(Cursor::new(&whole[..end]), Vec::new(), &file(b"proof")).is_err(), "{end}");
+        }
+        let mut footer = whole.clone();
+        let at = footer.len() - 28;
+        footer[at..at + 8].copy_from_slice(&(whole.len() as u64).to_le_bytes());
+        assert!(attach(Cursor::new(&footer), Vec::new(), &file(b"proof")).is_err(), "a summary behind the end");
+    }
 }

@@ -3,17 +3,648 @@
 //! The profile `ros1` is fully read and written; ROS 2 messages are taken as raw CDR with their schema. The content of
 //! a file is untrusted.
 
-mod attach;
 mod beside;
 mod reader;
-mod record;
-mod writer;
 
-pub use attach::attach;
-pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE};
+use std::collections::{BTreeMap, HashMap};
+use std::io::{Seek, Write};
+use std::sync::Arc;
+
+use crate::model::Timestamp;
+use crate::ros::RosError;
+use crate::ros::recording::{
+    CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, MOST_CHANNELS, RecordingFormat, Sent, kept_about, pack,
+};
+use crate::ros::tcpros::LONGEST_MESSAGE;
+
+pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE, attach};
 pub(super) use beside::{attachment_record, metadata_record};
 pub use reader::McapReader;
-pub use writer::McapWriter;
 
 /// The start and end of every file.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+/// The kind of a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Code {
+    Header = 1,
+    Footer = 2,
+    Schema = 3,
+    Channel = 4,
+    Message = 5,
+    Chunk = 6,
+    MessageIndex = 7,
+    ChunkIndex = 8,
+    Attachment = 9,
+    AttachmentIndex = 10,
+    Statistics = 11,
+    Metadata = 12,
+    MetadataIndex = 13,
+    SummaryOffset = 14,
+    DataEnd = 15,
+}
+
+impl Code {
+    /// `None` for records that a reader of messages skips.
+    pub fn from_byte(byte: u8) -> Option<Self> {
+        let all = [
+            Self::Header,
+            Self::Footer,
+            Self::Schema,
+            Self::Channel,
+            Self::Message,
+            Self::Chunk,
+            Self::MessageIndex,
+            Self::ChunkIndex,
+            Self::Attachment,
+            Self::AttachmentIndex,
+            Self::Statistics,
+            Self::Metadata,
+            Self::MetadataIndex,
+            Self::SummaryOffset,
+            Self::DataEnd,
+        ];
+        all.into_iter().find(|code| *code as u8 == byte)
+    }
+}
+
+/// Whether an entry of a channel's metadata is said by a field here.
+fn is_own(key: &str, value: &str) -> bool {
+    matches!((key, value), ("md5sum" | "callerid", _) | ("latching", "1"))
+}
+
+/// Parses consecutive fields; `None` if the bytes end too early.
+#[derive(Debug, Clone, Copy)]
+struct Fields<'a>(pub &'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (array, rest) = self.0.split_first_chunk::<N>()?;
+        self.0 = rest;
+        Some(*array)
+    }
+
+    pub fn bytes(&mut self, length: usize) -> Option<&'a [u8]> {
+        let (bytes, rest) = self.0.split_at_checked(length)?;
+        self.0 = rest;
+        Some(bytes)
+    }
+
+    pub fn u8(&mut self) -> Option<u8> {
+        self.array::<1>().map(|[byte]| byte)
+    }
+
+    pub fn u16(&mut self) -> Option<u16> {
+        self.array().map(u16::from_le_bytes)
+    }
+
+    pub fn u32(&mut self) -> Option<u32> {
+        self.array().map(u32::from_le_bytes)
+    }
+
+    pub fn u64(&mut self) -> Option<u64> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    pub fn sized(&mut self) -> Option<&'a [u8]> {
+        let length = usize::try_from(self.u32()?).ok()?;
+        self.bytes(length)
+    }
+
+    pub fn text(&mut self) -> Option<Arc<str>> {
+        self.sized().map(|bytes| String::from_utf8_lossy(bytes).into())
+    }
+
+    /// Names with values, in their order, behind the length of them all.
+    pub fn map(&mut self) -> Option<Vec<(Arc<str>, Arc<str>)>> {
+        let mut map = Fields(self.sized()?);
+        let mut entries = Vec::new();
+        while !map.0.is_empty() {
+            entries.push((map.text()?, map.text()?));
+        }
+        Some(entries)
+    }
+
+    /// A record: its code and its content.
+    pub fn record(&mut self) -> Option<(u8, &'a [u8])> {
+        let code = self.u8()?;
+        let length = usize::try_from(self.u64()?).ok()?;
+        Some((code, self.bytes(length)?))
+    }
+}
+
+/// A schema: the name of a type, and its definition.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Schema {
+    pub name: Arc<str>,
+    pub encoding: Arc<str>,
+    pub text: Arc<str>,
+}
+
+impl Schema {
+    /// Bytes of its texts.
+    pub fn size(&self) -> usize {
+        self.name.len() + self.encoding.len() + self.text.len() + 64
+    }
+}
+
+/// A schema record: its number (never 0) and its content.
+fn schema(mut fields: Fields<'_>) -> Option<(u16, Schema)> {
+    let number = fields.u16().filter(|number| *number > 0)?;
+    Some((number, Schema { name: fields.text()?, encoding: fields.text()?, text: fields.text()? }))
+}
+
+/// The content of a channel record, without its schema's text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct ChannelRecord {
+    pub number: u16,
+    pub schema: u16,
+    topic: Arc<str>,
+    encoding: Arc<str>,
+    about: BTreeMap<String, Arc<str>>,
+}
+
+impl ChannelRecord {
+    pub fn parse(mut fields: Fields<'_>) -> Option<Self> {
+        let (number, schema) = (fields.u16()?, fields.u16()?);
+        let (topic, encoding) = (fields.text()?, fields.text()?);
+        let about = fields.map()?.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
+        Some(Self { number, schema, topic, encoding, about })
+    }
+
+    /// Bytes of its texts.
+    pub fn size(&self) -> usize {
+        let about = self.about.iter().map(|(key, value)| key.len() + value.len());
+        self.topic.len() + self.encoding.len() + about.sum::<usize>() + 128
+    }
+
+    /// Whether all its metadata is kept.
+    pub fn is_kept(&self) -> bool {
+        kept_about(self.others()).1
+    }
+
+    fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
+        let others = self.about.iter().filter(|(key, value)| !is_own(key, value));
+        others.map(|(key, value)| (key.as_str().into(), Arc::clone(value)))
+    }
+
+    /// The channel's topic.
+    pub fn topic(&self) -> &Arc<str> {
+        &self.topic
+    }
+
+    /// The channel with its schema; or why its messages cannot be used. Bodies in CDR are kept also without a
+    /// definition: they are what is to be proven.
+    pub fn with(&self, schema: Option<&Schema>) -> Result<Channel, String> {
+        let Some(schema) = schema else {
+            return Err(match (&*self.encoding, self.schema) {
+                ("ros1" | "cdr", 0) => String::from("its channel names no type (schema 0)"),
+                ("ros1" | "cdr", number) => format!("its schema {number} is not in the file"),
+                _ => self.foreign(),
+            });
+        };
+        let encoding = match (&*self.encoding, &*schema.encoding) {
+            ("ros1", "ros1msg" | "") => Encoding::Ros1,
+            ("cdr", "ros2msg" | "") => Encoding::Cdr { idl: false },
+            ("cdr", "ros2idl" | "omgidl") => Encoding::Cdr { idl: true },
+            ("ros1" | "cdr", other) => return Err(format!("its schema's encoding '{other}' is not of ROS")),
+            _ => return Err(self.foreign()),
+        };
+        let about = |key: &str| self.about.get(key).cloned();
+        let definition = if schema.encoding.is_empty() { "".into() } else { Arc::clone(&schema.text) };
+        let computed = || match encoding {
+            Encoding::Ros1 if !definition.is_empty() => {
+                crate::ros::md5sum(&schema.name, &definition).ok().map(Arc::from)
+            }
+            Encoding::Ros1 | Encoding::Cdr { .. } | Encoding::Beside(_) => None,
+        };
+        Ok(Channel {
+            md5sum: about("md5sum").filter(|sum| &**sum != "*").or_else(computed).unwrap_or_else(|| "*".into()),
+            caller_id: about("callerid").unwrap_or_default(),
+            latching: about("latching").is_some_and(|value| matches!(&*value, "1" | "true")),
+            topic: Arc::clone(&self.topic),
+            type_name: Arc::clone(&schema.name),
+            definition,
+            encoding,
+            about: kept_about(self.others()).0,
+        })
+    }
+
+    fn foreign(&self) -> String {
+        format!("its encoding '{}' is not of ROS", self.encoding)
+    }
+}
+
+/// Appends a record whose content is written by `fill`.
+fn put_record(out: &mut Vec<u8>, code: Code, fill: impl FnOnce(&mut Vec<u8>)) {
+    out.push(code as u8);
+    let at = out.len();
+    out.extend_from_slice(&[0; 8]);
+    fill(out);
+    let length = (out.len() - at - 8) as u64;
+    if let Some(place) = out.get_mut(at..at + 8) {
+        place.copy_from_slice(&length.to_le_bytes());
+    }
+}
+
+/// Appends a text with its length.
+fn put_text(out: &mut Vec<u8>, text: &str) {
+    put_length(out, text.len());
+    out.extend_from_slice(text.as_bytes());
+}
+
+/// Appends a 32-bit length; nothing written here is longer.
+fn put_length(out: &mut Vec<u8>, length: usize) {
+    out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
+}
+
+/// Appends the schema of a channel.
+fn put_schema(out: &mut Vec<u8>, number: u16, channel: &Channel) {
+    put_record(out, Code::Schema, |out| {
+        out.extend_from_slice(&number.to_le_bytes());
+        put_text(out, &channel.type_name);
+        // Without a definition it is no text in any language, as rosbag2 writes it.
+        let is_described = !channel.definition.is_empty() || channel.encoding == Encoding::Ros1;
+        put_text(out, if is_described { schema_encoding(channel.encoding) } else { "" });
+        put_text(out, &channel.definition);
+    });
+}
+
+/// The name of the schema encoding.
+fn schema_encoding(encoding: Encoding) -> &'static str {
+    match encoding {
+        Encoding::Ros1 => "ros1msg",
+        Encoding::Cdr { idl: false } => "ros2msg",
+        Encoding::Cdr { idl: true } => "ros2idl",
+        Encoding::Beside(_) => "",
+    }
+}
+
+/// Appends a channel of a schema.
+fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, channel: &Channel) {
+    let mut about = vec![("md5sum", &*channel.md5sum)];
+    if !channel.caller_id.is_empty() {
+        about.push(("callerid", &channel.caller_id));
+    }
+    if channel.latching && !channel.about.contains_key("latching") {
+        about.push(("latching", "1"));
+    }
+    about.retain(|(key, value)| *key != "md5sum" || *value != "*");
+    about.extend(channel.about.iter().map(|(key, value)| (&**key, &**value)));
+    put_record(out, Code::Channel, |out| {
+        out.extend_from_slice(&number.to_le_bytes());
+        out.extend_from_slice(&schema.to_le_bytes());
+        put_text(out, &channel.topic);
+        put_text(out, if channel.encoding == Encoding::Ros1 { "ros1" } else { "cdr" });
+        put_length(out, about.iter().map(|(key, value)| 8 + key.len() + value.len()).sum());
+        for (key, value) in about {
+            put_text(out, key);
+            put_text(out, value);
+        }
+    });
+}
+
+/// A chunk's line in the summary.
+#[derive(Debug)]
+struct ChunkIndex {
+    span: (Timestamp, Timestamp),
+    position: u64,
+    length: u64,
+    /// The position of each channel's message index.
+    indexes: Vec<(u16, u64)>,
+    index_length: u64,
+    packed: u64,
+    size: u64,
+}
+
+/// An attachment's or metadata record's line in the summary.
+#[derive(Debug)]
+struct BesideIndex {
+    kind: Beside,
+    /// The content of its index record.
+    line: Vec<u8>,
+}
+
+/// Writes an MCAP file.
+#[derive(Debug)]
+pub struct McapWriter<W> {
+    out: W,
+    position: u64,
+    compression: ChunkCompression,
+    channels: Vec<(u16, Arc<Channel>)>,
+    numbers: HashMap<Arc<Channel>, u16>,
+    schemas: HashMap<(Arc<str>, &'static str, Arc<str>), u16>,
+    counts: BTreeMap<u16, u64>,
+    sequence: u32,
+    chunk: Vec<u8>,
+    span: Option<(Timestamp, Timestamp)>,
+    all: Option<(Timestamp, Timestamp)>,
+    index: BTreeMap<u16, Vec<(Timestamp, u64)>>,
+    chunks: Vec<ChunkIndex>,
+    besides: Vec<BesideIndex>,
+    begun: bool,
+}
+
+impl<W: Write + Seek> McapWriter<W> {
+    /// Starts a file.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] if it cannot be written, or MCAP does not use this compression.
+    pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
+        if !RecordingFormat::Mcap.takes(compression) {
+            return Err(RosError::recording(&format!("MCAP cannot be compressed with {compression}")));
+        }
+        let mut writer = Self {
+            out,
+            position: 0,
+            compression,
+            channels: Vec::new(),
+            numbers: HashMap::new(),
+            schemas: HashMap::new(),
+            counts: BTreeMap::new(),
+            sequence: 0,
+            chunk: Vec::new(),
+            span: None,
+            all: None,
+            index: BTreeMap::new(),
+            chunks: Vec::new(),
+            besides: Vec::new(),
+            begun: false,
+        };
+        writer.put(MAGIC)?;
+        Ok(writer)
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> Result<(), RosError> {
+        self.out.write_all(bytes).map_err(|error| RosError::unwritable(&error))?;
+        self.position += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// The header names the profile, which depends on the first message.
+    fn put_header(&mut self, profile: &str) -> Result<(), RosError> {
+        if std::mem::replace(&mut self.begun, true) {
+            return Ok(());
+        }
+        let mut header = Vec::new();
+        put_record(&mut header, Code::Header, |out| {
+            put_text(out, profile);
+            put_text(out, concat!("authros ", env!("CARGO_PKG_VERSION")));
+        });
+        self.put(&header)
+    }
+
+    /// Writes one message, with its recording time as its publishing time.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] if it cannot be written or is too large.
+    pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
+        let sequence = self.sequence.wrapping_add(1);
+        self.write_sent(channel, time, Sent { time, sequence }, body)
+    }
+
+    /// Writes one message as it was sent; an attachment or metadata record as it is.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] if it cannot be written, is too large, or is not such a record.
+    pub fn write_sent(
+        &mut self,
+        channel: &Arc<Channel>,
+        time: Timestamp,
+        sent: Sent,
+        body: &[u8],
+    ) -> Result<(), RosError> {
+        if body.len() > LONGEST_MESSAGE {
+            return Err(RosError::recording("a message is too large"));
+        }
+        if let Encoding::Beside(kind) = channel.encoding {
+            return self.write_beside(kind, body);
+        }
+        self.put_header(if channel.encoding == Encoding::Ros1 { "ros1" } else { "ros2" })?;
+        let number = self.number(channel)?;
+        self.index.entry(number).or_default().push((time, self.chunk.len() as u64));
+        let wider = |(first, last): (Timestamp, Timestamp)| (first.min(time), last.max(time));
+        self.span = Some(wider(self.span.unwrap_or((time, time))));
+        self.all = Some(wider(self.all.unwrap_or((time, time))));
+        *self.counts.entry(number).or_default() += 1;
+        self.sequence = self.sequence.wrapping_add(1);
+        put_record(&mut self.chunk, Code::Message, |out| {
+            out.extend_from_slice(&number.to_le_bytes());
+            out.extend_from_slice(&sent.sequence.to_le_bytes());
+            out.extend_from_slice(&time.0.to_le_bytes());
+            out.extend_from_slice(&sent.time.0.to_le_bytes());
+            out.extend_from_slice(body);
+        });
+        if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
+    }
+
+    fn write_beside(&mut self, kind: Beside, body: &[u8]) -> Result<(), RosError> {
+        let Some(content) = kind.parse(body) else {
+            return Err(RosError::recording(&format!("what is to be written is no {} of MCAP", kind.word())));
+        };
+        self.put_header("")?;
+        // What came before it stays before it.
+        self.end_chunk()?;
+        let position = self.position;
+        let mut record = Vec::with_capacity(body.len() + 16);
+        put_record(&mut record, kind.code(), |out| out.extend_from_slice(body));
+        self.put(&record)?;
+        let line = beside_line(&content, position, record.len() as u64);
+        self.besides.push(BesideIndex { kind, line });
+        Ok(())
+    }
+
+    /// The number of a channel; a new one and its schema go into the chunk first.
+    fn number(&mut self, channel: &Arc<Channel>) -> Result<u16, RosError> {
+        if let Some(number) = self.numbers.get(channel) {
+            return Ok(*number);
+        }
+        if self.channels.len() >= MOST_CHANNELS {
+            return Err(RosError::recording(&format!("a file cannot hold more than {MOST_CHANNELS} channels")));
+        }
+        let key = (Arc::clone(&channel.type_name), schema_encoding(channel.encoding), Arc::clone(&channel.definition));
+        let next = u16::try_from(self.schemas.len() + 1).unwrap_or(u16::MAX);
+        let schema = *self.schemas.entry(key).or_insert(next);
+        if schema == next {
+            put_schema(&mut self.chunk, schema, channel);
+        }
+        let number = u16::try_from(self.channels.len()).unwrap_or(u16::MAX);
+        put_channel(&mut self.chunk, number, schema, channel);
+        self.numbers.insert(Arc::clone(channel), number);
+        self.channels.push((schema, Arc::clone(channel)));
+        Ok(number)
+    }
+
+    fn end_chunk(&mut self) -> Result<(), RosError> {
+        let Some(span) = self.span.take() else { return Ok(()) };
+        let packed = pack(self.compression, &self.chunk).map_err(|error| RosError::recording(&error))?;
+        let (position, size) = (self.position, self.chunk.len() as u64);
+        let mut record = Vec::with_capacity(packed.len() + 64);
+        put_record(&mut record, Code::Chunk, |out| {
+            out.extend_from_slice(&span.0.0.to_le_bytes());
+            out.extend_from_slice(&span.1.0.to_le_bytes());
+            out.extend_from_slice(&size.to_le_bytes());
+            out.extend_from_slice(&crc32fast::hash(&self.chunk).to_le_bytes());
+            put_text(out, self.compression_word());
+            out.extend_from_slice(&(packed.len() as u64).to_le_bytes());
+            out.extend_from_slice(&packed);
+        });
+        self.put(&record)?;
+        let (length, index_start) = (record.len() as u64, self.position);
+        let mut indexes = Vec::new();
+        for (number, entries) in std::mem::take(&mut self.index) {
+            indexes.push((number, self.position));
+            let mut record = Vec::with_capacity(32 + entries.len() * 16);
+            put_record(&mut record, Code::MessageIndex, |out| {
+                out.extend_from_slice(&number.to_le_bytes());
+                put_length(out, entries.len() * 16);
+                for (time, offset) in &entries {
+                    out.extend_from_slice(&time.0.to_le_bytes());
+                    out.extend_from_slice(&offset.to_le_bytes());
+                }
+            });
+            self.put(&record)?;
+        }
+        let index_length = self.position - index_start;
+        let packed = packed.len() as u64;
+        self.chunks.push(ChunkIndex { span, position, length, indexes, index_length, packed, size });
+        self.chunk.clear();
+        Ok(())
+    }
+
+    fn compression_word(&self) -> &'static str {
+        if self.compression == ChunkCompression::None { "" } else { self.compression.word() }
+    }
+
+    /// Writes the last chunk and the summary, and returns the file.
+    pub fn finish(mut self) -> Result<W, RosError> {
+        self.put_header("ros1")?;
+        self.end_chunk()?;
+        let mut end = Vec::new();
+        put_record(&mut end, Code::DataEnd, |out| out.extend_from_slice(&[0; 4]));
+        self.put(&end)?;
+        let start = self.position;
+        let mut summary = Vec::new();
+        let mut groups = Vec::new();
+        let codes = [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex];
+        for code in codes.into_iter().chain([Code::AttachmentIndex, Code::MetadataIndex]) {
+            let at = summary.len();
+            self.put_group(&mut summary, code);
+            groups.push((code, start + at as u64, (summary.len() - at) as u64));
+        }
+        end_summary(&mut summary, start, &groups);
+        self.put(&summary)?;
+        self.put(MAGIC)?;
+        self.out.flush().map_err(|error| RosError::unwritable(&error))?;
+        Ok(self.out)
+    }
+
+    fn put_group(&self, out: &mut Vec<u8>, code: Code) {
+        match code {
+            Code::Schema => {
+                let mut last = 0;
+                for (schema, channel) in &self.channels {
+                    if *schema > last {
+                        put_schema(out, *schema, channel);
+                        last = *schema;
+                    }
+                }
+            }
+            Code::Channel => {
+                for (number, (schema, channel)) in self.channels.iter().enumerate() {
+                    put_channel(out, u16::try_from(number).unwrap_or(u16::MAX), *schema, channel);
+                }
+            }
+            Code::Statistics => self.put_statistics(out),
+            Code::AttachmentIndex => self.put_beside_index(out, code, Beside::Attachment),
+            Code::MetadataIndex => self.put_beside_index(out, code, Beside::Metadata),
+            _ => self.chunks.iter().for_each(|chunk| put_chunk_index(out, chunk, self.compression_word())),
+        }
+    }
+
+    fn put_beside_index(&self, out: &mut Vec<u8>, code: Code, kind: Beside) {
+        for index in self.besides.iter().filter(|index| index.kind == kind) {
+            put_record(out, code, |out| out.extend_from_slice(&index.line));
+        }
+    }
+
+    fn put_statistics(&self, out: &mut Vec<u8>) {
+        let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX).to_le_bytes();
+        let (first, last) = self.all.unwrap_or((Timestamp(0), Timestamp(0)));
+        put_record(out, Code::Statistics, |out| {
+            out.extend_from_slice(&self.counts.values().sum::<u64>().to_le_bytes());
+            out.extend_from_slice(&u16::try_from(self.schemas.len()).unwrap_or(u16::MAX).to_le_bytes());
+            out.extend_from_slice(&count(self.channels.len()));
+            for kind in [Beside::Attachment, Beside::Metadata] {
+                let of_kind = self.besides.iter().filter(|index| index.kind == kind);
+                out.extend_from_slice(&count(of_kind.count()));
+            }
+            out.extend_from_slice(&count(self.chunks.len()));
+            out.extend_from_slice(&first.0.to_le_bytes());
+            out.extend_from_slice(&last.0.to_le_bytes());
+            put_length(out, self.counts.len() * 10);
+            for (number, messages) in &self.counts {
+                out.extend_from_slice(&number.to_le_bytes());
+                out.extend_from_slice(&messages.to_le_bytes());
+            }
+        });
+    }
+}
+
+/// Writes where the groups of a summary are, which begins at `start` of the file, and the footer.
+fn end_summary(summary: &mut Vec<u8>, start: u64, groups: &[(Code, u64, u64)]) {
+    let offsets = start + summary.len() as u64;
+    for (code, at, length) in groups.iter().filter(|(_, _, length)| *length > 0) {
+        put_record(summary, Code::SummaryOffset, |out| {
+            out.push(*code as u8);
+            out.extend_from_slice(&at.to_le_bytes());
+            out.extend_from_slice(&length.to_le_bytes());
+        });
+    }
+    put_record(summary, Code::Footer, |out| {
+        out.extend_from_slice(&start.to_le_bytes());
+        out.extend_from_slice(&offsets.to_le_bytes());
+    });
+    // The checksum also covers the footer, whose length is known only now and includes the checksum's own bytes.
+    let footer = summary.len() - 24;
+    if let Some(place) = summary.get_mut(footer..footer + 8) {
+        place.copy_from_slice(&20_u64.to_le_bytes());
+    }
+    let checksum = crc32fast::hash(summary);
+    summary.extend_from_slice(&checksum.to_le_bytes());
+}
+
+/// The content of an index record: of what is beside the messages, at a position, with the record's length.
+fn beside_line(content: &BesideContent<'_>, position: u64, length: u64) -> Vec<u8> {
+    let mut line = Vec::new();
+    line.extend_from_slice(&position.to_le_bytes());
+    line.extend_from_slice(&length.to_le_bytes());
+    match content {
+        BesideContent::File(file) => {
+            for number in [file.logged_at.0, file.created_at, file.data.len() as u64] {
+                line.extend_from_slice(&number.to_le_bytes());
+            }
+            put_text(&mut line, &file.name);
+            put_text(&mut line, &file.media_type);
+        }
+        BesideContent::Metadata { name, .. } => put_text(&mut line, name),
+    }
+    line
+}
+
+fn put_chunk_index(out: &mut Vec<u8>, chunk: &ChunkIndex, compression: &str) {
+    put_record(out, Code::ChunkIndex, |out| {
+        for number in [chunk.span.0.0, chunk.span.1.0, chunk.position, chunk.length] {
+            out.extend_from_slice(&number.to_le_bytes());
+        }
+        put_length(out, chunk.indexes.len() * 10);
+        for (number, position) in &chunk.indexes {
+            out.extend_from_slice(&number.to_le_bytes());
+            out.extend_from_slice(&position.to_le_bytes());
+        }
+        out.extend_from_slice(&chunk.index_length.to_le_bytes());
+        put_text(out, compression);
+        out.extend_from_slice(&chunk.packed.to_le_bytes());
+        out.extend_from_slice(&chunk.size.to_le_bytes());
+    });
+}

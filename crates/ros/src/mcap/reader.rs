@@ -9,14 +9,13 @@ use std::sync::Arc;
 
 use self::growing::Growing;
 
-use super::MAGIC;
 use super::beside::{Beside, BesideContent, TOPIC};
-use super::record::{ChannelRecord, Code, Fields, Schema, schema};
+use super::{ChannelRecord, Code, Fields, MAGIC, Schema, schema};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, Sent,
-    TOO_LARGE, go_to, read_at, unpack, unpacked_body,
+    Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
+    Sent, TOO_LARGE, go_to, read_at, unpack, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -40,17 +39,6 @@ const BEGINNING: u64 = 1024;
 
 /// The latest time of a record, nanoseconds.
 const LATEST: u64 = i64::MAX as u64;
-
-/// The chunk being read.
-#[derive(Debug, Default)]
-struct Chunk {
-    bytes: Vec<u8>,
-    at: usize,
-    position: u64,
-    cut: bool,
-    /// Whether a checksum covered its bytes.
-    guarded: bool,
-}
 
 /// The content of a chunk's head.
 struct ChunkHead {
@@ -591,7 +579,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             };
             let at = chunk.bytes.len() - fields.0.len();
             let Some(message) = message else {
-                self.end_chunk(chunk);
+                self.chunk = chunk.end(&mut self.findings, "MCAP");
                 return None;
             };
             self.chunk = Chunk { at, ..chunk };
@@ -600,17 +588,6 @@ impl<R: BufRead + Seek> McapReader<R> {
             }
         }
         None
-    }
-
-    /// The rest of a chunk cannot be read.
-    fn end_chunk(&mut self, mut chunk: Chunk) {
-        if !chunk.cut {
-            let left = chunk.bytes.len() - chunk.at;
-            let text = format!("the last {left} bytes of a chunk were skipped: they are not MCAP records");
-            self.findings.note(chunk.position, &text);
-        }
-        chunk.bytes.clear();
-        self.chunk = Chunk { bytes: chunk.bytes, ..Chunk::default() };
     }
 }
 
@@ -623,8 +600,8 @@ fn shown(name: &str) -> String {
 mod tests {
     use std::io::Cursor;
 
-    use super::super::record::{put_length, put_record, put_text};
     use super::*;
+    use crate::ros::mcap::{put_length, put_record, put_text};
 
     fn put_schema(out: &mut Vec<u8>, number: u16, name: &str, encoding: &str, text: &str) {
         put_record(out, Code::Schema, |out| {

@@ -2,21 +2,22 @@
 //!
 //! They become the same layouts as ROS 1 messages; only bodies are laid out differently.
 
-mod built_in;
-mod folder;
-mod hash;
-mod line;
-mod schema;
+use std::borrow::Cow;
+use std::collections::{BTreeSet, HashMap};
+use std::ffi::OsStr;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
-pub(super) use built_in::text_of as interface;
-pub use folder::{Folders, Source};
-pub(in super::super) use schema::plain_text;
-
-use super::definition::{Definition, Field, Kind, Layout, element_size};
-use super::line::Arity;
+use super::definition::{
+    Arity, Definition, Field, Kind, LONGEST_DEFINITION, Layout, MOST_TYPES, Nesting, Primitive, Texts, element_size,
+};
+use crate::model::bytes::hex;
+use crate::model::topic::LONGEST_NAME;
 use crate::ros::RosError;
-use line::Many;
-use schema::{Interface, Member, Of, Schema};
+use sha2::{Digest as _, Sha256};
 
 impl Definition {
     /// Parses the text of a ROS 2 definition, as in MCAP's `ros2msg`: the type's own lines, then `MSG: package/Type`
@@ -42,7 +43,7 @@ impl Definition {
 /// # Errors
 /// [`RosError::Definition`] if the text is not a definition of `type_name`.
 pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
-    Schema::parse(type_name, text).map(|schema| hash::of(&schema))
+    Schema::parse(type_name, text).map(|schema| of(&schema))
 }
 
 /// Whether the definition built into this program has this hash.
@@ -74,6 +75,578 @@ fn field(member: &Member) -> Field {
         Of::Interface(index) => Kind::Message(index),
     };
     Field { name: member.name.as_str().into(), kind, arity, written: member.written.clone() }
+}
+
+/// The type of a member.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Of {
+    Plain {
+        primitive: Primitive,
+        number: u8,
+    },
+    /// Index of an interface.
+    Interface(usize),
+}
+
+/// One member of an interface.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Member {
+    pub name: String,
+    pub of: Of,
+    pub many: Many,
+    /// The most characters of a text; 0 if unbounded.
+    pub bound: usize,
+    /// The type as written, with its brackets.
+    pub written: String,
+}
+
+/// One type.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Interface {
+    /// `package/msg/Type`.
+    pub name: String,
+    pub members: Vec<Member>,
+}
+
+/// A type with all the types it consists of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Schema {
+    /// The type itself is last; each comes after those it consists of.
+    pub interfaces: Vec<Interface>,
+}
+
+impl Schema {
+    /// Parses the type's own lines and the sections after them.
+    pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
+        let failed = |reason: String| RosError::definition(type_name, reason);
+        let name = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
+        if text.len() > LONGEST_DEFINITION {
+            return Err(failed(format!("it is longer than {LONGEST_DEFINITION} bytes")));
+        }
+        let texts = sections(&name, text).map_err(failed)?;
+        let interfaces = Nesting::layouts_of(&name, texts, interface).map_err(failed)?;
+        Ok(Self { interfaces })
+    }
+}
+
+/// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
+fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
+    let mut found: Vec<(String, Vec<&str>)> = vec![(type_name.to_owned(), Vec::new())];
+    let mut after_rule = false;
+    for line in text.lines() {
+        let rule = line.len() >= 20 && line.bytes().all(|byte| byte == b'=');
+        let name = line.strip_prefix("MSG: ").filter(|_| after_rule);
+        if let Some(name) = name.and_then(|name| full_name(name.trim(), None)) {
+            found.push((name, Vec::new()));
+        } else if after_rule && line.starts_with("IDL: ") {
+            return Err("part of it is IDL, which is not supported".into());
+        } else if let (false, Some((_, lines))) = (rule, found.last_mut()) {
+            lines.push(line);
+        }
+        after_rule = rule;
+        if found.len() > MOST_TYPES {
+            return Err(format!("it has more than {MOST_TYPES} types"));
+        }
+    }
+    let mut texts = Texts::new();
+    for (name, lines) in found {
+        texts.entry(name).or_insert(lines);
+    }
+    Ok(texts)
+}
+
+/// The text of a type in MCAP's form. rosbag2 describes the event of a service (`package/srv/Type_Event`) by the service's own
+/// text, in which a line of dashes divides request and response.
+pub(crate) fn plain_text<'a>(type_name: &str, text: &'a str) -> Cow<'a, str> {
+    const RULE: &str = "================================================================================";
+    let service = type_name.strip_suffix("_Event").filter(|name| name.contains("/srv/"));
+    let headless = || text.strip_prefix(RULE)?.trim_start().strip_prefix("SRV: ")?.split_once('\n');
+    let content = headless().map_or(text, |(_, rest)| rest);
+    let (own, others) = content.find("\n====").map_or((content, ""), |end| content.split_at(end));
+    let is_divider = |line: &str| line.trim_end() == "---";
+    let Some(service) = service.filter(|_| own.lines().any(is_divider)) else { return text.into() };
+    let lines: Vec<&str> = own.lines().collect();
+    let request = lines.split(|line| is_divider(line)).next().unwrap_or_default();
+    let response = lines.get(request.len() + 1..).unwrap_or_default();
+    let part = |name: &str, lines: &[&str]| format!("{RULE}\nMSG: {service}_{name}\n{}\n", lines.join("\n"));
+    let members = ["Request", "Response"].map(|name| format!("{service}_{name}[<=1] {}\n", name.to_lowercase()));
+    let (members, request, response) = (members.concat(), part("Request", request), part("Response", response));
+    format!("service_msgs/ServiceEventInfo info\n{members}{request}{response}{}", others.trim_start()).into()
+}
+
+/// `package/msg/Type` from any way of writing the name; a bare name belongs to the package it occurs in.
+fn full_name(name: &str, package: Option<&str>) -> Option<String> {
+    let parts: Vec<&str> = name.split('/').collect();
+    let full = match (parts.as_slice(), package) {
+        ([package, kind @ ("msg" | "srv" | "action"), name], _) => {
+            format!("{package}/{kind}/{name}")
+        }
+        ([package, name], _) => format!("{package}/msg/{name}"),
+        ([name], Some(package)) => format!("{package}/msg/{name}"),
+        _ => return None,
+    };
+    (full.len() <= LONGEST_NAME && parts.iter().all(|part| is_name(part))).then_some(full)
+}
+
+/// The interface of a type and its number of levels.
+fn interface(nesting: &mut Nesting<'_, Interface>, name: &str, lines: &[&str]) -> Result<(Interface, usize), String> {
+    let mut members = Vec::new();
+    let mut height = 1;
+    for line in lines {
+        let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
+        let Some(Line::Field { written, base, bound, many, name: member }) = read else { continue };
+        let (of, below) = what(nesting, name, base)?;
+        height = height.max(below + 1);
+        let (name, written) = (member.to_owned(), written.to_owned());
+        members.push(Member { name, of, many, bound, written });
+    }
+    Ok((Interface { name: name.to_owned(), members }, height))
+}
+
+fn what(nesting: &mut Nesting<'_, Interface>, inside: &str, base: &str) -> Result<(Of, usize), String> {
+    if let Some((primitive, number)) = plain(base) {
+        return Ok((Of::Plain { primitive, number }, 0));
+    }
+    let package = inside.split('/').next();
+    let full = full_name(base, package).ok_or_else(|| format!("a type's name is broken in {inside}"))?;
+    let (index, height) = nesting.resolve(&full, interface)?;
+    Ok((Of::Interface(index), height))
+}
+
+/// The most digits of a number, including leading zeros: the text is kept, and shown with every array.
+const LONGEST_NUMBER: usize = 20;
+
+/// How many of its type a field holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Many {
+    One,
+    Fixed(usize),
+    /// At most this many.
+    Bounded(usize),
+    Any,
+}
+
+/// A meaningful line. Default values and the values of constants are not part of a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Line<'a> {
+    Field {
+        /// The type as written, with its bounds.
+        written: &'a str,
+        base: &'a str,
+        /// The most characters of a text; 0 if unbounded.
+        bound: usize,
+        many: Many,
+        name: &'a str,
+    },
+    Constant,
+}
+
+/// A type that needs no definition: its layout in a body, and its number in type descriptions.
+fn plain(base: &str) -> Option<(Primitive, u8)> {
+    Some(match base {
+        "int8" => (Primitive::Int8, 2),
+        // In ROS 2 a char is an eight-bit number.
+        "uint8" | "char" => (Primitive::Uint8, 3),
+        "int16" => (Primitive::Int16, 4),
+        "uint16" => (Primitive::Uint16, 5),
+        "int32" => (Primitive::Int32, 6),
+        "uint32" => (Primitive::Uint32, 7),
+        "int64" => (Primitive::Int64, 8),
+        "uint64" => (Primitive::Uint64, 9),
+        "float32" => (Primitive::Float32, 10),
+        "float64" => (Primitive::Float64, 11),
+        "bool" => (Primitive::Bool, 15),
+        "byte" => (Primitive::Uint8, 16),
+        "string" => (Primitive::Text, 17),
+        "wstring" => (Primitive::Wide, 18),
+        _ => return None,
+    })
+}
+
+/// Parses one line; `None` if it is blank or a comment.
+fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
+    let line = without_comment(line).trim();
+    if line.is_empty() {
+        return Ok(None);
+    }
+    let (written, rest) = line.split_once(char::is_whitespace).ok_or("a line has no field name")?;
+    let rest = rest.trim_start();
+    if rest.split_once('=').is_some_and(|(name, _)| is_name(name.trim_end())) {
+        return if plain(written_base(written)).is_some() {
+            Ok(Some(Line::Constant))
+        } else {
+            Err("a constant is broken")
+        };
+    }
+    // The default value follows the name.
+    let name = rest.split(char::is_whitespace).next().unwrap_or_default();
+    field_line(written, name).map(Some)
+}
+
+/// The line up to its comment; a `#` between quotes does not begin one.
+fn without_comment(line: &str) -> &str {
+    let mut quote = None;
+    let mut escaped = false;
+    for (at, character) in line.char_indices() {
+        match (quote, character) {
+            _ if escaped => escaped = false,
+            (Some(_), '\\') => escaped = true,
+            (Some(open), close) if open == close => quote = None,
+            (None, '#') => return line.get(..at).unwrap_or_default(),
+            (None, '"' | '\'') => quote = Some(character),
+            _ => {}
+        }
+    }
+    // An unclosed quote is an ordinary character.
+    if quote.is_some() { line.split('#').next().unwrap_or_default() } else { line }
+}
+
+fn field_line<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> {
+    let bounded = |text: &str| text.len() <= LONGEST_NUMBER;
+    let number = |text: &str| text.parse().ok().filter(|count: &usize| *count > 0 && bounded(text));
+    let (element, many) = match written.strip_suffix(']').and_then(|inner| inner.rsplit_once('[')) {
+        None => (written, Many::One),
+        Some((element, "")) => (element, Many::Any),
+        Some((element, count)) => {
+            let many = match count.strip_prefix("<=") {
+                Some(most) => number(most).map(Many::Bounded),
+                None => number(count).map(Many::Fixed),
+            };
+            (element, many.ok_or("an array has a broken length")?)
+        }
+    };
+    let (base, bound) = match element.split_once("<=") {
+        Some((base @ ("string" | "wstring"), most)) => (base, number(most).ok_or("a text has a broken bound")?),
+        Some(_) => return Err("a bound where none is allowed"),
+        None => (element, 0),
+    };
+    let mut parts = base.split('/');
+    let base_ok = parts.by_ref().take(3).all(is_name) && parts.next().is_none();
+    if !base_ok || !is_name(name) {
+        return Err("a field is broken");
+    }
+    Ok(Line::Field { written, base, bound, many, name })
+}
+
+fn written_base(written: &str) -> &str {
+    written.split_once("<=").map_or(written, |(base, _)| base)
+}
+
+/// Whether it is valid as the name of a field, a package or a type.
+fn is_name(name: &str) -> bool {
+    let mut bytes = name.bytes();
+    name.len() <= 255
+        && bytes.next().is_some_and(|byte| byte.is_ascii_alphabetic() || byte == b'_')
+        && bytes.all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
+}
+
+/// The member of an interface that has none.
+const FILLER: &str = "structure_needs_at_least_one_member";
+
+/// The type number of an interface, and of [`FILLER`].
+const INTERFACE: u8 = 1;
+const UINT8: u8 = 3;
+
+/// Bounded texts have other numbers.
+const BOUNDED_TEXTS: u8 = 4;
+
+/// The hash of a type.
+fn of(schema: &Schema) -> String {
+    let Some((root, others)) = schema.interfaces.split_last() else { return String::new() };
+    let mut others: Vec<&Interface> = others.iter().collect();
+    others.sort_by(|one, other| one.name.cmp(&other.name));
+    // Hashed as it is written: a definition of a megabyte has a description of hundreds of megabytes.
+    let mut hash = Sha256::new();
+    hash.update("{\"type_description\": ");
+    describe(schema, root, &mut hash);
+    hash.update(", \"referenced_type_descriptions\": [");
+    for (place, other) in others.into_iter().enumerate() {
+        hash.update(if place > 0 { ", " } else { "" });
+        describe(schema, other, &mut hash);
+    }
+    hash.update("]}");
+    format!("RIHS01_{}", hex(&hash.finalize()))
+}
+
+fn describe(schema: &Schema, interface: &Interface, hash: &mut Sha256) {
+    hash.update(format!("{{\"type_name\": \"{}\", \"fields\": [", interface.name));
+    for (place, member) in interface.members.iter().enumerate() {
+        hash.update(if place > 0 { ", " } else { "" });
+        hash.update(described(schema, member));
+    }
+    if interface.members.is_empty() {
+        hash.update(put_field(FILLER, UINT8, 0, 0, ""));
+    }
+    hash.update("]}");
+}
+
+fn described(schema: &Schema, member: &Member) -> String {
+    let (number, nested) = match member.of {
+        Of::Plain { number, .. } if member.bound > 0 => (number + BOUNDED_TEXTS, ""),
+        Of::Plain { number, .. } => (number, ""),
+        Of::Interface(index) => (INTERFACE, schema.interfaces.get(index).map_or("", |nested| nested.name.as_str())),
+    };
+    let (more, capacity) = match member.many {
+        Many::One => (0, 0),
+        Many::Fixed(count) => (48, count),
+        Many::Bounded(most) => (96, most),
+        Many::Any => (144, 0),
+    };
+    put_field(&member.name, number + more, capacity, member.bound, nested)
+}
+
+fn put_field(name: &str, number: u8, capacity: usize, bound: usize, nested: &str) -> String {
+    let mut out = format!("{{\"name\": \"{name}\", \"type\": {{\"type_id\": {number}, ");
+    // Writing to a String cannot fail.
+    let _ =
+        write!(out, "\"capacity\": {capacity}, \"string_capacity\": {bound}, \"nested_type_name\": \"{nested}\"}}}}");
+    out
+}
+
+/// Where a type's own lines were found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// In a folder of this machine.
+    Folders,
+    /// Among the common interfaces that are built into this program.
+    BuiltIn,
+}
+
+/// Folders searched for definitions, in this order.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Folders(Vec<PathBuf>);
+
+impl Folders {
+    /// The prefixes from a list like `AMENT_PREFIX_PATH`.
+    pub fn of_prefixes(list: &OsStr) -> Self {
+        Self(std::env::split_paths(list).filter(|prefix| prefix.is_absolute()).collect())
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Whether there is any hope that [`Folders::text_of`] finds this type.
+    pub fn may_know(&self, type_name: &str) -> bool {
+        !self.is_empty() || full_name(type_name, None).is_some_and(|name| text_of(&name).is_some())
+    }
+
+    /// The text of a type with all the types it consists of, as in MCAP, and where the type itself was found. What no
+    /// folder has is taken from the common interfaces.
+    ///
+    /// # Errors
+    /// [`RosError::NoFields`] if a definition is missing, cannot be read or is broken.
+    pub fn text_of(&self, type_name: &str) -> Result<(String, Source), RosError> {
+        let root = full_name(type_name, None)
+            .ok_or_else(|| RosError::no_fields(type_name, "its type is not package/msg/Type"))?;
+        let (own, source) = self.own_lines(&root).ok_or_else(|| missing(type_name, &root))?;
+        let (whole, _) = self.complete(type_name, &own)?;
+        Ok((whole, source))
+    }
+
+    /// A type's text, completed with the sections of nested types that it lacks; and the names of these types.
+    pub fn complete(&self, type_name: &str, text: &str) -> Result<(String, Vec<String>), RosError> {
+        let failed = |reason: String| RosError::no_fields(type_name, &reason);
+        let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
+        let mut own: Vec<(String, Vec<&str>)> = sections(&root, text).map_err(failed)?.into_iter().collect();
+        own.sort();
+        let mut known: BTreeSet<String> = own.iter().map(|(name, _)| name.clone()).collect();
+        let mut waiting = Vec::new();
+        for (name, lines) in &own {
+            waiting.extend(nested_in(name, &lines.join("\n")).map_err(|reason| failed(format!("{reason} in {name}")))?);
+        }
+        let (mut whole, mut added) = (text.to_owned(), Vec::new());
+        while let Some(name) = waiting.pop() {
+            if !known.insert(name.clone()) {
+                continue;
+            }
+            let (text, _) = self.own_lines(&name).ok_or_else(|| missing(type_name, &name))?;
+            if !whole.ends_with('\n') {
+                whole.push('\n');
+            }
+            whole.push_str(&format!("{}\nMSG: {}\n", "=".repeat(80), name.replacen("/msg/", "/", 1)));
+            whole.push_str(&text);
+            waiting.extend(nested_in(&name, &text).map_err(|reason| failed(format!("{reason} in {name}.msg")))?);
+            if known.len() > MOST_TYPES || whole.len() > LONGEST_DEFINITION {
+                return Err(failed("its definition is too long".into()));
+            }
+            added.push(name);
+        }
+        Ok((whole, added))
+    }
+
+    /// The lines of one type, with an end of line at their end.
+    fn own_lines(&self, name: &str) -> Option<(String, Source)> {
+        let here = self.file_of(name).map(|text| (text, Source::Folders));
+        let (text, source) = here.or_else(|| Some((text_of(name)?.to_owned(), Source::BuiltIn)))?;
+        Some((format!("{}\n", text.trim_end()), source))
+    }
+
+    /// The text of a `.msg` file; `None` if no folder has a readable one of bounded length.
+    fn file_of(&self, name: &str) -> Option<String> {
+        let mut parts = name.split('/');
+        let (package, kind, name) = (parts.next()?, parts.next()?, parts.next()?);
+        let file = format!("{name}.msg");
+        self.0.iter().find_map(|prefix| read(&prefix.join("share").join(package).join(kind).join(&file)))
+    }
+}
+
+fn missing(type_name: &str, name: &str) -> RosError {
+    let reason = format!("{name}.msg is neither in the installed ROS 2 (ros.definitions) nor built into this program");
+    RosError::no_fields(type_name, &reason)
+}
+
+fn read(path: &Path) -> Option<String> {
+    let mut text = String::new();
+    let most = LONGEST_DEFINITION as u64;
+    File::open(path).ok()?.take(most + 1).read_to_string(&mut text).ok().filter(|length| *length as u64 <= most)?;
+    Some(text)
+}
+
+/// The types that a text names.
+fn nested_in(name: &str, text: &str) -> Result<Vec<String>, &'static str> {
+    let package = name.split('/').next();
+    let mut nested = Vec::new();
+    for line in text.lines() {
+        let Some(Line::Field { base, .. }) = parse_line(line)? else { continue };
+        if plain(base).is_none() {
+            nested.push(full_name(base, package).ok_or("a type's name is broken")?);
+        }
+    }
+    Ok(nested)
+}
+
+static TEXTS: LazyLock<HashMap<&'static str, &'static str>> =
+    LazyLock::new(|| built_in_sections(include_str!("ros2/interfaces.txt")).collect());
+
+/// Each type's name and its own lines.
+fn built_in_sections(text: &'static str) -> impl Iterator<Item = (&'static str, &'static str)> {
+    text.split("\nMSG: ").skip(1).map(|section| section.split_once('\n').unwrap_or((section, "")))
+}
+
+/// The own lines of a type that is named as `package/msg/Type`.
+pub(super) fn text_of(name: &str) -> Option<&'static str> {
+    TEXTS.get(name).copied()
+}
+
+#[cfg(test)]
+mod line_tests {
+    use super::*;
+
+    fn read(line: &str) -> (String, usize, Many, String) {
+        match parse_line(line) {
+            Ok(Some(Line::Field { base, bound, many, name, .. })) => (base.to_owned(), bound, many, name.to_owned()),
+            other => panic!("{line}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn fields_have_bounds_and_default_values() {
+        let cases = [
+            ("  float64[36]\tc # six by six", ("float64", 0, Many::Fixed(36), "c")),
+            ("string<=10 s \"a # b\" # why", ("string", 10, Many::One, "s")),
+            ("wstring<=3[<=4] w", ("wstring", 3, Many::Bounded(4), "w")),
+            ("geometry_msgs/msg/Point[] points", ("geometry_msgs/msg/Point", 0, Many::Any, "points")),
+            ("int32[] numbers [1, 2]", ("int32", 0, Many::Any, "numbers")),
+            ("string text 'a=b'", ("string", 0, Many::One, "text")),
+            ("string note # don't", ("string", 0, Many::One, "note")),
+        ];
+        for (line, (base, bound, many, name)) in cases {
+            assert_eq!(read(line), (base.to_owned(), bound, many, name.to_owned()), "{line}");
+        }
+    }
+
+    #[test]
+    fn constants_and_empty_lines_carry_nothing() {
+        for line in ["int8 B = -1 # minus", "string A=\"x # y\"", "string<=5 A='b'", "byte OK=0"] {
+            assert_eq!(parse_line(line), Ok(Some(Line::Constant)), "{line}");
+        }
+        for line in ["", "   ", "# only words", "\t# don't"] {
+            assert_eq!(parse_line(line), Ok(None), "{line}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_line_is_refused() {
+        for bad in [
+            "float64",
+            "x[ y",
+            "a/b/c/d e",
+            "int8[-1] x",
+            "int8[0] x",
+            "int8[<=0] x",
+            "int8<=3 x",
+            "foo A=1",
+            "1a b",
+            "a// b",
+            "string<= x",
+            &format!("string<={}1 x", "0".repeat(LONGEST_NUMBER)),
+            "int8[<=99999999999999999999] x",
+        ] {
+            assert!(parse_line(bad).is_err(), "{bad}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod folder_tests {
+    use super::*;
+    use crate::ros::message::Definition;
+
+    #[test]
+    fn a_type_is_gathered_from_the_folders_of_its_packages() {
+        let home = tempfile::tempdir().expect("a folder");
+        let put = |prefix: &str, package: &str, name: &str, text: &str| {
+            let folder = home.path().join(prefix).join("share").join(package).join("msg");
+            std::fs::create_dir_all(&folder).expect("created");
+            std::fs::write(folder.join(format!("{name}.msg")), text).expect("written");
+        };
+        put("one", "a", "Root", "Part[] parts\nb/Other other\nPart again");
+        put("two", "a", "Part", "uint8 x # small");
+        put("two", "b", "Other", "string<=5 text");
+        let list = std::env::join_paths(["one", "two"].map(|prefix| home.path().join(prefix))).expect("a list");
+        let folders = Folders::of_prefixes(&list);
+        let (text, source) = folders.text_of("a/msg/Root").expect("found");
+        assert_eq!(source, Source::Folders);
+        assert_eq!(text.matches("MSG: ").count(), 2, "{text}");
+        assert!(Definition::parse_ros2("a/msg/Root", &text).is_ok());
+        assert!(folders.text_of("a/msg/Nothing").expect_err("missing").to_string().contains("a/msg/Nothing.msg"));
+        assert!(folders.text_of("../x").is_err() && folders.text_of("a/msg/..").is_err());
+        put("one", "b", "Other", "std_msgs/Header header");
+        let (text, _) = folders.text_of("a/Root").expect("what is nested may be built in");
+        assert!(text.contains("MSG: builtin_interfaces/Time\nint32 sec\n"), "{text}");
+        put("one", "b", "Other", "c/Missing x");
+        assert!(folders.text_of("a/Root").expect_err("missing").to_string().contains("c/msg/Missing"));
+    }
+    #[test]
+    fn a_text_is_completed_with_the_nested_types_that_it_lacks() {
+        let folders = Folders::default();
+        let (text, added) = folders.complete("a/msg/B", "builtin_interfaces/Time stamp\nint32 v").expect("built in");
+        assert_eq!(added, ["builtin_interfaces/msg/Time"]);
+        assert_eq!(
+            Definition::parse_ros2("a/msg/B", &text).map(|it| it.type_name().to_owned()).as_deref(),
+            Ok("a/msg/B")
+        );
+        assert_eq!(folders.complete("a/msg/B", &text).expect("whole"), (text, Vec::new()), "nothing is added twice");
+        let (text, added) = folders.complete("a/msg/B", "std_msgs/Header h\ngeometry_msgs/Point p").expect("built in");
+        assert_eq!(added.len(), 3, "{text}");
+        assert!(folders.complete("a/msg/B", "c/Missing x").is_err());
+    }
+}
+
+#[cfg(test)]
+mod built_in_tests {
+    use super::*;
+
+    #[test]
+    fn each_type_stands_there_once_and_one_without_members_too() {
+        let all: Vec<_> = built_in_sections(include_str!("ros2/interfaces.txt")).collect();
+        assert_eq!((all.len(), TEXTS.len()), (162, 162));
+        assert_eq!(text_of("std_msgs/msg/Empty"), Some(""));
+        assert_eq!(text_of("std_msgs/msg/String").map(str::trim), Some("string data"));
+        assert_eq!(text_of("std_msgs/String"), None);
+    }
 }
 
 #[cfg(test)]

@@ -1,19 +1,31 @@
-//! Our own publisher: a ROS node that serves topics over TCPROS. The simulated robots are such nodes, and so is the one
-//! that plays shared records into a reader's graph.
+//! Our own publisher: a ROS node that serves topics over TCPROS, in this process or, by rosrust, in a program without keys
+//! that is started here, and anew when it ends. The simulated robots are such nodes, and so is the one that plays shared
+//! records into a reader's graph.
+//!
+//! The program is handed a bounded number of messages before it confirms some; what it held when it ended counts as missed.
 
-mod choice;
-mod node;
 mod outlet;
-mod subscriber;
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::io::{self, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::RosError;
-use super::address::{Endpoint, own_host};
+use crate::model::clean;
+use crate::pipe::LONGEST_PAYLOAD;
+use crate::pipe::write::{Described, Order};
+use crate::ros::RosError;
+use crate::ros::address::{Endpoint, own_host};
+use crate::ros::child::{self, Declined, Errand, Run};
+use crate::ros::graph::master_error;
+use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
+use crate::ros::xmlrpc::{CallError, Value, call};
+use outlet::lock;
 
-pub use choice::GraphPublisher;
-pub(super) use node::PublisherNode;
 pub(super) use outlet::Outlet;
 
 /// How long to wait for the master and for names.
@@ -132,5 +144,615 @@ impl Publisher {
     }
 }
 
+/// A publishing node, by one of the two.
+pub enum GraphPublisher {
+    /// Our own, in this process.
+    Own(Publisher),
+    /// rosrust, in a process without keys.
+    Rosrust(Box<RosrustPublisher>),
+}
+
+impl GraphPublisher {
+    /// Announces a topic, and waits for the subscribers that the master knows, at most for `patience`.
+    ///
+    /// # Errors
+    /// If the master does not answer or refuses, or the program does not run.
+    pub fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
+        match self {
+            Self::Own(publisher) => {
+                let known = publisher.advertise(topic)?;
+                let begun = Instant::now();
+                while publisher.subscribers(&topic.topic) < known && begun.elapsed() < patience {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                Ok(())
+            }
+            Self::Rosrust(publisher) => publisher.advertise(topic, !patience.is_zero()),
+        }
+    }
+
+    /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced, or
+    /// nobody publishes now. May block where [`Self::may_block`].
+    pub fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
+        match self {
+            Self::Own(publisher) => publisher.publish(topic, source, body),
+            Self::Rosrust(publisher) => publisher.publish(topic, source, body),
+        }
+    }
+
+    /// Whether publishing may wait, for a pipe that is full.
+    pub fn may_block(&self) -> bool {
+        match self {
+            Self::Own(_) => false,
+            Self::Rosrust(_) => true,
+        }
+    }
+
+    /// The number of the process that publishes, if it is not this one.
+    pub fn process(&self) -> Option<u32> {
+        match self {
+            Self::Own(_) => None,
+            Self::Rosrust(publisher) => publisher.process(),
+        }
+    }
+
+    /// Why nothing is published now, if that is so.
+    pub fn broken(&self) -> Option<String> {
+        match self {
+            Self::Own(_) => None,
+            Self::Rosrust(publisher) => publisher.broken(),
+        }
+    }
+
+    /// Whether a subscriber is so far behind that more messages would soon be dropped.
+    pub fn is_crowded(&self) -> bool {
+        match self {
+            Self::Own(publisher) => publisher.is_crowded(),
+            Self::Rosrust(publisher) => publisher.is_crowded(),
+        }
+    }
+
+    /// Stops waiting for the subscribers that are behind now, until they have caught up.
+    pub fn outrun(&self) {
+        match self {
+            Self::Own(publisher) => publisher.outrun(),
+            Self::Rosrust(publisher) => publisher.outrun(),
+        }
+    }
+
+    /// Comes back: our own registers all topics again, rosrust is started anew if it has ended.
+    ///
+    /// # Errors
+    /// If the master does not answer or refuses, or the program does not start.
+    pub fn come_back(&mut self) -> Result<(), RosError> {
+        match self {
+            Self::Own(publisher) => publisher.register_again(),
+            Self::Rosrust(publisher) => publisher.revive(),
+        }
+    }
+
+    /// Withdraws topics at once: what is queued for their subscribers is no longer sent.
+    pub fn cut(&mut self, topics: &[String]) {
+        match self {
+            Self::Own(publisher) => publisher.cut(topics),
+            Self::Rosrust(publisher) => topics.iter().for_each(|topic| publisher.withdraw(topic)),
+        }
+    }
+
+    /// Drops at once what came from a source, including the topic's queues; other sources go on publishing it.
+    pub fn silence(&mut self, topic: &str, source: u64) {
+        match self {
+            Self::Own(publisher) => publisher.silence(topic, source),
+            Self::Rosrust(publisher) => publisher.silence(topic, source),
+        }
+    }
+
+    /// No more messages come; queued ones are still sent.
+    pub fn leave(&self) {
+        match self {
+            Self::Own(publisher) => publisher.leave(),
+            Self::Rosrust(publisher) => publisher.leave(),
+        }
+    }
+
+    /// Whether everything queued has been sent, after [`Self::leave`].
+    pub fn is_sent(&self) -> bool {
+        match self {
+            Self::Own(publisher) => publisher.is_sent(),
+            Self::Rosrust(publisher) => publisher.is_sent(),
+        }
+    }
+
+    /// Total messages that a subscriber missed because it read too slowly.
+    pub fn missed(&self) -> u64 {
+        match self {
+            Self::Own(publisher) => publisher.overflowed(),
+            Self::Rosrust(publisher) => publisher.missed(),
+        }
+    }
+
+    /// Ends without further waiting. Returns the total messages that a subscriber missed.
+    pub fn end(self) -> u64 {
+        match self {
+            Self::Own(publisher) => publisher.end(),
+            Self::Rosrust(publisher) => publisher.end(),
+        }
+    }
+}
+
+/// The longest connection header of a subscriber, bytes.
+const LONGEST_REQUEST: usize = 64 << 10;
+
+/// The most subscribers of one topic.
+const MOST_SUBSCRIBERS: usize = 64;
+
+/// The most connections of one node.
+const MOST_CONNECTIONS: usize = 1024;
+
+/// The node's state as seen by the slave API and the TCPROS port.
+struct Identity {
+    name: String,
+    host: String,
+    port: u16,
+    master: Endpoint,
+    outlets: Mutex<Vec<Arc<Outlet>>>,
+    /// Of withdrawn topics.
+    overflowed: AtomicU64,
+    /// Threads that tell a master, perhaps a slow one, what is no longer published.
+    telling: Mutex<Vec<JoinHandle<()>>>,
+    left: AtomicBool,
+}
+
+/// A running node.
+pub(crate) struct PublisherNode {
+    identity: Arc<Identity>,
+    slave: SlaveServer,
+    stopping: Arc<AtomicBool>,
+    accepting: Option<JoinHandle<()>>,
+}
+
+impl PublisherNode {
+    pub fn start(master: Endpoint, host: &str, name: String, outlets: Vec<Arc<Outlet>>) -> Result<Self, RosError> {
+        let listener = listen(host)?;
+        let port = listener.local_addr().map_err(|error| RosError::system("listen", &error))?.port();
+        let (outlets, overflowed) = (Mutex::new(outlets), AtomicU64::new(0));
+        let (telling, left, host_name) = (Mutex::default(), AtomicBool::new(false), host.to_owned());
+        let identity = Identity { name, host: host_name, port, master, outlets, overflowed, telling, left };
+        let identity = Arc::new(identity);
+        let stopping = Arc::new(AtomicBool::new(false));
+        let slave = SlaveServer::start(host, Arc::clone(&identity) as _)?;
+        let (seen, known) = (Arc::clone(&stopping), Arc::clone(&identity));
+        let accepting = std::thread::Builder::new()
+            .name("ros-port".into())
+            .spawn(move || accept_all(&listener, &seen, &known))
+            .map_err(|error| RosError::system("start a thread", &error))?;
+        let node = Self { identity, slave, stopping, accepting: Some(accepting) };
+        node.register_all()?;
+        Ok(node)
+    }
+
+    pub fn outlets(&self) -> Vec<Arc<Outlet>> {
+        self.identity.outlets()
+    }
+
+    pub fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
+        self.identity.outlet_of(topic)
+    }
+
+    /// Registers another topic; returns how many subscribers the master knows.
+    pub fn advertise(&self, outlet: Arc<Outlet>) -> Result<usize, RosError> {
+        let known = self.outlet_of(outlet.topic());
+        let outlet = known.unwrap_or_else(|| {
+            lock(&self.identity.outlets).push(Arc::clone(&outlet));
+            outlet
+        });
+        self.register(&outlet)
+    }
+
+    /// Registers all topics (again).
+    pub fn register_all(&self) -> Result<(), RosError> {
+        self.outlets().iter().try_for_each(|outlet| self.register(outlet).map(drop))
+    }
+
+    fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
+        let about = [outlet.topic(), outlet.type_name()];
+        let deadline = Instant::now() + PATIENCE;
+        let answer = self.identity.tell_master("registerPublisher", &about, &self.slave.uri, deadline);
+        let answer = answer.map_err(|error| master_error(&self.identity.master, "registerPublisher", error))?;
+        Ok(answer.as_array().map_or(0, <[Value]>::len))
+    }
+
+    /// Total messages that subscribers missed.
+    pub fn overflowed(&self) -> u64 {
+        let now: u64 = self.outlets().iter().map(|outlet| outlet.overflowed()).sum();
+        now + self.identity.overflowed.load(Ordering::SeqCst)
+    }
+
+    /// Withdraws topics: no subscriber gets any more of them, however late the master hears of it.
+    pub fn withdraw(&self, topics: &[String]) {
+        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
+        let gone: Vec<Arc<Outlet>> = self.outlets().into_iter().filter(is_meant).collect();
+        lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
+        for outlet in &gone {
+            outlet.close(Duration::ZERO);
+            self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
+        }
+        self.tell_gone(&gone);
+    }
+
+    /// No more messages come; subscribers get what is queued.
+    pub fn leave(&self) {
+        if self.identity.left.swap(true, Ordering::SeqCst) {
+            return;
+        }
+        let outlets = self.outlets();
+        outlets.iter().for_each(|outlet| outlet.leave());
+        self.tell_gone(&outlets);
+    }
+
+    /// Whether the queues are empty.
+    pub fn is_sent(&self) -> bool {
+        self.outlets().iter().all(|outlet| outlet.is_sent())
+    }
+
+    /// Unregisters, and sends what is queued, with one deadline for all.
+    pub fn close(&self, patience: Duration) {
+        self.leave();
+        let deadline = Instant::now() + patience;
+        while Instant::now() < deadline && !self.is_sent() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.outlets().iter().for_each(|outlet| outlet.end(deadline));
+        self.finish_telling();
+    }
+
+    /// Unregisters, without waiting for a slow master.
+    fn tell_gone(&self, outlets: &[Arc<Outlet>]) {
+        let topics: Vec<String> = outlets.iter().map(|outlet| outlet.topic().to_owned()).collect();
+        let (identity, uri) = (Arc::clone(&self.identity), self.slave.uri.clone());
+        let deadline = Instant::now() + PATIENCE;
+        let told = std::thread::Builder::new().name("ros-leaving".into()).spawn(move || {
+            for topic in topics {
+                let is_open = identity.outlet_of(&topic).is_some() && !identity.left.load(Ordering::SeqCst);
+                if !is_open {
+                    // A master that is gone has forgotten the publisher too.
+                    let _ = identity.tell_master("unregisterPublisher", &[&topic], &uri, deadline);
+                }
+            }
+        });
+        // Without a thread the master notices the node's end through its slave API.
+        lock(&self.identity.telling).extend(told.ok());
+    }
+
+    fn finish_telling(&self) {
+        let telling = std::mem::take(&mut *lock(&self.identity.telling));
+        for told in telling {
+            let _ = told.join();
+        }
+    }
+}
+
+impl Drop for PublisherNode {
+    fn drop(&mut self) {
+        for outlet in self.outlets() {
+            outlet.close(Duration::ZERO);
+        }
+        self.stopping.store(true, Ordering::SeqCst);
+        // Accepting blocks: connecting to ourselves wakes it.
+        let woken = TcpStream::connect((self.identity.host.as_str(), self.identity.port)).is_ok();
+        if let Some(accepting) = self.accepting.take().filter(|_| woken) {
+            let _ = accepting.join();
+        }
+        self.finish_telling();
+    }
+}
+
+impl Identity {
+    fn outlets(&self) -> Vec<Arc<Outlet>> {
+        lock(&self.outlets).clone()
+    }
+
+    fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
+        lock(&self.outlets).iter().find(|outlet| outlet.topic() == topic).cloned()
+    }
+
+    fn tell_master(&self, method: &str, middle: &[&str], uri: &str, deadline: Instant) -> Result<Value, CallError> {
+        let texts = std::iter::once(self.name.as_str()).chain(middle.iter().copied());
+        let params: Vec<Value> = texts.chain([uri]).map(Value::text).collect();
+        call(&self.master, method, &params, deadline)
+    }
+}
+
+impl Node for Identity {
+    fn master_uri(&self) -> String {
+        self.master.to_string()
+    }
+
+    fn subscriptions(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    fn publications(&self) -> Vec<(String, String)> {
+        self.outlets().iter().map(|outlet| (outlet.topic().to_owned(), outlet.type_name().to_owned())).collect()
+    }
+
+    fn links(&self) -> Vec<BusLink> {
+        self.outlets().iter().flat_map(|outlet| outlet.links()).collect()
+    }
+
+    fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}
+
+    fn outlet(&self, topic: &str) -> Option<(String, u16)> {
+        self.outlet_of(topic).map(|_| (self.host.clone(), self.port))
+    }
+
+    fn shutdown_asked(&self, _by: &str, _reason: &str) {}
+}
+
+fn accept_all(listener: &TcpListener, stopping: &AtomicBool, identity: &Arc<Identity>) {
+    while !stopping.load(Ordering::SeqCst) {
+        let Ok((stream, _)) = listener.accept() else {
+            std::thread::sleep(Duration::from_millis(20));
+            continue;
+        };
+        if stopping.load(Ordering::SeqCst) || identity.links().len() >= MOST_CONNECTIONS {
+            continue;
+        }
+        let identity = Arc::clone(identity);
+        // Without a thread, or with a broken handshake, the subscriber's connection is closed.
+        let _ = std::thread::Builder::new().name("ros-handshake".into()).spawn(move || welcome(&identity, stream));
+    }
+}
+
+/// Shakes hands with a subscriber and hands it to its outlet.
+fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    let mut frames = FrameReader::new(&stream);
+    let Poll::Frame(request) = frames.poll(LONGEST_REQUEST)? else { return Ok(()) };
+    let request = ConnectionHeader::parse(&request).map_err(io::Error::other)?;
+    let refuse = |reason: &str| (&stream).write_all(&ConnectionHeader::new([("error", reason)]).to_bytes());
+    let topic = request.get("topic").unwrap_or_default();
+    let Some(outlet) = identity.outlet_of(topic) else {
+        return refuse("this topic is not published here");
+    };
+    if outlet.subscribers() >= MOST_SUBSCRIBERS {
+        return refuse("this topic has too many subscribers");
+    }
+    if let Some(objection) = outlet.objection(&request) {
+        return refuse(&objection);
+    }
+    (&stream).write_all(&outlet.header(&identity.name).to_bytes())?;
+    stream.set_write_timeout(None)?;
+    outlet.add(clean(request.get("callerid").unwrap_or("unnamed"), 120), stream)
+}
+
+/// The program in which rosrust runs.
+const PROGRAM: &str = "authros-rosrust";
+/// How long the program may take to join the graph.
+const JOINING: Duration = Duration::from_secs(10);
+/// How long it may take to answer about a topic: it asks the master, and waits for subscribers.
+const ANSWERING: Duration = Duration::from_secs(10);
+
+/// An announced topic.
+struct Announced {
+    writer: u32,
+    about: Advertised,
+    /// The last message and its source, if the topic is latched.
+    latched: Option<(u64, Arc<[u8]>)>,
+}
+
+/// A node that publishes. It leaves the graph when dropped, without waiting for subscribers.
+pub struct RosrustPublisher {
+    uri: String,
+    errand: Errand,
+    run: Run,
+    announced: BTreeMap<String, Announced>,
+    next: u32,
+    /// What earlier runs of the program did not deliver.
+    missed: u64,
+}
+
+impl RosrustPublisher {
+    /// Starts a node at the master; it publishes nothing yet. `program` names the program if it is not beside this one.
+    /// Blocks for a moment.
+    ///
+    /// # Errors
+    /// [`RosError::NoRosrust`] if that program is missing, [`RosError::NotPublishedByRosrust`] if it cannot join the graph,
+    /// [`RosError::Address`] for a bad URI, [`RosError::System`] if it does not start.
+    pub fn start(
+        master_uri: &str,
+        given_host: Option<&str>,
+        node_name: &str,
+        program: Option<&Path>,
+    ) -> Result<Self, RosError> {
+        let found = child::find(PROGRAM, program);
+        let program: PathBuf = found.map_err(|path| RosError::no_rosrust(&path))?;
+        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
+        let uri = master.to_string();
+        // rosrust itself puts the slash before a name.
+        let arguments = vec!["--node".to_owned(), node_name.trim_start_matches('/').to_owned()];
+        let environment = vec![("ROS_MASTER_URI", uri.clone()), ("ROS_HOSTNAME", host)];
+        let errand = Errand { program, arguments, environment };
+        let run = Run::start(&errand, 0)?;
+        let publisher = Self { uri, errand, run, announced: BTreeMap::new(), next: 1, missed: 0 };
+        publisher.joined().map(|()| publisher)
+    }
+
+    fn joined(&self) -> Result<(), RosError> {
+        match self.run.wait(JOINING, |state| state.joined.then_some(())) {
+            Ok(Some(())) => Ok(()),
+            Ok(None) => Err(self.failed("the program does not answer")),
+            Err(reason) => Err(self.failed(&reason)),
+        }
+    }
+
+    fn failed(&self, reason: &str) -> RosError {
+        RosError::NotPublishedByRosrust { uri: clean(&self.uri, 120), reason: reason.to_owned() }
+    }
+
+    /// Announces a topic, and waits for the subscribers that the master knows, for a while, if `patient`. A topic already
+    /// announced is unchanged.
+    ///
+    /// # Errors
+    /// [`RosError::NotPublishedByRosrust`] if the program does not run, or the master refuses.
+    pub fn advertise(&mut self, topic: &Advertised, patient: bool) -> Result<(), RosError> {
+        if self.announced.contains_key(&topic.topic) {
+            return Ok(());
+        }
+        let writer = self.announce(topic, patient)?;
+        let announced = Announced { writer, about: topic.clone(), latched: None };
+        self.announced.insert(topic.topic.clone(), announced);
+        Ok(())
+    }
+
+    /// Has a topic announced under a new number.
+    fn announce(&mut self, topic: &Advertised, patient: bool) -> Result<u32, RosError> {
+        let writer = self.next;
+        self.next = self.next.wrapping_add(1);
+        let about = Described {
+            name: topic.topic.clone(),
+            type_name: topic.type_name.clone(),
+            md5sum: topic.md5sum.clone(),
+            latched: topic.latching,
+        };
+        let order = Order::Advertise { writer, topic: about, size: 0, alone: false, patient };
+        self.run.order(&order, topic.definition.as_bytes()).map_err(|reason| self.failed(&reason))?;
+        match self.run.wait(ANSWERING, |state| state.answers.remove(&writer)) {
+            Ok(Some(Ok(()))) => Ok(writer),
+            Ok(Some(Err(Declined { reason, .. }))) => Err(self.failed(&reason)),
+            Ok(None) => {
+                self.run.kill();
+                Err(self.failed("the program does not answer"))
+            }
+            Err(reason) => Err(self.failed(&reason)),
+        }
+    }
+
+    /// Hands out a message of one of a topic's sources; false if the topic is not announced or nobody publishes now.
+    pub fn publish(&mut self, topic: &str, source: u64, message: &[u8]) -> bool {
+        let Some(announced) = self.announced.get_mut(topic) else { return false };
+        if message.len() > LONGEST_PAYLOAD as usize {
+            return false;
+        }
+        if announced.about.latching {
+            announced.latched = Some((source, message.into()));
+        }
+        self.run.publish(&Order::<Described>::Publish { writer: announced.writer }, message)
+    }
+
+    /// Takes a topic back at once; what is queued for its subscribers is no longer sent.
+    pub fn withdraw(&mut self, topic: &str) {
+        if let Some(announced) = self.announced.remove(topic) {
+            self.tell_withdrawn(announced.writer);
+        }
+    }
+
+    fn tell_withdrawn(&self, writer: u32) {
+        // A program that cannot be told has ended, or is killed, and nothing of this is announced anew.
+        drop(self.run.order(&Order::<Described>::Withdraw { writer }, &[]));
+    }
+
+    /// Drops at once what came from a source, including the topic's queue; other sources go on publishing it.
+    pub fn silence(&mut self, topic: &str, source: u64) {
+        let Some(announced) = self.announced.remove(topic) else { return };
+        self.tell_withdrawn(announced.writer);
+        let latched = announced.latched.filter(|(of, _)| *of != source);
+        let writer = match self.announce(&announced.about, false) {
+            Ok(writer) => {
+                if let Some((_, message)) = &latched {
+                    self.run.publish(&Order::<Described>::Publish { writer }, message);
+                }
+                writer
+            }
+            Err(_) => {
+                // Started anew, it announces the topic again.
+                self.run.kill();
+                announced.writer
+            }
+        };
+        self.announced.insert(topic.to_owned(), Announced { writer, about: announced.about, latched });
+    }
+
+    /// Whether more messages should wait for subscribers that are behind, or for the program.
+    pub fn is_crowded(&self) -> bool {
+        self.run.is_crowded()
+    }
+
+    /// Waits no longer for subscribers that are behind now.
+    pub fn outrun(&self) {
+        drop(self.run.order(&Order::<Described>::Outrun, &[]));
+    }
+
+    /// Whether its program can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.run.is_confined()
+    }
+
+    /// The number of the process in which rosrust runs.
+    pub fn process(&self) -> Option<u32> {
+        self.run.process()
+    }
+
+    /// Why nothing is published now, if that is so.
+    pub fn broken(&self) -> Option<String> {
+        self.run.broken()
+    }
+
+    /// Starts the program anew if it has ended, with all topics and what was latched.
+    pub fn revive(&mut self) -> Result<(), RosError> {
+        if self.run.broken().is_none() {
+            return Ok(());
+        }
+        let run = Run::start(&self.errand, 0)?;
+        self.missed += self.run.missed();
+        self.run = run;
+        let done = self.joined().and_then(|()| self.announce_again());
+        if done.is_err() {
+            // It is tried again only if it has ended.
+            self.run.kill();
+        }
+        done
+    }
+
+    fn announce_again(&mut self) -> Result<(), RosError> {
+        let topics: Vec<Advertised> = self.announced.values().map(|announced| announced.about.clone()).collect();
+        for topic in topics {
+            let writer = self.announce(&topic, false)?;
+            let Some(announced) = self.announced.get_mut(&topic.topic) else { continue };
+            announced.writer = writer;
+            if let Some((_, message)) = &announced.latched {
+                self.run.publish(&Order::<Described>::Publish { writer }, message);
+            }
+        }
+        Ok(())
+    }
+
+    /// No more messages come; queued ones are still sent.
+    pub fn leave(&self) {
+        drop(self.run.order(&Order::<Described>::Leave, &[]));
+    }
+
+    /// Whether subscribers have everything, after [`Self::leave`], or nobody sends it any more.
+    pub fn is_sent(&self) -> bool {
+        self.run.has_left() || self.run.broken().is_some()
+    }
+
+    /// Messages that a subscriber, or every one, missed, or may have missed.
+    pub fn missed(&self) -> u64 {
+        self.missed + self.run.missed()
+    }
+
+    /// Leaves the graph. Returns the total messages that subscribers missed; those still queued are among them.
+    pub fn end(self) -> u64 {
+        let queued = if self.run.broken().is_some() { 0 } else { self.run.unconfirmed().0 };
+        self.missed() + queued as u64
+    }
+}
+
+#[cfg(test)]
+mod rosrust_tests;
 #[cfg(test)]
 mod tests;

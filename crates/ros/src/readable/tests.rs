@@ -1,6 +1,6 @@
 //! Well-known messages, valid and hostile, and pictures that claim too much.
 
-use super::codec::{DECODER_MEMORY, MOST_PIXELS, decode, png_file};
+use super::picture::{DECODER_MEMORY, MOST_PIXELS, decode, png_file};
 use super::*;
 use crate::ros::robot::{ODOMETRY, odometry_definition};
 

@@ -12,7 +12,6 @@ pub const TYPE_HASH: &str = "topic_type_hash";
 /// What is known about a message's type.
 #[derive(Debug, Clone, Copy)]
 pub struct TypeFacts<'a> {
-    /// Its name.
     pub name: &'a str,
     /// How bodies are serialised.
     pub encoding: Encoding,

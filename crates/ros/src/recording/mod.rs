@@ -3,32 +3,59 @@
 //! What both formats share: channels, messages, chunk compression, and a reader's report of damage. Files are treated
 //! as hostile: every length is checked, memory is bounded by [`LARGEST_CHUNK`].
 
-mod compression;
-mod damage;
 mod described;
-mod open;
-mod place;
 pub mod tags;
 
 use std::collections::BTreeMap;
+use std::fmt;
+use std::fs::File;
+use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::str::FromStr;
 use std::sync::Arc;
 
-pub use compression::ChunkCompression;
-pub(super) use compression::{SPOILT, ZSTD, pack, unpack, unpacked_body, why};
-pub use damage::{Damage, Findings, Unusable};
-pub use described::{Described, TYPE_HASH, TypeFacts};
-pub use open::{Recording, RecordingFormat, RecordingWriter, content_of};
-pub(super) use place::{go_to, read_at};
+use crate::model::{Timestamp, clean};
+use crate::ros::RosError;
+use crate::ros::bag::{self, BagReader, BagWriter};
+use crate::ros::mcap::{self, McapReader, McapWriter};
+use crate::ros::rosbag2::{Db3Reader, FolderReader, SQLITE, unpacked};
+use crate::ros::tcpros::LONGEST_MESSAGE;
+use serde::{Deserialize, Serialize};
 
 pub use super::mcap::{AttachedFile, BESIDE, Beside, BesideContent};
-use super::tcpros::LONGEST_MESSAGE;
-use crate::model::Timestamp;
+pub use described::{Described, TYPE_HASH, TypeFacts};
 
 /// The most bytes of a decompressed chunk: a message of the largest size and what was in its chunk before it.
 pub const LARGEST_CHUNK: usize = LONGEST_MESSAGE + (64 << 20);
 
 /// A chunk is closed when it holds this many bytes, as in `rosbag record`.
 pub(super) const CHUNK_THRESHOLD: usize = 768 * 1024;
+
+/// The chunk being read.
+#[derive(Debug, Default)]
+pub(super) struct Chunk {
+    pub bytes: Vec<u8>,
+    pub at: usize,
+    /// Its offset in the file.
+    pub position: u64,
+    /// Whether its end is missing, which was already reported.
+    pub cut: bool,
+    /// Whether a checksum covered its bytes.
+    pub guarded: bool,
+}
+
+impl Chunk {
+    /// Its rest cannot be read. The memory is reused for the next one.
+    pub fn end(mut self, findings: &mut Findings, format: &str) -> Self {
+        if !self.cut {
+            let left = self.bytes.len() - self.at;
+            let text = format!("the last {left} bytes of a chunk were skipped: they are not {format} records");
+            findings.note(self.position, &text);
+        }
+        self.bytes.clear();
+        Self { bytes: self.bytes, ..Self::default() }
+    }
+}
 
 /// The most channels of a recording.
 pub(super) const MOST_CHANNELS: usize = 16_384;
@@ -69,10 +96,7 @@ pub enum Encoding {
     /// As in ROS 1.
     Ros1,
     /// CDR, as in ROS 2; with the schema's encoding as named by MCAP (`ros2msg`, `ros2idl`).
-    Cdr {
-        /// Whether the schema is IDL.
-        idl: bool,
-    },
+    Cdr { idl: bool },
     /// No message: MCAP's own bytes of what the recording holds beside its messages.
     Beside(Beside),
 }
@@ -118,7 +142,6 @@ pub struct Sent {
     pub sequence: u32,
 }
 
-/// One message of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordedMessage {
     /// Topic, type, publisher.
@@ -129,6 +152,532 @@ pub struct RecordedMessage {
     pub sent: Option<Sent>,
     /// The serialised message.
     pub body: Vec<u8>,
+}
+
+/// The most damaged places listed; further ones are counted.
+const MOST_DAMAGES: usize = 64;
+
+/// The most rows of unusable messages; those of further topics share one row without a name.
+const MOST_UNUSABLE: usize = 256;
+
+/// A place that could not be read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Damage {
+    /// Its offset in the file, bytes.
+    pub position: u64,
+    /// What was skipped and why, cleaned.
+    pub text: String,
+}
+
+/// Messages of one topic that are present but cannot be used, for one reason.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Unusable {
+    /// Their topic, cleaned; empty if the file does not name it.
+    pub topic: String,
+    /// Why, cleaned.
+    pub why: String,
+    /// How many.
+    pub messages: u64,
+}
+
+/// The skipped parts of a recording.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Findings {
+    /// Damaged places, in order; only the first are listed.
+    pub damages: Vec<Damage>,
+    /// The number of further ones.
+    pub more_damages: u64,
+    /// Messages that are present but unusable, by topic and reason.
+    pub unusable: Vec<Unusable>,
+    /// Messages, attachments and metadata records that no checksum covers: the file does not show whether they were altered.
+    pub unguarded: u64,
+    /// Whether the recorder was killed before it wrote the index: nothing shows whether the end is missing.
+    pub unfinished: bool,
+}
+
+impl Findings {
+    /// Notes a damaged place.
+    pub(crate) fn note(&mut self, position: u64, text: &str) {
+        if self.damages.len() < MOST_DAMAGES {
+            self.damages.push(Damage { position, text: clean(text, 300) });
+        } else {
+            self.more_damages += 1;
+        }
+    }
+
+    /// Counts a message that is present but unusable.
+    pub(crate) fn leave_out(&mut self, topic: &str, why: &str) {
+        self.leave_out_many(topic, why, 1);
+    }
+
+    fn leave_out_many(&mut self, topic: &str, why: &str, messages: u64) {
+        let (topic, why) = (clean(topic, 255), clean(why, 200));
+        if let Some(row) = self.unusable.iter_mut().find(|row| row.topic == topic && row.why == why) {
+            row.messages += messages;
+        } else if self.unusable.len() < MOST_UNUSABLE {
+            self.unusable.push(Unusable { topic, why, messages });
+        } else if let Some(row) = self.unusable.last_mut() {
+            let why = String::from("there are too many topics and reasons to list");
+            *row = Unusable { topic: String::new(), why, messages: row.messages + messages };
+        }
+    }
+
+    /// Adds what was skipped of one file of several.
+    pub(crate) fn add(&mut self, name: &str, of_file: &Self) {
+        for damage in &of_file.damages {
+            self.note(damage.position, &format!("{name}: {}", damage.text));
+        }
+        self.more_damages += of_file.more_damages;
+        for row in &of_file.unusable {
+            self.leave_out_many(&row.topic, &row.why, row.messages);
+        }
+        self.unguarded += of_file.unguarded;
+        self.unfinished |= of_file.unfinished;
+    }
+
+    /// How many messages are present but unusable.
+    pub fn messages_skipped(&self) -> u64 {
+        self.unusable.iter().map(|row| row.messages).sum()
+    }
+
+    /// Compares how many messages, or `what` else, the file's own index counts with how many were found, if nothing else reports a loss.
+    pub(crate) fn compare(&mut self, end: u64, what: &str, counted: Option<u64>, met: u64) {
+        let Some(counted) = counted.filter(|counted| self.damages.is_empty() && *counted != met) else { return };
+        self.note(end, &format!("the file's index counts {counted} {what}, but {met} could be read"));
+    }
+
+    /// Whether the whole recording was read.
+    pub fn is_whole(&self) -> bool {
+        self.damages.is_empty() && self.unusable.is_empty()
+    }
+}
+
+/// How the chunks of a recording are compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ChunkCompression {
+    /// No compression.
+    #[default]
+    None,
+    /// bzip2 (bags).
+    Bz2,
+    /// LZ4 frames (bags, MCAP).
+    Lz4,
+    /// Zstandard (MCAP).
+    Zstd,
+}
+
+impl ChunkCompression {
+    /// Its name on the command line and in a bag.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Bz2 => "bz2",
+            Self::Lz4 => "lz4",
+            Self::Zstd => "zstd",
+        }
+    }
+}
+
+impl fmt::Display for ChunkCompression {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.word())
+    }
+}
+
+impl FromStr for ChunkCompression {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        [Self::None, Self::Bz2, Self::Lz4, Self::Zstd]
+            .into_iter()
+            .find(|compression| compression.word() == text)
+            .ok_or_else(|| {
+                format!("'{}' is not a compression; choose none, bz2, lz4 or zstd", crate::model::clean(text, 40))
+            })
+    }
+}
+
+/// Decompresses at most `limit` bytes from `source` into `out`; returns whether a checksum of the compression itself
+/// covered all of them. Memory grows only with the actual output.
+///
+/// # Errors
+/// If the data is damaged, its checksum does not match, or it is longer than `limit`; the output so far is in `out`.
+pub(crate) fn unpack(
+    compression: ChunkCompression,
+    source: impl BufRead,
+    limit: usize,
+    out: &mut Vec<u8>,
+) -> Result<bool, String> {
+    match compression {
+        ChunkCompression::None => drain(source, limit, out).map(|()| false),
+        // Every block and the whole have a CRC.
+        ChunkCompression::Bz2 => drain(bzip2::bufread::BzDecoder::new(source), limit, out).map(|()| true),
+        ChunkCompression::Lz4 => unpack_lz4(source, limit, out),
+        ChunkCompression::Zstd => unpack_zstd(source, limit, out),
+    }
+}
+
+/// A decoder's own words, in those of a notice.
+pub(crate) const SPOILT: &str = "its compressed data is damaged";
+
+/// Why a read failed: the disk's own words, but none of a decoder's.
+pub(crate) fn why(error: &std::io::Error) -> String {
+    if error.raw_os_error().is_some() { error.to_string() } else { SPOILT.to_owned() }
+}
+
+/// The frame's descriptor says which checksums it has; the decoder compares those.
+fn unpack_lz4(mut source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
+    /// Magic number (4), then flags: bit 4 for checksums of blocks, bit 2 for one of the content.
+    const CHECKSUMS: u8 = 0b0001_0100;
+    let mut lead = Vec::with_capacity(5);
+    source.by_ref().take(5).read_to_end(&mut lead).map_err(|error| why(&error))?;
+    let covered = lead.get(4).is_some_and(|flags| flags & CHECKSUMS != 0);
+    drain(lz4_flex::frame::FrameDecoder::new(lead.as_slice().chain(source)), limit, out).map(|()| covered)
+}
+
+/// The decoder computes the checksum of the content; comparing it is up to the caller.
+fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
+    let window = u64::try_from(LARGEST_CHUNK).unwrap_or(u64::MAX);
+    let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(source, window);
+    let mut decoder = decoder.map_err(|_| SPOILT)?;
+    drain(&mut decoder, limit, out)?;
+    let decoder = decoder.into_frame_decoder();
+    match decoder.get_checksum_from_data() {
+        Some(told) if decoder.get_calculated_checksum() == Some(told) => Ok(true),
+        Some(_) => Err(String::from("the unpacked data does not match its zstd checksum")),
+        None => Ok(false),
+    }
+}
+
+/// What every zstd frame begins with; no message in CDR does.
+const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// The body of a message: rosbag2 with `compression_mode: MESSAGE` makes a zstd frame of each. What is sealed is the message.
+pub(crate) fn unpacked_body(encoding: Encoding, body: Vec<u8>) -> Result<Vec<u8>, String> {
+    if !matches!(encoding, Encoding::Cdr { .. }) || !body.starts_with(&ZSTD) {
+        return Ok(body);
+    }
+    let mut unpacked = Vec::new();
+    unpack(ChunkCompression::Zstd, body.as_slice(), LONGEST_MESSAGE, &mut unpacked)
+        .map_err(|error| format!("it is compressed with zstd and cannot be unpacked: {error}"))?;
+    Ok(unpacked)
+}
+
+fn drain(source: impl Read, limit: usize, out: &mut Vec<u8>) -> Result<(), String> {
+    let most = u64::try_from(limit).unwrap_or(u64::MAX).saturating_add(1);
+    source.take(most).read_to_end(out).map_err(|error| why(&error))?;
+    if out.len() > limit {
+        out.truncate(limit);
+        return Err(format!("it holds more than the {limit} bytes it claims"));
+    }
+    Ok(())
+}
+
+/// Compresses the bytes of a chunk.
+pub(crate) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Result<Vec<u8>, String> {
+    match compression {
+        ChunkCompression::None => Ok(bytes.to_vec()),
+        ChunkCompression::Bz2 => {
+            let mut encoder = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
+            encoder.write_all(bytes).map_err(|error| error.to_string())?;
+            encoder.finish().map_err(|error| error.to_string())
+        }
+        ChunkCompression::Lz4 => {
+            // ROS's own reader supports only independent blocks, and requires the checksum of the whole.
+            let frame = lz4_flex::frame::FrameInfo::new()
+                .block_mode(lz4_flex::frame::BlockMode::Independent)
+                .block_size(lz4_flex::frame::BlockSize::Max1MB)
+                .content_checksum(true);
+            let mut encoder = lz4_flex::frame::FrameEncoder::with_frame_info(frame, Vec::new());
+            encoder.write_all(bytes).map_err(|error| error.to_string())?;
+            encoder.finish().map_err(|error| error.to_string())
+        }
+        ChunkCompression::Zstd => {
+            Ok(ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest))
+        }
+    }
+}
+
+/// Up to `length` bytes from a position on; fewer at the end of the file.
+pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) -> std::io::Result<Vec<u8>> {
+    go_to(file, at)?;
+    let mut bytes = Vec::new();
+    file.by_ref().take(length).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// Moves to a position, keeping the read-ahead.
+pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> std::io::Result<()> {
+    let here = file.stream_position()?;
+    let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));
+    file.seek_relative(step.unwrap_or(i64::MAX))
+}
+
+/// Bytes read ahead.
+const BUFFER: usize = 256 * 1024;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingFormat {
+    /// rosbag 2.0.
+    Bag,
+    Mcap,
+    /// A folder of rosbag2 with one MCAP file.
+    Rosbag2,
+}
+
+impl RecordingFormat {
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Bag => "bag",
+            Self::Mcap => "mcap",
+            Self::Rosbag2 => "rosbag2",
+        }
+    }
+
+    /// Whether chunks of this format may use this compression.
+    pub fn takes(self, compression: ChunkCompression) -> bool {
+        match self {
+            Self::Bag => compression != ChunkCompression::Zstd,
+            Self::Mcap | Self::Rosbag2 => compression != ChunkCompression::Bz2,
+        }
+    }
+
+    /// Whether messages of this encoding can be written in this format.
+    pub fn holds(self, encoding: Encoding) -> bool {
+        match self {
+            Self::Mcap => true,
+            Self::Bag => encoding == Encoding::Ros1,
+            Self::Rosbag2 => encoding != Encoding::Ros1,
+        }
+    }
+}
+
+/// What a file that begins like this is, if it is not a recording in either format.
+fn other_than_a_recording(magic: &[u8]) -> String {
+    let version = [&b"#ROSBAG V"[..], b"#ROSRECORD V"].iter().find_map(|lead| magic.strip_prefix(*lead));
+    match version {
+        Some(version) => {
+            let version: Vec<u8> = version.iter().copied().take_while(|byte| !byte.is_ascii_whitespace()).collect();
+            let version = crate::model::clean(&String::from_utf8_lossy(&version), 8);
+            format!("a bag of version {version}; only 2.0 is supported, convert it with `rosbag fix` of ROS 1")
+        }
+        None if magic.is_empty() => "an empty file".to_owned(),
+        None if magic.starts_with(&[0x1f, 0x8b]) => packed("gzip", "gunzip -k"),
+        None if magic.starts_with(b"BZh") => packed("bzip2", "bunzip2 -k"),
+        None if magic.starts_with(b"rosbag2_bagfile_") => {
+            "the description of a folder of rosbag2; import the folder".to_owned()
+        }
+        None => "no recording: neither a bag, MCAP nor .db3".to_owned(),
+    }
+}
+
+fn packed(format: &str, command: &str) -> String {
+    format!("compressed with {format}; unpack it with `{command}` and import what comes out")
+}
+
+/// A file at its beginning, and what it begins with.
+fn begin(path: &Path) -> Result<(BufReader<File>, Vec<u8>), RosError> {
+    let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
+    let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
+    let mut magic = Vec::new();
+    file.by_ref().take(16).read_to_end(&mut magic).map_err(unreadable)?;
+    file.seek(SeekFrom::Start(0)).map_err(unreadable)?;
+    Ok((file, magic))
+}
+
+/// The content of a file, by which it is known: of one that is compressed as a whole, what comes out of it, if it can be
+/// unpacked. A recorder compresses what it has closed, which may have been sealed before.
+pub fn content_of(path: &Path) -> Result<File, RosError> {
+    let (file, magic) = begin(path)?;
+    let whole = if magic.starts_with(&ZSTD) { unpacked(path).ok() } else { None };
+    // What cannot be unpacked is told when it is read as a recording.
+    Ok(whole.and_then(|whole| whole.reopen().ok()).unwrap_or_else(|| file.into_inner()))
+}
+
+/// A recording being read, message by message in file order.
+pub enum Recording {
+    Bag(BagReader<BufReader<File>>),
+    Mcap(McapReader<BufReader<File>>),
+    /// A closed `.db3` file of rosbag2.
+    Db3(Box<Db3Reader>),
+    /// A folder of rosbag2.
+    Folder(Box<FolderReader>),
+}
+
+impl Recording {
+    /// Opens a file of any format, or a folder of rosbag2.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] if it cannot be read or is not a recording.
+    pub fn open(path: &Path) -> Result<Self, RosError> {
+        if path.is_dir() { FolderReader::open(path).map(Box::new).map(Self::Folder) } else { Self::open_file(path) }
+    }
+
+    /// Opens a single file. One that is compressed as a whole is unpacked into a temporary file, which is gone at the end.
+    pub(crate) fn open_file(path: &Path) -> Result<Self, RosError> {
+        let (file, magic) = begin(path)?;
+        if !magic.starts_with(&ZSTD) {
+            return Self::of(path, file, &magic);
+        }
+        drop(file);
+        let whole = unpacked(path)?;
+        let (file, magic) = begin(whole.path())?;
+        // It is open by now, so its name is no longer needed.
+        Self::of(whole.path(), file, &magic)
+    }
+
+    fn of(path: &Path, file: BufReader<File>, magic: &[u8]) -> Result<Self, RosError> {
+        if magic.starts_with(mcap::MAGIC) {
+            return McapReader::open(file).map(Self::Mcap);
+        }
+        if magic.starts_with(bag::MAGIC) {
+            return BagReader::open(file).map(Self::Bag);
+        }
+        if magic.starts_with(SQLITE) {
+            return Db3Reader::open(path).map(Box::new).map(Self::Db3);
+        }
+        Err(RosError::recording(&format!("{} is {}", path.display(), other_than_a_recording(magic))))
+    }
+
+    /// The next readable message; `None` at the end. Damage is not an error: see [`Self::findings`].
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] if the file itself cannot be read.
+    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        match self {
+            Self::Bag(reader) => reader.next_message(),
+            Self::Mcap(reader) => reader.next_message(),
+            Self::Db3(reader) => reader.next_message(),
+            Self::Folder(reader) => reader.next_message(),
+        }
+    }
+
+    /// What has been skipped so far.
+    pub fn findings(&self) -> &Findings {
+        match self {
+            Self::Bag(reader) => reader.findings(),
+            Self::Mcap(reader) => reader.findings(),
+            Self::Db3(reader) => reader.findings(),
+            Self::Folder(reader) => reader.findings(),
+        }
+    }
+
+    /// The file of a folder that the last message is from; `None` where the recording is one file.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::Folder(reader) => Some(reader.file()),
+            Self::Bag(_) | Self::Mcap(_) | Self::Db3(_) => None,
+        }
+    }
+
+    /// Bytes of the file read so far, and its size.
+    pub fn progress(&self) -> (u64, u64) {
+        match self {
+            Self::Bag(reader) => reader.progress(),
+            Self::Mcap(reader) => reader.progress(),
+            Self::Db3(reader) => reader.progress(),
+            Self::Folder(reader) => reader.progress(),
+        }
+    }
+}
+
+/// A recording being written.
+pub enum RecordingWriter {
+    Bag(Box<BagWriter<BufWriter<File>>>),
+    Mcap(Box<McapWriter<BufWriter<File>>>),
+}
+
+impl RecordingWriter {
+    /// Starts a recording in an empty file.
+    pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self, RosError> {
+        let out = BufWriter::with_capacity(BUFFER, file);
+        Ok(match format {
+            RecordingFormat::Bag => Self::Bag(Box::new(BagWriter::begin(out, compression)?)),
+            RecordingFormat::Mcap | RecordingFormat::Rosbag2 => {
+                Self::Mcap(Box::new(McapWriter::begin(out, compression)?))
+            }
+        })
+    }
+
+    /// Writes one message. A bag has no room for data about its publishing.
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] if it cannot be written, or the format cannot hold it.
+    pub fn write(
+        &mut self,
+        channel: &Arc<Channel>,
+        time: Timestamp,
+        sent: Option<Sent>,
+        body: &[u8],
+    ) -> Result<(), RosError> {
+        match (self, sent) {
+            (Self::Bag(writer), _) => writer.write(channel, time, body),
+            (Self::Mcap(writer), Some(sent)) => writer.write_sent(channel, time, sent, body),
+            (Self::Mcap(writer), None) => writer.write(channel, time, body),
+        }
+    }
+
+    /// Writes the index; the file is then on disk.
+    pub fn finish(self) -> Result<(), RosError> {
+        let out = match self {
+            Self::Bag(writer) => writer.finish()?,
+            Self::Mcap(writer) => writer.finish()?,
+        };
+        let file = out.into_inner().map_err(|error| RosError::unwritable(error.error()))?;
+        file.sync_all().map_err(|error| RosError::unwritable(&error))
+    }
+}
+
+#[cfg(test)]
+mod open_tests {
+    use super::*;
+
+    #[test]
+    fn other_files_are_named_as_what_they_are() {
+        let said = other_than_a_recording(b"#ROSRECORD V1.2\n");
+        assert!(said.contains("version 1.2") && said.contains("rosbag fix"), "{said}");
+        assert!(other_than_a_recording(b"#ROSBAG V1.1\n").contains("version 1.1"));
+        assert_eq!(other_than_a_recording(b""), "an empty file");
+        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "no recording: neither a bag, MCAP nor .db3");
+        assert!(other_than_a_recording(&[0x1f, 0x8b, 8]).contains("gunzip"));
+        assert!(other_than_a_recording(b"BZh91AY&SY").contains("bunzip2"));
+        assert!(other_than_a_recording(b"rosbag2_bagfile_information:").contains("import the folder"));
+    }
+
+    #[test]
+    fn a_file_compressed_as_a_whole_is_known_by_what_comes_out_of_it() {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let path = directory.path().join("run_0.mcap.zstd");
+        let level = ruzstd::encoding::CompressionLevel::Fastest;
+        let packed = ruzstd::encoding::compress_to_vec(&b"what was recorded"[..], level);
+        let cut = packed.get(..packed.len() / 2).expect("its half").to_vec();
+        for (bytes, known) in [(packed, b"what was recorded".to_vec()), (cut.clone(), cut)] {
+            std::fs::write(&path, bytes).expect("written");
+            let mut content = Vec::new();
+            content_of(&path).expect("there").read_to_end(&mut content).expect("read");
+            assert_eq!(content, known);
+        }
+    }
+
+    #[test]
+    fn a_folder_is_a_recording_only_with_its_description_and_what_it_lacks_is_said() {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let said = || Recording::open(directory.path()).err().map(|error| error.to_string()).unwrap_or_default();
+        assert!(said().contains("without metadata.yaml") && said().contains("reindex"), "{}", said());
+        std::fs::write(directory.path().join("metadata.yaml"), "a: 1").expect("written");
+        assert!(said().contains("does not describe a recording"), "{}", said());
+        let text = "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  relative_file_paths:\n  - a.mcap\n  \
+                    message_count: 7\n  files:\n  - path: a.mcap\n    message_count: 7\n";
+        std::fs::write(directory.path().join("metadata.yaml"), text).expect("written");
+        std::fs::write(directory.path().join("b.db3"), "").expect("written");
+        let mut recording = Recording::open(directory.path()).expect("opened");
+        while recording.next_message().expect("read").is_some() {}
+        let told: Vec<_> = recording.findings().damages.iter().map(|damage| damage.text.clone()).collect();
+        assert!(told.iter().any(|text| text.contains("b.db3 is in the folder")), "{told:?}");
+        assert!(told.iter().any(|text| text.contains("a.mcap was left out (7 messages)")), "{told:?}");
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,9 @@
-//! The robots' messages, serialised as ROS does: little endian, lengths of 32 bits.
+//! The robots' messages and their vendored definitions, serialised as ROS 1 does (little endian, lengths of 32 bits) and as
+//! ROS 2 does (CDR, each value at a multiple of its size).
 
-use super::track::Motion;
+use super::Motion;
 use crate::model::Timestamp;
+use crate::ros::message::md5sum;
 
 /// Standard deviations squared: x, y (m²) and the rotation about Z (rad²); the rest is not measured.
 const VARIANCES: [f64; 6] = [0.0004, 0.0004, 1e-6, 1e-6, 1e-6, 0.0003];
@@ -61,11 +63,117 @@ pub(super) fn covariance() -> [f64; 36] {
     matrix
 }
 
+/// Type of the odometry.
+pub const ODOMETRY: &str = "nav_msgs/Odometry";
+
+/// Type of the pictures.
+pub const COMPRESSED_IMAGE: &str = "sensor_msgs/CompressedImage";
+
+const HEADER: (&str, &str) = ("std_msgs/Header", include_str!("../msg/Header.msg"));
+
+/// The full definition of `nav_msgs/Odometry`.
+pub fn odometry_definition() -> String {
+    let nested = [
+        HEADER,
+        ("geometry_msgs/PoseWithCovariance", include_str!("../msg/PoseWithCovariance.msg")),
+        ("geometry_msgs/Pose", include_str!("../msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../msg/Quaternion.msg")),
+        ("geometry_msgs/TwistWithCovariance", include_str!("../msg/TwistWithCovariance.msg")),
+        ("geometry_msgs/Twist", include_str!("../msg/Twist.msg")),
+        ("geometry_msgs/Vector3", include_str!("../msg/Vector3.msg")),
+    ];
+    assemble(include_str!("../msg/Odometry.msg"), &nested)
+}
+
+/// The full definition of `sensor_msgs/CompressedImage`.
+pub fn compressed_image_definition() -> String {
+    assemble(include_str!("../msg/CompressedImage.msg"), &[HEADER])
+}
+
+fn assemble(root: &str, nested: &[(&str, &str)]) -> String {
+    let rule = "=".repeat(80);
+    let sections = nested.iter().map(|(name, text)| format!("\n{rule}\nMSG: {name}\n{text}"));
+    std::iter::once(root.to_owned()).chain(sections).collect()
+}
+
+/// The md5sum of a definition of ours.
+pub(super) fn sum_of(type_name: &str, definition: &str) -> String {
+    md5sum(type_name, definition).unwrap_or_default()
+}
+
+/// The encapsulation header of CDR in this order of bytes, without options.
+const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+
+/// A `nav_msgs/msg/Odometry`.
+pub(super) fn odometry_in_cdr(stamp: Timestamp, motion: &Motion) -> Vec<u8> {
+    let mut message = Message::new(760);
+    message.put_header(stamp, "odom");
+    message.put_text("base_link");
+    let half = motion.heading / 2.0;
+    message.put_floats(&[motion.x, motion.y, 0.0, 0.0, 0.0, half.sin(), half.cos()]);
+    message.put_floats(&covariance());
+    message.put_floats(&[motion.speed, 0.0, 0.0, 0.0, 0.0, motion.turn_rate]);
+    message.put_floats(&covariance());
+    message.0
+}
+
+/// A `sensor_msgs/msg/CompressedImage` with format `jpeg`.
+pub(super) fn compressed_image_in_cdr(stamp: Timestamp, robot: u16, jpeg: &[u8]) -> Vec<u8> {
+    let mut message = Message::new(jpeg.len() + 72);
+    message.put_header(stamp, &format!("robot{robot}_camera"));
+    message.put_text("jpeg");
+    message.put_length(jpeg.len());
+    message.0.extend_from_slice(jpeg);
+    message.0
+}
+
+struct Message(Vec<u8>);
+
+impl Message {
+    fn new(room: usize) -> Self {
+        let mut bytes = Vec::with_capacity(room);
+        bytes.extend_from_slice(&ENCAPSULATION);
+        Self(bytes)
+    }
+
+    /// Places are counted from behind the encapsulation header.
+    fn align(&mut self, size: usize) {
+        let place = self.0.len() - ENCAPSULATION.len();
+        self.0.resize(ENCAPSULATION.len() + place.next_multiple_of(size), 0);
+    }
+
+    fn put_number(&mut self, number: u32) {
+        self.align(4);
+        self.0.extend_from_slice(&number.to_le_bytes());
+    }
+
+    fn put_length(&mut self, length: usize) {
+        self.put_number(u32::try_from(length).unwrap_or(u32::MAX));
+    }
+
+    fn put_header(&mut self, stamp: Timestamp, frame: &str) {
+        self.put_number(u32::try_from(stamp.seconds()).unwrap_or(u32::MAX));
+        self.put_number(u32::try_from(stamp.0 % 1_000_000_000).unwrap_or(0));
+        self.put_text(frame);
+    }
+
+    fn put_text(&mut self, text: &str) {
+        self.put_length(text.len() + 1);
+        self.0.extend_from_slice(text.as_bytes());
+        self.0.push(0);
+    }
+
+    fn put_floats(&mut self, numbers: &[f64]) {
+        self.align(8);
+        numbers.iter().for_each(|number| self.0.extend_from_slice(&number.to_le_bytes()));
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::definitions::*;
-    use super::super::track::Track;
     use super::*;
+    use crate::ros::robot::Track;
     use crate::ros::{Definition, Limits, Value};
 
     #[test]
@@ -92,5 +200,52 @@ mod tests {
         let picture = definition.compressed_image(&body).expect("picture");
         assert_eq!((picture.format.as_str(), &body[picture.data]), ("jpeg", jpeg.as_slice()));
         assert_eq!(definition.compressed_image(&body[..body.len() - 1]), None);
+    }
+}
+
+#[cfg(test)]
+mod definitions_tests {
+    use super::*;
+
+    #[test]
+    fn the_md5sums_are_those_of_ros() {
+        assert_eq!(sum_of(ODOMETRY, &odometry_definition()), "cd5e73d190d741a2f92e81eda573aca7");
+        assert_eq!(sum_of(COMPRESSED_IMAGE, &compressed_image_definition()), "8f7a12909da2c9d3332d540a0977563f");
+    }
+}
+
+#[cfg(test)]
+mod cdr_tests {
+    use super::*;
+    use crate::ros::message::Folders;
+    use crate::ros::robot::Track;
+    use crate::ros::{Definition, Limits, Value};
+
+    /// The built-in definition, which is held to rosbags' by hash and by decoded values.
+    fn definition(type_name: &str) -> Definition {
+        let (text, _) = Folders::default().text_of(type_name).expect("built in");
+        Definition::parse_ros2(type_name, &text).expect("a definition")
+    }
+
+    #[test]
+    fn odometry_decodes_to_what_was_put_in() {
+        let motion = Track::of_robot(2).at(3.0);
+        let message = odometry_in_cdr(Timestamp(1_700_000_000_000_000_007), &motion);
+        let value = definition("nav_msgs/msg/Odometry").decode(&message, Limits::default()).expect("fits");
+        assert_eq!(value.get("header.frame_id"), Some(&Value::Text("odom".into())));
+        assert_eq!(value.get("child_frame_id"), Some(&Value::Text("base_link".into())));
+        assert_eq!(value.get("pose.pose.position.x"), Some(&Value::Float(motion.x)));
+        assert_eq!(value.get("twist.twist.angular.z"), Some(&Value::Float(motion.turn_rate)));
+        let Some(Value::Array(covariance)) = value.get("twist.covariance") else { panic!("covariance") };
+        assert_eq!((covariance.len(), &covariance[0]), (36, &Value::Float(0.0004)));
+    }
+
+    #[test]
+    fn a_picture_comes_back_byte_for_byte() {
+        let jpeg: Vec<u8> = (0..=255).cycle().take(5001).collect();
+        let message = compressed_image_in_cdr(Timestamp(9), 1, &jpeg);
+        let definition = definition("sensor_msgs/msg/CompressedImage");
+        let picture = definition.compressed_image(&message).expect("a picture");
+        assert_eq!((picture.format.as_str(), &message[picture.data]), ("jpeg", jpeg.as_slice()));
     }
 }

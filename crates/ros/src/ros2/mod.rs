@@ -3,31 +3,32 @@
 //! Its reports are trusted no more than a peer's. Messages that a publisher sent and that never arrived are counted
 //! here, by the publisher's own numbers, so that the count continues when the program has to be restarted.
 
-mod descriptions;
 mod identity;
-mod numbers;
 mod publisher;
-mod publishing;
-mod standing;
 mod state;
-mod supervision;
 
+use std::collections::{BTreeMap, VecDeque};
+use std::io::{BufReader, Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::process::{Child, ChildStdin};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use crate::model::TopicName;
-use crate::ros::child::{self, Errand};
-use crate::ros::{MessageSink, RosError};
-use supervision::Shared;
+use crate::pipe::read::{Told, Wish};
+use crate::pipe::write::Order;
+use crate::pipe::{LONGEST_PAYLOAD, receive, send};
+use crate::ros::child::{self, Errand, Run};
+use crate::ros::{CaptureNotice, MessageSink, RosError};
+use state::{Outcome, State};
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
 pub use crate::pipe::read::{Counts, Quality};
 pub use crate::pipe::write::{Offer, Topic as Offered};
 pub use crate::ros::child::Declined;
 pub use publisher::{QUALITY, WRITER};
-pub use publishing::{Delivery, Ros2Publisher};
-pub use standing::{INVISIBLE, Reading, Standing};
 
 /// The program that speaks ROS 2.
 const PROGRAM: &str = "authros-ros2";
@@ -46,7 +47,6 @@ fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
 /// A topic of the domain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Ros2Topic {
-    /// Its name.
     pub name: String,
     /// Its type, `package/msg/Type`.
     pub type_name: String,
@@ -83,8 +83,8 @@ impl Ros2Capture {
         let program = find(program)?;
         let shared = Arc::new(Shared::new(domain, program, sink));
         let mut capture = Self { shared: Arc::clone(&shared), threads: Vec::new() };
-        capture.threads.push(supervision::keep_reading(&shared)?);
-        capture.threads.push(supervision::keep_watch(&shared)?);
+        capture.threads.push(keep_reading(&shared)?);
+        capture.threads.push(keep_watch(&shared)?);
         Ok(capture)
     }
 
@@ -103,7 +103,6 @@ impl Ros2Capture {
         self.shared.settle(topic);
     }
 
-    /// The watched topics.
     pub fn watched(&self) -> Vec<TopicName> {
         self.shared.state().watched.iter().cloned().collect()
     }
@@ -135,3 +134,508 @@ impl Drop for Ros2Capture {
         }
     }
 }
+
+/// The state of the program that reads.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reading {
+    /// It was started and has not reported yet, or has not had time for discovery.
+    Looking,
+    /// It reads.
+    Up,
+    /// It does not; it is restarted.
+    Down { reason: String },
+}
+
+/// The state of reading.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Standing {
+    pub domain: u16,
+    pub reading: Reading,
+    /// The participants.
+    pub counts: Counts,
+    /// How often the program was restarted.
+    pub restarts: u64,
+    /// Whether the program can open no file and no local socket of this machine; `None` before it says so.
+    pub confined: Option<bool>,
+}
+
+/// What cannot be seen from here, and how to be seen.
+pub const INVISIBLE: &str = "not visible from here: robots with another ROS_DOMAIN_ID, on another network, or using \
+                             Fast DDS over shared memory only or with LARGE_DATA (FASTDDS_BUILTIN_TRANSPORTS), a \
+                             Discovery Server, SROS2 or rmw_zenoh (`authros bag follow DIR` seals what they record)";
+
+/// Why a participant may show no topics.
+const HIDDEN: &str = "they are hidden by Fast DDS with FASTDDS_BUILTIN_TRANSPORTS=LARGE_DATA (unset it, or write UDPv4) and by \
+                      SROS2; `authros bag follow DIR` seals what such a robot records";
+
+impl Standing {
+    /// In one line.
+    pub fn text(&self) -> String {
+        let Counts { participants, writers, foreign } = self.counts;
+        let place = format!("ROS 2 domain {}", self.domain);
+        let some = |number: u32, what: &str| format!("{number} {what}{}", if number == 1 { "" } else { "s" });
+        let there = some(participants, "participant");
+        match &self.reading {
+            Reading::Down { reason } => format!("{place} cannot be read: {reason}"),
+            Reading::Looking if participants == 0 => format!("{place}: discovering"),
+            _ if participants == 0 => format!("{place}: nobody there; {INVISIBLE}"),
+            _ if writers == 0 && foreign > 0 => format!(
+                "{place}: {there} and {} of non-ROS names, but none of ROS 2 topics",
+                some(foreign, "publisher")
+            ),
+            _ if writers == 0 => format!("{place}: {there}, but no topics; {HIDDEN}"),
+            _ => format!("{place}: {there}, {} of ROS 2 topics", some(writers, "publisher")),
+        }
+    }
+
+    /// Whether there is still no participant or topic though there was time to look.
+    pub fn is_empty(&self) -> bool {
+        self.reading == Reading::Up && self.counts.writers == 0
+    }
+}
+
+/// Interval between checks that the program still reports.
+const TICK: Duration = Duration::from_millis(500);
+/// After this many checks without a report it is killed. It reports once a tick; checks are counted, not time, so that
+/// a machine that slept blames nobody.
+const SILENT_TICKS: u32 = 10;
+/// The shortest and the longest pause before a start.
+const FIRST_PAUSE: Duration = Duration::from_millis(50);
+const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+/// A program that ran this long started well.
+const BEGAN_WELL: Duration = Duration::from_secs(10);
+
+/// Shared by the threads of a capture.
+pub struct Shared {
+    pub domain: u16,
+    program: PathBuf,
+    sink: Arc<dyn MessageSink>,
+    state: Mutex<State>,
+    to_child: Mutex<Option<ChildStdin>>,
+    running: Mutex<Option<Child>>,
+    frames: AtomicU64,
+    stopping: AtomicBool,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    /// Nothing runs yet.
+    pub fn new(domain: u16, program: PathBuf, sink: Arc<dyn MessageSink>) -> Self {
+        Self {
+            domain,
+            program,
+            sink,
+            state: Mutex::new(State::new(domain)),
+            to_child: Mutex::default(),
+            running: Mutex::default(),
+            frames: AtomicU64::new(0),
+            stopping: AtomicBool::new(false),
+        }
+    }
+
+    /// What is known.
+    pub fn state(&self) -> MutexGuard<'_, State> {
+        locked(&self.state)
+    }
+
+    fn hand_on(&self, outcome: Outcome) {
+        if self.is_stopping() {
+            return;
+        }
+        outcome.wishes.iter().for_each(|wish| self.wish(wish));
+        outcome.notices.into_iter().for_each(|notice| self.sink.notice(notice));
+        outcome.messages.into_iter().for_each(|message| self.sink.accept(message));
+        outcome.definitions.into_iter().for_each(|message| self.sink.define(message));
+    }
+
+    /// Captures the messages that still wait for the identity of their publisher, of a topic or of all.
+    pub fn settle(&self, topic: Option<&str>) {
+        let mut outcome = Outcome::default();
+        self.state().settle(Instant::now(), |name| topic.is_none_or(|topic| topic == name), &mut outcome);
+        self.hand_on(outcome);
+    }
+
+    /// Captures a topic from now on.
+    pub fn watch(&self, topic: &TopicName) {
+        let mut outcome = Outcome::default();
+        if self.state().watch(topic, &mut outcome) {
+            self.wish(&Wish::Watch { topic: topic.to_string() });
+            self.hand_on(outcome);
+        }
+    }
+
+    /// Stops capturing it.
+    pub fn unwatch(&self, topic: &TopicName) {
+        let mut outcome = Outcome::default();
+        if self.state().unwatch(topic, Instant::now(), &mut outcome) {
+            self.hand_on(outcome);
+            self.wish(&Wish::Unwatch { topic: topic.to_string() });
+        }
+    }
+
+    /// A program that does not receive it is restarted, and told then.
+    fn wish(&self, wish: &Wish) {
+        if let Some(to) = locked(&self.to_child).as_mut() {
+            drop(send(to, wish, &[]).map(|()| to.flush()));
+        }
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Acquire)
+    }
+
+    /// The end of its pipe tells the program to leave.
+    pub fn stop(&self) {
+        self.stopping.store(true, Ordering::Release);
+        locked(&self.to_child).take();
+    }
+
+    fn wait(&self, pause: Duration) {
+        let begun = Instant::now();
+        while begun.elapsed() < pause && !self.is_stopping() {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// One run of the program, to its end; returns why it ended.
+    fn run_once(&self) -> String {
+        let (child, to, from) = match child::start(&errand(&self.program, self.domain, false)) {
+            Ok(started) => started,
+            Err(error) => return error.to_string(),
+        };
+        *locked(&self.running) = Some(child);
+        *locked(&self.to_child) = Some(to);
+        if self.is_stopping() {
+            locked(&self.to_child).take();
+        }
+        // What is watched from here on is sent by the call that watches it; twice does no harm.
+        let watched: Vec<TopicName> = self.state().watched.iter().cloned().collect();
+        watched.iter().for_each(|topic| self.wish(&Wish::Watch { topic: topic.to_string() }));
+        let reason = self.read(&mut BufReader::with_capacity(256 << 10, from));
+        locked(&self.to_child).take();
+        // Not under the lock, which is needed to kill a silent program.
+        let child = locked(&self.running).take();
+        if let Some(mut child) = child {
+            let has_left = if self.is_stopping() {
+                child::end(&mut child)
+            } else {
+                drop(child.kill());
+                child.wait().is_ok_and(|status| status.success())
+            };
+            let participant = self.state().participant.take();
+            if let Some(participant) = participant.filter(|_| !has_left) {
+                participant.bury(&self.program);
+            }
+        }
+        reason
+    }
+
+    fn read(&self, from: &mut impl Read) -> String {
+        loop {
+            match receive::<Told>(from) {
+                Ok(Some((told, payload))) => {
+                    self.frames.fetch_add(1, Ordering::AcqRel);
+                    let outcome = self.state().take(told, payload, Instant::now());
+                    match outcome {
+                        Ok(outcome) => self.hand_on(outcome),
+                        Err(reason) => return reason,
+                    }
+                }
+                Ok(None) => return "the program that reads it ended".to_owned(),
+                Err(error) => return error.to_string(),
+            }
+        }
+    }
+
+    fn supervise(&self) {
+        let mut pause = FIRST_PAUSE;
+        while !self.is_stopping() {
+            let begun = Instant::now();
+            let reason = self.run_once();
+            if self.is_stopping() {
+                return;
+            }
+            let first = {
+                let mut state = self.state();
+                let first = !matches!(state.reading, Reading::Down { .. });
+                state.restarts += 1;
+                state.reading = Reading::Down { reason: reason.clone() };
+                first
+            };
+            if first {
+                self.hand_on(Outcome { notices: vec![CaptureNotice::ReadingBroken { reason }], ..Outcome::default() });
+            }
+            pause = if begun.elapsed() >= BEGAN_WELL { FIRST_PAUSE } else { pause };
+            self.wait(pause);
+            pause = (pause * 2).min(LONGEST_PAUSE);
+        }
+    }
+
+    fn watch_over(&self) {
+        let (mut before, mut silent) = (0, 0);
+        while !self.is_stopping() {
+            self.wait(TICK);
+            let now = self.frames.load(Ordering::Acquire);
+            silent = if now == before { silent + 1 } else { 0 };
+            before = now;
+            if silent >= SILENT_TICKS {
+                silent = 0;
+                self.kill();
+            }
+        }
+        // The end of its pipe tells it to leave. One that stays and goes on talking would hold up the caller that stops it.
+        let begun = Instant::now();
+        while begun.elapsed() < child::LEAVING && locked(&self.running).is_some() {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        self.kill();
+    }
+
+    fn kill(&self) {
+        if let Some(child) = locked(&self.running).as_mut() {
+            drop(child.kill());
+        }
+    }
+}
+
+fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, RosError> {
+    let started = std::thread::Builder::new().name(name.to_owned()).spawn(work);
+    started.map_err(|error| RosError::system("start a thread for ROS 2", &error))
+}
+
+/// Runs the program again and again until the capture is stopped.
+///
+/// # Errors
+/// [`RosError::System`] if there is no thread to be had.
+pub fn keep_reading(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
+    let shared = Arc::clone(shared);
+    thread("ros2", move || shared.supervise())
+}
+
+/// Kills a program that no longer reports.
+pub fn keep_watch(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
+    let shared = Arc::clone(shared);
+    thread("ros2 watch", move || shared.watch_over())
+}
+
+/// How long the program may take to join the domain.
+const JOINING: Duration = Duration::from_secs(10);
+/// How long it may take to answer about a topic: it looks around first, and waits for subscribers.
+const ANSWERING: Duration = Duration::from_secs(10);
+/// The most bytes of latched messages kept for a program that has to be started anew.
+const MOST_LATCHED: usize = 128 << 20;
+
+/// What became of the messages handed out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Delivery {
+    /// Messages that a subscriber missed, or did not acknowledge.
+    pub missed: u64,
+    /// Messages that nobody is known to have: some subscribers do not acknowledge, or could not any more.
+    pub unconfirmed: u64,
+}
+
+/// An announced topic.
+struct Announced {
+    topic: Offered,
+    size: u32,
+    /// Its last messages, if it is latched.
+    latched: VecDeque<Arc<[u8]>>,
+}
+
+/// A participant that publishes. It leaves the domain when dropped, without waiting for subscribers.
+pub struct Ros2Publisher {
+    domain: u16,
+    program: PathBuf,
+    run: Run,
+    announced: BTreeMap<u32, Announced>,
+    next: u32,
+    latched_bytes: usize,
+    /// What earlier runs of the program did not deliver.
+    earlier: Delivery,
+}
+
+impl Ros2Publisher {
+    /// Joins `domain`; `program` names the program that does it if it is not beside this one. Blocks for a moment.
+    ///
+    /// # Errors
+    /// [`RosError::NoReader`] if that program is missing, [`RosError::NotPublished`] if it cannot join the domain,
+    /// [`RosError::System`] if it does not start.
+    pub fn start(domain: u16, program: Option<&Path>) -> Result<Self, RosError> {
+        let program = find(program)?;
+        let run = Run::start(&errand(&program, domain, true), domain)?;
+        let (announced, earlier) = (BTreeMap::new(), Delivery::default());
+        let publisher = Self { domain, program, run, announced, next: 1, latched_bytes: 0, earlier };
+        publisher.joined().map(|()| publisher)
+    }
+
+    fn joined(&self) -> Result<(), RosError> {
+        match self.run.wait(JOINING, |state| state.joined.then_some(())) {
+            Ok(Some(())) => Ok(()),
+            Ok(None) => Err(self.failed("the program that publishes does not answer")),
+            Err(reason) => Err(self.failed(&reason)),
+        }
+    }
+
+    fn failed(&self, reason: &str) -> RosError {
+        RosError::NotPublished { domain: self.domain, reason: reason.to_owned() }
+    }
+
+    /// Whether its program can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.run.is_confined()
+    }
+
+    pub fn domain(&self) -> u16 {
+        self.domain
+    }
+
+    /// Announces a topic whose first message has `size` bytes, and waits for the subscribers that are known if `patient`.
+    /// Refused, with the reason, if it is no ROS 2 topic, or somebody else publishes it and it is to be `alone`.
+    pub fn advertise(
+        &mut self,
+        topic: &Offered,
+        size: usize,
+        (alone, patient): (bool, bool),
+    ) -> Result<Result<u32, Declined>, RosError> {
+        let writer = self.next;
+        self.next = self.next.wrapping_add(1);
+        let size = u32::try_from(size).unwrap_or(u32::MAX);
+        self.order(&Order::Advertise { writer, topic: topic.clone(), size, alone, patient }, &[])?;
+        match self.run.wait(ANSWERING, |state| state.answers.remove(&writer)) {
+            Ok(Some(Ok(()))) => {
+                let announced = Announced { topic: topic.clone(), size, latched: VecDeque::new() };
+                self.announced.insert(writer, announced);
+                Ok(Ok(writer))
+            }
+            Ok(Some(Err(declined))) => Ok(Err(declined)),
+            Ok(None) => {
+                self.run.kill();
+                Err(self.failed("the program that publishes does not answer"))
+            }
+            Err(reason) => Err(self.failed(&reason)),
+        }
+    }
+
+    /// Hands out a message, with its encapsulation header; false if the topic is not announced or nobody publishes now.
+    pub fn publish(&mut self, writer: u32, message: &[u8]) -> bool {
+        let Some(announced) = self.announced.get_mut(&writer) else { return false };
+        if message.len() > LONGEST_PAYLOAD as usize {
+            return false;
+        }
+        if announced.topic.offer.latched && message.len() <= MOST_LATCHED {
+            self.latched_bytes += message.len();
+            announced.latched.push_back(message.into());
+            while announced.latched.len() > announced.topic.offer.depth.max(1) as usize
+                || self.latched_bytes > MOST_LATCHED && !announced.latched.is_empty()
+            {
+                self.latched_bytes -= announced.latched.pop_front().map_or(0, |oldest| oldest.len());
+            }
+        }
+        self.run.publish(&Order::<Offered>::Publish { writer }, message)
+    }
+
+    /// Takes a topic back at once; what is queued for its subscribers is no longer sent.
+    pub fn withdraw(&mut self, writer: u32) {
+        if let Some(announced) = self.announced.remove(&writer) {
+            self.latched_bytes -= announced.latched.iter().map(|message| message.len()).sum::<usize>();
+            // A program that cannot be told has ended, or is killed, and nothing of this is announced anew.
+            drop(self.order(&Order::Withdraw { writer }, &[]));
+        }
+    }
+
+    /// Whether more messages should wait for subscribers that are behind, or for the program.
+    pub fn is_crowded(&self) -> bool {
+        self.run.is_crowded()
+    }
+
+    /// Waits no longer for subscribers that are behind now.
+    pub fn outrun(&self) {
+        drop(self.order(&Order::Outrun, &[]));
+    }
+
+    /// Why nothing is published now, if that is so.
+    pub fn broken(&self) -> Option<String> {
+        self.run.broken()
+    }
+
+    /// Starts the program anew if it has ended, with all topics and what was latched.
+    pub fn revive(&mut self) -> Result<(), RosError> {
+        if self.run.broken().is_none() {
+            return Ok(());
+        }
+        let run = Run::start(&errand(&self.program, self.domain, true), self.domain)?;
+        self.earlier = self.delivery();
+        self.run = run;
+        self.joined()?;
+        for (writer, announced) in &self.announced {
+            let (writer, topic, size) = (*writer, announced.topic.clone(), announced.size);
+            // Its former self may still be seen as somebody else.
+            self.order(&Order::Advertise { writer, topic, size, alone: false, patient: false }, &[])?;
+            for message in &announced.latched {
+                self.run.publish(&Order::<Offered>::Publish { writer }, message);
+            }
+        }
+        Ok(())
+    }
+
+    /// No more messages come; queued ones are still sent.
+    pub fn leave(&self) {
+        drop(self.order(&Order::Leave, &[]));
+    }
+
+    /// Whether subscribers have everything, after [`Self::leave`], or nobody sends it any more.
+    pub fn is_sent(&self) -> bool {
+        self.run.has_left() || self.run.broken().is_some()
+    }
+
+    fn delivery(&self) -> Delivery {
+        let Delivery { missed, unconfirmed } = self.earlier;
+        Delivery { missed: missed + self.run.missed(), unconfirmed: unconfirmed + self.run.best_effort() }
+    }
+
+    /// Leaves the domain. What is queued or not acknowledged was missed; if a right to it has ended, nobody knows.
+    pub fn end(self, by_right: bool) -> Delivery {
+        let delivery = self.delivery();
+        if self.run.broken().is_some() {
+            return delivery;
+        }
+        let Delivery { missed, unconfirmed } = delivery;
+        let open = self.run.unacknowledged() + self.run.unconfirmed().0 as u64;
+        if by_right {
+            return Delivery { missed, unconfirmed: unconfirmed + open };
+        }
+        Delivery { missed: missed + open, unconfirmed }
+    }
+
+    fn order(&self, order: &Order, payload: &[u8]) -> Result<(), RosError> {
+        self.run.order(order, payload).map_err(|reason| self.failed(&reason))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nobody_no_topics_and_other_names_are_told_apart() {
+        let text = |participants, writers, foreign| {
+            let counts = Counts { participants, writers, foreign };
+            Standing { domain: 3, reading: Reading::Up, counts, restarts: 0, confined: None }.text()
+        };
+        for hidden in ["LARGE_DATA", "shared memory", "Discovery Server", "SROS2", "ROS_DOMAIN_ID"] {
+            assert!(text(0, 0, 0).contains(hidden), "{hidden}");
+        }
+        assert!(text(0, 0, 0).starts_with("ROS 2 domain 3: nobody there"));
+        assert!(text(2, 0, 0).contains("2 participants, but no topics"));
+        let hidden = text(1, 0, 0);
+        assert!(hidden.contains("1 participant, but no topics") && hidden.contains("LARGE_DATA"), "{hidden}");
+        assert!(text(2, 0, 1).contains("non-ROS names"));
+        assert!(text(2, 5, 1).contains("5 publishers of ROS 2 topics"));
+    }
+}
+
+#[cfg(test)]
+mod publishing_tests;

@@ -8,7 +8,7 @@ use crate::pipe::read::{Liveliness, Quality, Writer};
 use crate::ros::capture::next_number;
 use crate::ros::recording::{TYPE_HASH, tags};
 use crate::ros::ros2::identity::{Held, Pulse};
-use crate::ros::ros2::numbers::Numbers;
+use crate::ros::ros2::state::Numbers;
 use crate::ros::{CaptureNotice, Message, Origin, Rival};
 
 /// MCAP's name for the QoS that a channel's publishers offer.
@@ -16,7 +16,6 @@ pub const QUALITY: &str = "offered_qos_profiles";
 /// The publisher's own id, 16 bytes as hex, among the channel's data.
 pub const WRITER: &str = "writer_id";
 
-/// A publisher.
 pub struct Publisher {
     /// What it announced.
     pub writer: Writer,
@@ -122,7 +121,6 @@ impl Publisher {
         self.origin = Arc::new(Origin { rival: Some(rival), ..Origin::clone(&self.origin) });
     }
 
-    /// A message of it.
     pub fn message(&mut self, (number, sent): (i64, Option<u64>), captured_at: Timestamp, body: Vec<u8>) -> Message {
         self.undefined |= self.definition.is_empty();
         let mut said = self.tags.clone();

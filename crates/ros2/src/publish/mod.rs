@@ -1,35 +1,35 @@
 //! Publishing: orders of the site, in their order, to the writers of the domain. A topic that is taken back is gone at
 //! once, with what was queued for it.
 
-mod ahead;
-mod audience;
-mod node;
 mod queue;
 mod writing;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{BufWriter, Read, Write};
-use std::net::{Ipv4Addr, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
-use rustdds::{
-    DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusListener, Publisher, QosPolicies, RTPSEntity,
-    StatusEvented,
-};
-
-use self::audience::Audience;
-use self::node::Node;
-use self::queue::Queue;
-pub use self::writing::Encoded;
-use self::writing::Writing;
 use crate::farewell::{Departures, Farewell};
-use crate::graph;
+use crate::graph::{self, PROGRAM, Prefix};
 use crate::pipe::write::{MOST_UNCONFIRMED, Order, Report, Topic};
 use crate::pipe::{VERSION, receive, send};
-use crate::{Ros2Error, capture, names, threads};
+use crate::{Ros2Error, capture, threads};
+use queue::Queue;
+use rustdds::bytes::Bytes;
+use rustdds::discovery::{DiscoveredReaderData, DiscoveredWriterData};
+use rustdds::no_key::DataWriter;
+use rustdds::policy::{DataRepresentation, Durability, History};
+use rustdds::qos::policy::XCDR_DATA_REPRESENTATION;
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, DomainParticipantStatusListener, GUID,
+    Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity, StatusEvented, TopicKind,
+};
+use writing::{Addresses, Writing};
+
+pub use writing::Encoded;
 
 /// The longest wait for an order, and the longest while something waits for subscribers.
 const BEAT: Duration = Duration::from_millis(50);
@@ -158,7 +158,7 @@ impl<'a, W: Write> Child<'a, W> {
 
     fn run(&mut self, (domain, confined): (u16, bool), stop: &AtomicBool) -> Result<(), Ros2Error> {
         send(self.out, &Report::Hello { version: VERSION, domain, confined }, &[])?;
-        let participant = names::hex(&graph::prefix(&self.participant.guid().to_bytes()));
+        let participant = graph::hex(&graph::prefix(&self.participant.guid().to_bytes()));
         send(self.out, &Report::Joined { participant }, &[])?;
         let mut alive = None::<Instant>;
         loop {
@@ -365,4 +365,252 @@ fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, Ros
     let started = std::thread::Builder::new().name("orders".into()).spawn(read);
     started.map_err(|error| Ros2Error::system("start a thread", &error))?;
     Ok(receiver)
+}
+
+/// The most subscribers and participants remembered.
+const MOST: usize = 20_000;
+
+/// Who is there.
+pub struct Audience {
+    own: [u8; 12],
+    /// The others, and whether each has told anything that it reads or writes: a node of ROS 2 has something from its start.
+    participants: HashMap<[u8; 12], bool>,
+    /// By our writer: the subscribers that it has met, and whether it serves them.
+    met: HashMap<GUID, HashMap<GUID, bool>>,
+    /// When somebody was found last.
+    found: Instant,
+}
+
+fn prefix(id: GUID) -> [u8; 12] {
+    let mut prefix = [0; 12];
+    prefix.copy_from_slice(&id.to_bytes()[..12]);
+    prefix
+}
+
+impl Audience {
+    /// Nobody is known yet.
+    pub fn new(own: GUID) -> Self {
+        Self { own: prefix(own), participants: HashMap::new(), met: HashMap::new(), found: Instant::now() }
+    }
+
+    /// Takes news of the domain.
+    pub fn hear(&mut self, news: DomainParticipantStatusEvent) {
+        use DomainParticipantStatusEvent as News;
+        match news {
+            News::ParticipantDiscovered { dpd } => self.came(prefix(dpd.guid), false),
+            News::ReaderDetected { reader: endpoint } | News::WriterDetected { writer: endpoint } => {
+                self.came(prefix(endpoint.guid), true);
+            }
+            News::ParticipantLost { id, .. } => {
+                let gone: &[u8] = id.as_ref();
+                self.participants.retain(|known, _| known[..] != *gone);
+            }
+            News::RemoteReaderMatched { local_writer, remote_reader } => self.meet((local_writer, remote_reader), true),
+            News::RemoteReaderQosIncompatible { local_writer, remote_reader, .. } => {
+                self.meet((local_writer, remote_reader), false);
+            }
+            _ => {}
+        }
+    }
+
+    fn came(&mut self, participant: Prefix, has_told: bool) {
+        self.found = Instant::now();
+        if participant.get(..PROGRAM) != self.own.get(..PROGRAM) && self.participants.len() < MOST {
+            *self.participants.entry(participant).or_default() |= has_told;
+        }
+    }
+
+    fn meet(&mut self, (writer, reader): (GUID, GUID), is_served: bool) {
+        if self.met.len() < MOST {
+            let met = self.met.entry(writer).or_default();
+            if met.len() < MOST {
+                met.insert(reader, is_served);
+            }
+        }
+    }
+
+    /// The other participants.
+    pub fn present(&self) -> impl Iterator<Item = Prefix> {
+        self.participants.keys().copied()
+    }
+
+    /// The number of other participants.
+    pub fn participants(&self) -> u32 {
+        u32::try_from(self.participants.len()).unwrap_or(u32::MAX)
+    }
+
+    /// Whether everybody who is there has told something, and nobody was found for a while.
+    pub fn is_settled(&self, after: Duration) -> bool {
+        self.participants.values().all(|has_told| *has_told) && self.found.elapsed() >= after
+    }
+
+    fn of<'a>(
+        &self,
+        readers: &'a [DiscoveredReaderData],
+        writing: &Writing,
+    ) -> impl Iterator<Item = &'a DiscoveredReaderData> {
+        let (topic, kind, own) = (writing.dds_topic.clone(), writing.dds_type.clone(), self.own);
+        readers.iter().filter(move |reader| {
+            let data = &reader.subscription_topic_data;
+            *data.topic_name() == topic && *data.type_name() == kind && prefix(data.key()) != own
+        })
+    }
+
+    /// The number of a topic's known subscribers, if all of them have been met.
+    pub fn has_found(&self, readers: &[DiscoveredReaderData], writing: &Writing) -> Option<usize> {
+        let met = self.met.get(&writing.id());
+        let mut known = 0;
+        for reader in self.of(readers, writing) {
+            known += 1;
+            if !met.is_some_and(|met| met.contains_key(&reader.subscription_topic_data.key())) {
+                return None;
+            }
+        }
+        Some(known)
+    }
+
+    /// Tells a writer where the subscribers are that it serves, and whether some of them do not acknowledge.
+    pub fn show(&self, readers: &[DiscoveredReaderData], writing: &mut Writing) {
+        let met = self.met.get(&writing.id());
+        (writing.addresses, writing.has_best_effort) = (Addresses::default(), false);
+        let served: Vec<&DiscoveredReaderData> = self
+            .of(readers, writing)
+            .filter(|reader| met.and_then(|met| met.get(&reader.subscription_topic_data.key())) == Some(&true))
+            .collect();
+        for reader in served {
+            writing.addresses.add(reader.reader_proxy.unicast_locator_list.iter().map(|at| SocketAddr::from(*at)));
+            writing.has_best_effort |= !writing.reliable || !reader.subscription_topic_data.qos().is_reliable();
+        }
+    }
+
+    /// Somebody else who publishes a topic, as a description.
+    pub fn rival(&self, participant: &DomainParticipant, topic: &str) -> Option<String> {
+        let dds_topic = graph::dds_topic(topic);
+        let writers = participant.discovered_writers();
+        let id = writers.iter().find_map(|writer| {
+            let data = &writer.publication_topic_data;
+            (data.topic_name == dds_topic && prefix(data.key) != self.own).then(|| data.key.to_bytes())
+        })?;
+        Some(format!("a {} publisher", graph::vendor(id)))
+    }
+}
+
+/// The node's name, in the root namespace.
+const NAME: &str = "authros_bridge";
+const TYPE: &str = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
+
+/// What the graph was told of this node.
+#[derive(Default)]
+pub struct Node {
+    writer: Option<DataWriter<Bytes, Encoded<1>>>,
+    told: Vec<GUID>,
+}
+
+impl Node {
+    /// Tells the graph of these writers, if that is news and harms nobody among the writers of the domain.
+    pub fn tell(
+        &mut self,
+        (participant, publisher): (&DomainParticipant, &Publisher),
+        there: &[DiscoveredWriterData],
+        writers: Vec<GUID>,
+    ) {
+        if !is_welcome(there.iter().filter(|writer| of_others(writer, participant)).map(|writer| &*writer.user_data)) {
+            // What was published is no longer kept for late subscribers.
+            *self = Self::default();
+            return;
+        }
+        if writers == self.told {
+            return;
+        }
+        if self.writer.is_none() {
+            self.writer = begin(participant, publisher);
+        }
+        let message = Bytes::from(message(participant.guid(), &writers));
+        if self.writer.as_ref().is_some_and(|writer| writer.write(message, None).is_ok()) {
+            self.told = writers;
+        }
+    }
+}
+
+fn of_others(writer: &DiscoveredWriterData, participant: &DomainParticipant) -> bool {
+    let data = &writer.publication_topic_data;
+    data.topic_name == graph::NODES && data.key.to_bytes()[..12] != participant.guid().to_bytes()[..12]
+}
+
+/// Whether what others say beside their lists of nodes shows that they use this form, all of them.
+fn is_welcome<'a>(mut told: impl Iterator<Item = &'a [u8]>) -> bool {
+    let is_new = |told: &[u8]| graph::type_hash(told).is_some();
+    told.next().is_some_and(is_new) && told.all(is_new)
+}
+
+fn begin(participant: &DomainParticipant, publisher: &Publisher) -> Option<DataWriter<Bytes, Encoded<1>>> {
+    let policies = QosPolicyBuilder::new()
+        .durability(Durability::TransientLocal)
+        .history(History::KeepLast { depth: 1 })
+        .reliable(rustdds::Duration::from_millis(100))
+        .build()
+        .with_data_representation(DataRepresentation { value: vec![XCDR_DATA_REPRESENTATION] });
+    let topic = participant.create_topic(graph::NODES.into(), TYPE.into(), &policies, TopicKind::NoKey).ok()?;
+    publisher.create_datawriter_no_key(&topic, Some(policies)).ok()
+}
+
+/// `rmw_dds_common`'s `ParticipantEntitiesInfo` with one node, without the four bytes of header.
+fn message(participant: GUID, writers: &[GUID]) -> Vec<u8> {
+    let mut body = participant.to_bytes().to_vec();
+    let put_count = |body: &mut Vec<u8>, count: usize| {
+        body.resize(body.len().next_multiple_of(4), 0);
+        body.extend(u32::try_from(count).unwrap_or(u32::MAX).to_le_bytes());
+    };
+    put_count(&mut body, 1);
+    for text in ["/", NAME] {
+        put_count(&mut body, text.len() + 1);
+        body.extend(text.bytes().chain([0]));
+    }
+    put_count(&mut body, 0);
+    put_count(&mut body, writers.len());
+    body.extend(writers.iter().flat_map(|writer| writer.to_bytes()));
+    body
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_participant_that_has_told_nothing_yet_is_waited_for() {
+        let mut audience = Audience::new(GUID::from_bytes([1; 16]));
+        assert!(audience.is_settled(Duration::ZERO), "nobody is there");
+        audience.came([7; 12], false);
+        assert!(!audience.is_settled(Duration::ZERO));
+        audience.came([7; 12], true);
+        assert!(audience.is_settled(Duration::ZERO) && !audience.is_settled(Duration::from_secs(60)));
+        audience.came([7; 12], false);
+        assert!(audience.is_settled(Duration::ZERO), "it is announced again and again");
+        audience.came([1; 12], false);
+        assert_eq!((audience.is_settled(Duration::ZERO), audience.participants()), (true, 1), "our own");
+    }
+}
+
+#[cfg(test)]
+mod node_tests {
+    use super::*;
+    use crate::graph::Nodes;
+
+    #[test]
+    fn the_message_names_the_node_of_each_writer() {
+        let participant = GUID::GUID_UNKNOWN;
+        let writers = [GUID::GUID_UNKNOWN, GUID::GUID_UNKNOWN];
+        let mut nodes = Nodes::default();
+        nodes.take(&participant.to_bytes(), &[vec![0, 1, 0, 0], message(participant, &writers)].concat());
+        assert_eq!(nodes.of(&writers[0].to_bytes()), Some("/authros_bridge"));
+    }
+
+    #[test]
+    fn nodes_of_humble_are_spared() {
+        let new: &[u8] = b"typehash=RIHS01_0000000000000000000000000000000000000000000000000000000000000000;";
+        assert!(is_welcome([new, new].into_iter()));
+        for told in [vec![], vec![b"".as_slice()], vec![new, b""], vec![b"", new]] {
+            assert!(!is_welcome(told.into_iter()));
+        }
+    }
 }

@@ -45,7 +45,6 @@ impl Outlet for Writing {
 /// What has left the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Taken {
-    /// Messages.
     pub messages: u32,
     /// Of these the ones that were not written for a subscriber that is behind.
     pub dropped: u32,
@@ -53,7 +52,6 @@ pub struct Taken {
     pub unconfirmed: u32,
 }
 
-/// The queue.
 #[derive(Default)]
 pub struct Queue {
     waiting: VecDeque<(u32, Bytes)>,

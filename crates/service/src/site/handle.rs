@@ -282,11 +282,19 @@ impl Site {
         }
     }
 
-    /// What is here of the records shared with a profile. A first list of a large gateway takes long; what came so far is
-    /// shown, and that more is arriving is said.
+    /// What is here of the records shared with a profile. A first list of a large gateway takes long, and a gateway may be
+    /// out of reach; what came so far is shown, with why it may not be all.
     async fn list_shared(self: &Arc<Self>, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
-        let Some(arriving) = self.joined.arriving(&owner.profile, LISTING).await? else {
-            return self.reading.list_shared(owner, query).await;
+        let arriving = match self.joined.arriving(&owner.profile, LISTING).await {
+            Ok(None) => return self.reading.list_shared(owner, query).await,
+            Ok(Some(arriving)) => arriving,
+            Err(failure) if failure.kind == ErrorKind::Unreachable => {
+                let page = self.reading.list_shared(owner, query).await?;
+                let arriving = self.joined.still_arriving().filter(|_| !page.records.is_empty());
+                let arriving = arriving.ok_or_else(|| failure.clone())?;
+                return Ok(RecordPage { arriving: Some(format!("{arriving}: {}", failure.message)), ..page });
+            }
+            Err(failure) => return Err(failure),
         };
         let page = self.reading.list_shared(owner, query.clone()).await?;
         if !page.records.is_empty() || self.joined.arriving(&owner.profile, FIRST_ROUND).await?.is_some() {

@@ -57,6 +57,7 @@ pub use evidence::definition_of;
 pub(crate) use identity::keyring_faults;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
+pub(crate) use storage::{STORE_LOST, misses_store, store_loss};
 
 use alerts::Alerts;
 use audit::Audit;

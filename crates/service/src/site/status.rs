@@ -56,9 +56,9 @@ impl Site {
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         if let Some(original) = self.home().original() {
             let text = format!("{} cannot be written: this is what is in it, and nothing goes on", original.display());
-            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.store_health()]);
+            return Ok(vec![part("home", HealthLevel::Absent, &text), self.chain_health(), self.store_health()?]);
         }
-        let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()];
+        let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()?];
         health.extend(self.cache_health());
         health.push(self.gateway_health());
         health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
@@ -121,11 +121,11 @@ impl Site {
         part("chain", level, &text)
     }
 
-    fn store_health(&self) -> PartHealth {
-        match self.storage.room_health() {
-            Some((level, text)) => part("store", level, &text),
+    fn store_health(&self) -> Result<PartHealth, Failure> {
+        Ok(match self.storage.fault()? {
+            Some(text) => part("store", HealthLevel::Failed, &text),
             None => part("store", HealthLevel::Ok, "rows and ciphertext in one file"),
-        }
+        })
     }
 
     /// The cache, if there is one. One that is away costs time alone.
@@ -199,7 +199,7 @@ impl Site {
             tampered,
             lost_in_transport: counts.lost_in_transport,
             waiting: waiting as u64,
-            deleted: self.plant.ledger.given_up(owner)?,
+            deleted: self.plant.ledger.retention.given_up(owner)?,
             conserved: counts.is_conserved(),
         })
     }

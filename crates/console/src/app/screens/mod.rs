@@ -1,7 +1,713 @@
 //! The state of the screens that have one: rows, cursor, filter and order.
 
-pub mod gateway;
-pub mod grants;
-pub mod log;
-pub mod records;
 pub mod topics;
+
+use std::collections::VecDeque;
+
+use super::table::Table;
+use super::{palette, policies};
+use crate::model::{Address, RecordState, Timestamp, TopicName, clean};
+use crate::service::command::Term;
+use crate::service::reply::{
+    AuditView, Direction, GatewayStatusView, GrantRow, GrantState, HeldUp, RecordPage, RecordView, RobotRow,
+    SenderView, TopicRow,
+};
+use crate::service::{NoticeLevel, UploadQuery};
+
+/// The sort columns, in the order of `s`.
+pub const GATEWAY_SORTS: [&str; 4] = ["connected", "name", "frames", "policy"];
+
+/// Characters of a robot's device id that tell it apart from another one of its name.
+const DEVICE: usize = 8;
+
+/// The gateway of this site, and the robots of the profile.
+#[derive(Debug, Default)]
+pub struct Gateway {
+    /// The site's report.
+    pub view: Option<GatewayStatusView>,
+    /// The enrolled robots of the profile; none while the keyring is locked.
+    pub robots: Vec<RobotRow>,
+    /// When they were reported.
+    pub robots_at: Timestamp,
+    /// Whether records came since then: what a robot says of its policy is one.
+    pub robots_told: bool,
+    /// The account of the profile, whose robots these are.
+    owner: Option<Address>,
+    /// Cursor, filter, order.
+    pub table: Table,
+}
+
+/// A name with a transport key, an enrolled robot of the profile, or both.
+#[derive(Debug, Clone, Copy)]
+pub struct Member<'a> {
+    /// What the gateway knows of it.
+    pub sender: Option<&'a SenderView>,
+    /// What its owner's site knows of it.
+    pub robot: Option<&'a RobotRow>,
+}
+
+impl Member<'_> {
+    pub fn name(&self) -> String {
+        let sender = self.sender.map(|sender| &sender.name);
+        sender.or(self.robot.map(|robot| &robot.name)).map(ToString::to_string).unwrap_or_default()
+    }
+
+    /// Whether it has a session at the gateway now.
+    pub fn is_connected(&self) -> bool {
+        self.sender.is_some_and(|sender| sender.sessions > 0)
+    }
+
+    /// When it was last heard of: its last frame, or else its newest record.
+    pub fn last(&self) -> Option<Timestamp> {
+        self.sender.and_then(|sender| sender.last).or(self.robot.and_then(|robot| robot.last_seen))
+    }
+
+    /// What its row is known by.
+    pub fn key(&self) -> String {
+        match (self.sender, self.robot) {
+            (None, Some(robot)) => format!("{} {}", robot.name, beginning(&robot.device.to_hex(), DEVICE)),
+            _ => self.name(),
+        }
+    }
+
+    /// What the filter looks at.
+    fn text(&self) -> String {
+        let state = if self.is_connected() { "connected" } else { "away" };
+        let account = self.sender.map(|sender| sender.account.to_string()).unwrap_or_default();
+        let peer = self.sender.and_then(|sender| sender.peer.clone()).unwrap_or_default();
+        let policy = self.robot.map(policies::searched).unwrap_or_default();
+        format!("{} {account} {peer} {state} {policy}", self.name())
+    }
+
+    fn frames(&self) -> u64 {
+        self.sender.map_or(0, |sender| sender.frames)
+    }
+}
+
+/// The first characters of an id.
+pub fn beginning(hex: &str, characters: usize) -> String {
+    hex.trim_start_matches("0x").chars().take(characters).collect()
+}
+
+impl Gateway {
+    /// Takes over the site's report.
+    pub fn set(&mut self, view: GatewayStatusView) {
+        self.view = Some(view);
+        self.settle();
+    }
+
+    /// Takes over the robots of an owner.
+    pub fn set_robots(&mut self, rows: Vec<RobotRow>, owner: Option<Address>, now: Timestamp) {
+        (self.robots, self.owner, self.robots_at, self.robots_told) = (rows, owner, now, false);
+        self.settle();
+    }
+
+    /// Binds the cursor to its row, once there is one.
+    fn settle(&mut self) {
+        let keys = self.keys();
+        self.table.settle(&keys);
+    }
+
+    /// All names and robots.
+    pub fn all_members(&self) -> Vec<Member<'_>> {
+        let mut alone: Vec<&RobotRow> = self.robots.iter().collect();
+        let mut members = Vec::new();
+        for sender in self.view.iter().flat_map(|view| &view.senders) {
+            let own = Some(sender.account) == self.owner;
+            let place = alone.iter().position(|robot| own && robot.name == sender.name);
+            members.push(Member { sender: Some(sender), robot: place.map(|place| alone.remove(place)) });
+        }
+        members.extend(alone.into_iter().map(|robot| Member { sender: None, robot: Some(robot) }));
+        members
+    }
+
+    /// The names and robots to show, filtered and in order.
+    pub fn shown(&self) -> Vec<Member<'_>> {
+        let mut members = palette::narrow(self.table.filter.text(), self.all_members(), Member::text);
+        match self.table.sort {
+            1 => members.sort_by_key(Member::name),
+            2 => members.sort_by_key(|row| std::cmp::Reverse(row.frames())),
+            3 => members.sort_by_key(|row| row.robot.map_or((u8::MAX, 0), policies::urgency)),
+            _ => members.sort_by_key(|row| !row.is_connected()),
+        }
+        if self.table.reversed {
+            members.reverse();
+        }
+        members
+    }
+
+    /// The keys of all rows shown.
+    pub fn keys(&self) -> Vec<String> {
+        self.shown().iter().map(Member::key).collect()
+    }
+
+    /// The row under the cursor.
+    pub fn selected(&self) -> Option<Member<'_>> {
+        let members = self.shown();
+        let keys: Vec<String> = members.iter().map(Member::key).collect();
+        members.get(self.table.position(&keys)).copied()
+    }
+}
+
+/// The robot of a topic: `/robot1` of `/robot1/odom`; none of `/tf`.
+pub fn robot_of(topic: &str) -> Option<&str> {
+    let end = topic.get(1..)?.find('/')? + 1;
+    topic.get(..end)
+}
+
+/// The name of a folded robot's row. No topic name ends like this.
+pub fn name_of(robot: &str) -> String {
+    format!("{robot}/")
+}
+
+/// The robot of a folded robot's row.
+pub fn folded(name: &str) -> Option<&str> {
+    name.strip_suffix('/')
+}
+
+/// A robot's topics in one row: the sum of rates and counts, and the worst state of any.
+pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
+    let sum = |of: fn(&TopicRow) -> u64| rows.iter().map(|row| of(row)).sum();
+    let rate = |of: fn(&TopicRow) -> Option<f64>| {
+        let known = rows.iter().filter_map(|row| of(row));
+        rows.iter().any(|row| of(row).is_some()).then(|| known.sum())
+    };
+    let held_up = |wanted| rows.iter().any(|row| row.watched && row.held_up == Some(wanted)).then_some(wanted);
+    let mut publishers: Vec<String> = rows.iter().flat_map(|row| row.publishers.clone()).collect();
+    publishers.sort();
+    publishers.dedup();
+    TopicRow {
+        topic: name_of(robot),
+        ros: rows.iter().map(|row| row.ros).min().unwrap_or(1),
+        type_hash: None,
+        qos: None,
+        type_name: Some(format!("{} topics", rows.len())),
+        publishers,
+        unreached: rows.iter().flat_map(|row| row.unreached.clone()).collect(),
+        watched: rows.iter().any(|row| row.watched),
+        held_up: held_up(HeldUp::WaitsForKey).or(held_up(HeldUp::Paused)),
+        simulated: rows.iter().all(|row| row.simulated),
+        hz: rate(|row| row.hz),
+        bytes_per_second: rate(|row| row.bytes_per_second),
+        messages: sum(|row| row.messages),
+        lost_in_transport: sum(|row| row.lost_in_transport),
+        lost_in_recorder: sum(|row| row.lost_in_recorder),
+        left_out: sum(|row| row.left_out),
+        last_message: rows.iter().filter_map(|row| row.last_message).max(),
+        pins: sum(|row| row.pins),
+        unpinned: rows.iter().flat_map(|row| row.unpinned.clone()).collect(),
+        quarantined: sum(|row| row.quarantined),
+        alarm: rows.iter().any(|row| row.alarm),
+    }
+}
+
+/// The sort columns, in the order of `s`.
+pub const GRANT_SORTS: [&str; 3] = ["newest", "account", "state"];
+/// The most grants kept.
+const MOST_GRANTS: usize = 2_000;
+
+/// Grants given and received.
+#[derive(Debug, Default)]
+pub struct Grants {
+    /// All rows, as they came.
+    pub rows: Vec<GrantRow>,
+    /// Cursor, filter, order.
+    pub table: Table,
+}
+
+/// Whether a grant was given by this profile.
+pub fn is_given(row: &GrantRow) -> bool {
+    row.direction == Direction::Given
+}
+
+/// Whether a grant opens new records.
+pub fn is_active(row: &GrantRow) -> bool {
+    row.state == GrantState::Active
+}
+
+pub fn other_side(row: &GrantRow) -> Address {
+    if is_given(row) { row.grantee } else { row.owner }
+}
+
+pub fn key(row: &GrantRow) -> String {
+    format!("{}{}{}{}", row.transaction, row.direction.word(), row.grantee, row.epoch)
+}
+
+impl Grants {
+    /// Takes over new rows.
+    pub fn set(&mut self, mut rows: Vec<GrantRow>) {
+        rows.truncate(MOST_GRANTS);
+        self.rows = rows;
+        let keys = self.keys();
+        self.table.settle(&keys);
+    }
+
+    /// The rows to show, filtered and in order.
+    pub fn visible(&self) -> Vec<&GrantRow> {
+        let text = |row: &&GrantRow| {
+            let (direction, state) = (row.direction.word(), row.state.word());
+            format!("{direction} {state} {} {}", other_side(row), row.topics.join(" "))
+        };
+        let mut rows = palette::narrow(self.table.filter.text(), self.rows.iter().collect(), text);
+        match self.table.sort {
+            1 => rows.sort_by_key(|row| (other_side(row), std::cmp::Reverse(row.block))),
+            2 => rows.sort_by_key(|row| (row.state.word(), std::cmp::Reverse(row.block))),
+            _ => rows.sort_by_key(|row| std::cmp::Reverse(row.block)),
+        }
+        if self.table.reversed {
+            rows.reverse();
+        }
+        rows
+    }
+
+    /// The keys of the rows shown.
+    pub fn keys(&self) -> Vec<String> {
+        self.visible().into_iter().map(key).collect()
+    }
+
+    /// The row of the cursor.
+    pub fn selected(&self) -> Option<&GrantRow> {
+        let rows = self.visible();
+        let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
+        rows.get(self.table.position(&keys)).copied()
+    }
+
+    /// When the displayed time left of a grant that ends soon changes without news; `None` = never.
+    pub fn nearer_at(&self, now: Timestamp) -> Option<Timestamp> {
+        let ends = self.rows.iter().filter(|row| is_active(row)).filter_map(|row| row.expires);
+        let next = |end: Timestamp| {
+            let left = end.0.checked_sub(now.0).filter(|left| (1..SOON).contains(left))?;
+            let unit = if left < 2 * HOUR { MINUTE } else { HOUR };
+            Some(Timestamp(end.0 - left / unit * unit + 1))
+        };
+        ends.filter_map(next).min()
+    }
+
+    /// Whether anything was ever given.
+    pub fn any_given(&self) -> bool {
+        self.rows.iter().any(is_given)
+    }
+
+    /// Who can read now, one line each; `but` is left out.
+    pub fn readers(&self, but: Option<Address>) -> Vec<String> {
+        let active = self.rows.iter().filter(|row| is_given(row) && is_active(row) && Some(row.grantee) != but);
+        let line =
+            |row: &GrantRow| format!("{}  {}  {}{}", row.grantee, scope(&row.topics), end(row.expires), earlier(row));
+        active.map(line).collect()
+    }
+}
+
+/// What a grant covers, in words.
+pub fn scope(topics: &[String]) -> String {
+    match topics {
+        [] => "all topics".to_owned(),
+        [one] => clean(one, 60),
+        many => format!("{} topics", many.len()),
+    }
+}
+
+/// Whether older records are shared too, in words to follow others; empty = no, or not known.
+pub fn earlier(row: &GrantRow) -> &'static str {
+    if row.earlier == Some(true) { ", earlier records too" } else { "" }
+}
+
+/// When a grant ends, in words.
+pub fn end(expires: Option<Timestamp>) -> String {
+    expires.map_or_else(|| "no end".to_owned(), |moment| format!("until {}", day(moment)))
+}
+
+/// Grants that end within this time are shown with the time left, nanoseconds.
+const SOON: u64 = 48 * HOUR;
+const HOUR: u64 = 3_600_000_000_000;
+const MINUTE: u64 = 60_000_000_000;
+
+/// The time left of what ends soon, in words; `None` = it does not, or has ended.
+pub fn soon(expires: Option<Timestamp>, now: Timestamp) -> Option<String> {
+    let left = expires?.0.checked_sub(now.0).filter(|left| *left < SOON)?;
+    Some(match left / MINUTE {
+        0 => "in under 1 min".to_owned(),
+        minutes @ 1..120 => format!("in {minutes} min"),
+        minutes => format!("in {} h", minutes / 60),
+    })
+}
+
+/// `2026-12-31 23:59` UTC.
+pub fn day(moment: Timestamp) -> String {
+    let text = moment.to_string();
+    text.get(..16).map_or_else(|| text.clone(), |text| text.replace('T', " "))
+}
+
+/// The most notices kept.
+const MOST_NOTICES: usize = 500;
+/// The most audit lines requested.
+pub const MOST_AUDIT: usize = 300;
+/// Columns kept of a text.
+const WIDEST: usize = 400;
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogLine {
+    /// When.
+    pub at: Timestamp,
+    /// How urgent.
+    pub level: NoticeLevel,
+    pub key: String,
+    pub source: Source,
+    pub text: String,
+    /// Its subject, if a later notice about the same replaces it.
+    pub about: Option<String>,
+    /// Whether the operator has seen it.
+    pub seen: bool,
+}
+
+impl LogLine {
+    /// All of it in one line.
+    pub fn whole(&self) -> String {
+        format!("{} {} {}: {}", self.at, level_word(self.level), self.key, self.text)
+    }
+}
+
+/// The source of a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// This console: the operator's commands and how they ended.
+    Console,
+    /// The site, unasked.
+    Site,
+    /// The audit log.
+    Audit,
+}
+
+impl Source {
+    /// All, in the filter's order.
+    pub const ALL: [Self; 3] = [Self::Console, Self::Site, Self::Audit];
+
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Console => "console",
+            Self::Site => "site",
+            Self::Audit => "audit",
+        }
+    }
+}
+
+/// Notices and audit lines.
+#[derive(Debug)]
+pub struct Log {
+    notices: VecDeque<LogLine>,
+    audit: Vec<LogLine>,
+    /// Cursor and filter.
+    pub table: Table,
+    /// The least urgent level shown.
+    pub least: NoticeLevel,
+    /// Lines from this source only; `None` = from all.
+    pub source: Option<Source>,
+    told: u64,
+}
+
+impl Default for Log {
+    fn default() -> Self {
+        let table = Table::following();
+        Self { notices: VecDeque::new(), audit: Vec::new(), table, least: NoticeLevel::Info, source: None, told: 0 }
+    }
+}
+
+impl Log {
+    /// Records what this console did or refused.
+    pub fn notice(&mut self, at: Timestamp, level: NoticeLevel, text: &str) {
+        self.keep(at, level, text, Source::Console, None);
+    }
+
+    /// Records what the site reports, and its subject if it lasts.
+    pub fn notice_about(&mut self, at: Timestamp, level: NoticeLevel, text: &str, about: Option<String>) {
+        self.keep(at, level, text, Source::Site, about);
+    }
+
+    fn keep(&mut self, at: Timestamp, level: NoticeLevel, text: &str, source: Source, about: Option<String>) {
+        self.told += 1;
+        let (key, text) = (format!("notice {}", self.told), clean(text, WIDEST));
+        self.notices.push_front(LogLine { at, level, key, source, text, about, seen: false });
+        self.notices.truncate(MOST_NOTICES);
+    }
+
+    /// The operator has seen this message.
+    pub fn saw(&mut self, text: &str) {
+        let text = clean(text, WIDEST);
+        self.notices.iter_mut().filter(|line| line.text == text).for_each(|line| line.seen = true);
+    }
+
+    /// Takes over audit lines.
+    pub fn set_audit(&mut self, lines: Vec<AuditView>) {
+        self.audit = lines.into_iter().take(MOST_AUDIT).map(audit_line).collect();
+    }
+
+    /// The lines to show, newest first.
+    pub fn visible(&self) -> Vec<&LogLine> {
+        let wanted = |line: &&LogLine| line.level >= self.least && self.source.is_none_or(|from| line.source == from);
+        let wanted = self.notices.iter().chain(&self.audit).filter(wanted).collect();
+        let mut lines = palette::narrow(self.table.filter.text(), wanted, |line: &&LogLine| line.text.clone());
+        lines.sort_by_key(|line| std::cmp::Reverse(line.at));
+        lines
+    }
+
+    /// How many lines there are.
+    pub fn count(&self) -> usize {
+        self.notices.len() + self.audit.len()
+    }
+
+    /// The keys of the lines shown.
+    pub fn keys(&self) -> Vec<String> {
+        self.visible().into_iter().map(|line| line.key.clone()).collect()
+    }
+
+    /// The line under the cursor.
+    pub fn selected(&self) -> Option<&LogLine> {
+        let lines = self.visible();
+        let keys: Vec<&str> = lines.iter().map(|line| line.key.as_str()).collect();
+        lines.get(self.table.position(&keys)).copied()
+    }
+
+    /// The newest warnings and errors that the site reported unasked and nobody has seen.
+    pub fn urgent(&self, limit: usize) -> Vec<&LogLine> {
+        // What lasts is shown by the present health of its part; an operator's own mistake is not an alert.
+        let is_news = |line: &LogLine| line.source == Source::Site && line.about.is_none() && !line.seen;
+        let is_alert = |line: &&LogLine| line.level > NoticeLevel::Info && is_news(line);
+        self.notices.iter().filter(is_alert).take(limit).collect()
+    }
+
+    /// Shows lines of only one source, then of the next, then all again.
+    pub fn next_source(&mut self) {
+        let place = self.source.map_or(0, |source| source as usize + 1);
+        self.source = Source::ALL.get(place).copied();
+    }
+
+    /// Shows only more urgent lines, then all again.
+    pub fn next_level(&mut self) {
+        self.least = match self.least {
+            NoticeLevel::Info => NoticeLevel::Warning,
+            NoticeLevel::Warning => NoticeLevel::Error,
+            NoticeLevel::Error => NoticeLevel::Info,
+        };
+    }
+}
+
+pub fn level_word(level: NoticeLevel) -> &'static str {
+    match level {
+        NoticeLevel::Info => "info",
+        NoticeLevel::Warning => "warning",
+        NoticeLevel::Error => "error",
+    }
+}
+
+fn audit_line(view: AuditView) -> LogLine {
+    let good = ["ok", "done", "begun"].contains(&view.outcome.as_str());
+    let level = if good { NoticeLevel::Info } else { NoticeLevel::Warning };
+    let text = format!("{} {} {}: {}", view.by(), view.action, view.subject, view.outcome);
+    let (key, text) = (format!("audit {}", view.line), clean(&text, WIDEST));
+    LogLine { at: view.at, level, key, source: Source::Audit, text, about: None, seen: true }
+}
+
+/// The page in view.
+#[derive(Debug)]
+pub struct Records {
+    /// The rows of the page.
+    pub rows: Vec<RecordView>,
+    /// Cursor of the page after this one.
+    pub next: Option<String>,
+    /// Cursors that led here; empty = first page.
+    pub path: Vec<String>,
+    /// Cursor in the table, filter; sort 0 = newest first, 1 = oldest first.
+    pub table: Table,
+    /// Nothing captured after it is shown, so that the row of the cursor stays in place; `None` = the newest.
+    pub anchor: Option<Timestamp>,
+    /// The filter, and the moment when it was typed: `since:1m` is a minute before it, to the nanosecond, for as long as
+    /// the filter stays, so that it stays the same request too.
+    typed: (String, Timestamp),
+    /// Whether more records are on their way from the gateway.
+    pub arriving: bool,
+}
+
+impl Default for Records {
+    fn default() -> Self {
+        Self {
+            rows: Vec::new(),
+            next: None,
+            path: Vec::new(),
+            table: Table::following(),
+            anchor: None,
+            typed: (String::new(), Timestamp(0)),
+            arriving: false,
+        }
+    }
+}
+
+/// The part of a filter that the site answers, and the part applied to the page.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// The query; its page is not set here.
+    pub asked: UploadQuery,
+    /// Parts of ids, which only narrow the page on screen.
+    pub rest: String,
+}
+
+impl Wanted {
+    /// Parses a filter: state words, complete or unambiguous topic names, addresses, and the terms of the command line
+    /// with their values: `owner:bob`, `tag:name=value`, `since:1h`, `until:2026-12-31`. Spans count back from `now`.
+    pub fn read(filter: &str, topics: &[TopicRow], now: Timestamp) -> Self {
+        let mut wanted = Self::default();
+        for word in filter.split_whitespace() {
+            if word.split_once(':').is_some_and(|(name, value)| wanted.takes(name, value, now)) {
+                continue;
+            }
+            if wanted.asked.take(Term::State, word, now).is_ok() {
+                continue;
+            }
+            if let Ok(owner) = word.parse::<Address>() {
+                wanted.asked.owner = Some(owner.into());
+            } else if let Some(topic) = topic_named(word, topics) {
+                wanted.asked.topic = Some(topic);
+            } else if !is_of_an_id(word) {
+                wanted.asked.words.push(word.to_owned());
+            } else {
+                wanted.rest.push_str(if wanted.rest.is_empty() { "" } else { " " });
+                wanted.rest.push_str(word);
+            }
+        }
+        wanted
+    }
+
+    /// Adds `name:value`; false if the site cannot be asked for it.
+    fn takes(&mut self, name: &str, value: &str, now: Timestamp) -> bool {
+        // A prefix of the state's word.
+        if name == "waits" {
+            self.asked.state = Some(RecordState::RightEnded);
+            return true;
+        }
+        Term::named(name).is_some_and(|term| self.asked.take(term, value, now).is_ok())
+    }
+}
+
+/// Whether it can only be a part of an id.
+fn is_of_an_id(word: &str) -> bool {
+    let hex = word.len() >= 6 && word.bytes().all(|byte| byte.is_ascii_hexdigit());
+    hex && word.bytes().any(|byte| byte.is_ascii_digit())
+}
+
+fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
+    if let Some(whole) = topics.iter().find(|row| row.topic == word) {
+        return whole.topic.parse().ok();
+    }
+    let mut within = topics.iter().filter(|row| row.topic.contains(word));
+    let only = within.next().filter(|_| within.next().is_none())?;
+    only.topic.parse().ok()
+}
+
+impl Records {
+    /// Notes when the filter was typed, if it is another one than before.
+    pub fn note_filter(&mut self, now: Timestamp) {
+        let text = self.table.filter.text();
+        if text != self.typed.0 {
+            self.typed = (text.to_owned(), now);
+        }
+    }
+
+    /// What the filter asks for.
+    pub fn wanted(&self, topics: &[TopicRow]) -> Wanted {
+        Wanted::read(self.table.filter.text(), topics, self.typed.1)
+    }
+
+    /// The request for the visible page, as of the moment of the freeze, if there is one.
+    pub fn query(&self, topics: &[TopicRow], limit: usize, frozen: Option<Timestamp>) -> UploadQuery {
+        let asked = self.wanted(topics).asked;
+        // The query's end is exclusive; the record of that very moment is still shown.
+        let stands = [self.anchor, frozen].into_iter().flatten().map(|at| Timestamp(at.0.saturating_add(1)));
+        UploadQuery {
+            until: asked.until.into_iter().chain(stands).min(),
+            after: self.path.last().cloned(),
+            limit: limit.clamp(1, 1_000),
+            newest_first: self.table.sort == 0,
+            ..asked
+        }
+    }
+
+    /// Takes over a page.
+    pub fn set(&mut self, page: RecordPage, limit: usize) {
+        self.arriving = page.arriving.is_some();
+        self.rows = page.records;
+        self.rows.truncate(limit.max(1));
+        self.next = page.next;
+    }
+
+    /// The rows to show.
+    pub fn visible(&self, topics: &[TopicRow]) -> Vec<&RecordView> {
+        if self.table.filter.text().is_empty() {
+            return self.rows.iter().collect();
+        }
+        let rest = self.wanted(topics).rest;
+        palette::narrow(&rest, self.rows.iter().collect(), |row| haystack(row))
+    }
+
+    /// Back to the first page, as after a new filter or order.
+    pub fn restart(&mut self) {
+        self.path.clear();
+        self.anchor = None;
+        self.table.select::<&str>(&[], 0);
+    }
+
+    /// Whether newer records are left out.
+    pub fn stands(&self) -> bool {
+        self.anchor.is_some()
+    }
+
+    /// If the cursor has left the newest record, nothing newer comes in above it.
+    pub fn stand(&mut self) {
+        if self.table.sort == 0 {
+            self.anchor = self.anchor.or_else(|| self.rows.iter().map(|row| row.captured_at).max());
+        }
+    }
+
+    /// To the next page; false if there is none.
+    pub fn forward(&mut self) -> bool {
+        let Some(next) = self.next.take() else { return false };
+        self.stand();
+        self.path.push(next);
+        self.table.select::<&str>(&[], 0);
+        true
+    }
+
+    /// To the previous page; false on the first.
+    pub fn back(&mut self) -> bool {
+        self.table.select::<&str>(&[], 0);
+        self.path.pop().is_some() || self.anchor.take().is_some()
+    }
+}
+
+fn haystack(row: &RecordView) -> String {
+    let owner = row.owner.map(|owner| owner.to_string()).unwrap_or_default();
+    let (state, kind) = (row.state.word(), row.kind.word());
+    format!("{} {} {} {state} {kind} {owner}", row.id, row.topic, row.type_name)
+}
+
+#[cfg(test)]
+mod robots_tests {
+    use super::*;
+    use crate::app::tests::fixtures;
+
+    #[test]
+    fn a_robot_is_the_first_part_of_a_name() {
+        assert_eq!(robot_of("/robot1/camera/compressed"), Some("/robot1"));
+        assert_eq!([robot_of("/tf"), robot_of(""), robot_of("odom")], [None; 3]);
+        assert_eq!(robot_of("/机/odom"), Some("/机"));
+        assert_eq!(folded(&name_of("/robot1")), Some("/robot1"));
+        assert_eq!(folded("/robot1/odom"), None);
+    }
+
+    #[test]
+    fn its_row_says_the_sum_and_the_worst() {
+        let one = TopicRow { watched: true, messages: 7, ..fixtures::topic("/r/odom", 20.0) };
+        let other = TopicRow { alarm: true, hz: None, ..fixtures::topic("/r/camera", 2.0) };
+        let row = together("/r", &[&one, &other]);
+        assert_eq!((row.topic.as_str(), row.hz, row.messages), ("/r/", Some(20.0), 7));
+        assert_eq!(row.bytes_per_second, Some(130_400.0));
+        assert!(row.alarm && row.watched);
+    }
+}

@@ -3,7 +3,6 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
-use super::gateway;
 use crate::app::palette;
 use crate::app::table::Table;
 use crate::model::Timestamp;
@@ -63,7 +62,7 @@ impl Topics {
         let (rows, folded) = (&self.rows, &self.folded);
         // Sorted by name above.
         let is_there = |name: &String| {
-            let robot = gateway::folded(name).is_some_and(|robot| folded.contains(robot));
+            let robot = super::folded(name).is_some_and(|robot| folded.contains(robot));
             robot || rows.binary_search_by(|row| row.topic.cmp(name)).is_ok()
         };
         self.table.marks.retain(is_there);
@@ -111,7 +110,7 @@ impl Topics {
 
     fn samples_of(&self, robot: &str) -> Vec<f64> {
         let mut sums = vec![0.0; KEPT_SAMPLES];
-        let topics = self.rows.iter().filter(|row| gateway::robot_of(&row.topic) == Some(robot));
+        let topics = self.rows.iter().filter(|row| super::robot_of(&row.topic) == Some(robot));
         for samples in topics.filter_map(|row| self.history.get(&row.topic)) {
             for (sum, sample) in sums.iter_mut().rev().zip(samples.iter().rev()) {
                 *sum += sample;
@@ -140,19 +139,19 @@ impl Topics {
 
     /// The robot of the row with this name; `None` = it is a topic, whatever its name.
     pub fn robot<'a>(&self, name: &'a str) -> Option<&'a str> {
-        gateway::folded(name).filter(|robot| self.folded.contains(*robot))
+        super::folded(name).filter(|robot| self.folded.contains(*robot))
     }
 
     /// How many of a folded robot's topics are watched, and of how many.
     pub fn watched_of(&self, robot: &str) -> (usize, usize) {
-        let rows = || self.rows.iter().filter(|row| gateway::robot_of(&row.topic) == Some(robot));
+        let rows = || self.rows.iter().filter(|row| super::robot_of(&row.topic) == Some(robot));
         (rows().filter(|row| row.watched).count(), rows().count())
     }
 
     /// Folds the robot of the row under the cursor into one row, or unfolds it; false if the topic has none.
     pub fn fold(&mut self) -> bool {
         let Some(name) = self.selected().map(|row| row.topic.clone()) else { return false };
-        let Some(robot) = gateway::robot_of(&name).map(str::to_owned) else { return false };
+        let Some(robot) = super::robot_of(&name).map(str::to_owned) else { return false };
         let unfolds = self.folded.remove(&robot);
         if !unfolds {
             self.folded.insert(robot.clone());
@@ -161,7 +160,7 @@ impl Topics {
         self.refresh(true);
         // The cursor stays with the robot.
         let keys = self.keys();
-        let is_of = |key: &String| gateway::robot_of(key) == Some(robot.as_str());
+        let is_of = |key: &String| super::robot_of(key) == Some(robot.as_str());
         if let Some(position) = keys.iter().position(is_of) {
             self.table.select(&keys, position);
         }
@@ -171,14 +170,14 @@ impl Topics {
     /// A mark on a robot that is now unfolded would refer to nothing.
     fn unmark_robots(&mut self) {
         let folded = &self.folded;
-        let stays = |name: &String| gateway::folded(name).is_none_or(|robot| folded.contains(robot));
+        let stays = |name: &String| super::folded(name).is_none_or(|robot| folded.contains(robot));
         self.table.marks.retain(stays);
     }
 
     /// Folds all robots, or unfolds all if none is left to fold.
     pub fn fold_all(&mut self) {
         let all: BTreeSet<String> =
-            self.rows.iter().filter_map(|row| gateway::robot_of(&row.topic).map(str::to_owned)).collect();
+            self.rows.iter().filter_map(|row| super::robot_of(&row.topic).map(str::to_owned)).collect();
         self.folded = if all.is_subset(&self.folded) { BTreeSet::new() } else { all };
         self.unmark_robots();
         self.refresh(true);
@@ -221,7 +220,7 @@ impl Topics {
     fn places(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
         let (mut places, mut taken) = (Vec::new(), BTreeMap::<String, Vec<&TopicRow>>::new());
         for (place, row) in self.found() {
-            match gateway::robot_of(&row.topic).filter(|robot| self.folded.contains(*robot)) {
+            match super::robot_of(&row.topic).filter(|robot| self.folded.contains(*robot)) {
                 None => places.push(Place::Topic(place)),
                 Some(robot) => {
                     let rows = taken.entry(robot.to_owned()).or_default();
@@ -232,7 +231,7 @@ impl Topics {
                 }
             }
         }
-        let robots = taken.into_iter().map(|(robot, rows)| (robot.clone(), gateway::together(&robot, &rows))).collect();
+        let robots = taken.into_iter().map(|(robot, rows)| (robot.clone(), super::together(&robot, &rows))).collect();
         (places, robots)
     }
 
@@ -284,7 +283,7 @@ impl Topics {
         let robots: BTreeSet<&str> = chosen.iter().filter_map(|name| self.robot(name)).collect();
         let shown: BTreeSet<&str> = self.found().into_iter().map(|(_, row)| row.topic.as_str()).collect();
         let is_meant = |row: &&TopicRow| {
-            let robot = gateway::robot_of(&row.topic).filter(|_| shown.contains(row.topic.as_str()));
+            let robot = super::robot_of(&row.topic).filter(|_| shown.contains(row.topic.as_str()));
             topics.contains(row.topic.as_str()) || robot.is_some_and(|robot| robots.contains(robot))
         };
         self.rows.iter().filter(is_meant).collect()

@@ -96,9 +96,9 @@ fn a_search_begins_anew_where_the_last_console_left_a_filter() {
     let mut robot = at_uploads();
     robot.types("/state:verified");
     robot.presses(Key::Enter);
-    let kept = crate::app::resume::kept(&robot.state);
+    let kept = crate::app::kept(&robot.state);
     let mut robot = Robot::at_work(true);
-    crate::app::resume::recall(&mut robot.state, &kept);
+    crate::app::recall(&mut robot.state, &kept);
     robot.types("/topic:/robot1/odom");
     assert_eq!(robot.state.uploads.table.filter.text(), "topic:/robot1/odom");
     robot.presses(Key::Enter);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::app::choosing::{ALWAYS, offered, wanted};
-use crate::app::resume::{kept, recall};
+use crate::app::{kept, recall};
 
 fn at(screen: &str, columns: u16) -> Robot {
     let mut robot = Robot::at_work(true);

@@ -1,10 +1,9 @@
 //! A new profile: the first steps, and the passphrase asked twice.
 
 use super::{Robot, fixtures};
-use crate::app::feed::Feed;
 use crate::app::popup::{Popup, Purpose};
-use crate::app::screen::first_steps;
-use crate::app::{Effect, Key, Settings, State, Tag};
+use crate::app::update::Feed;
+use crate::app::{Effect, Key, Settings, State, Tag, first_steps};
 use crate::model::ErrorKind;
 use crate::service::{Command, Reply};
 

@@ -1,10 +1,10 @@
 //! Leaving: at once if nothing stops and nothing is pending; otherwise what stops and what goes on is said first.
 
 use super::{Robot, fixtures};
-use crate::app::feed::Feed;
 use crate::app::leaving::Leaving;
 use crate::app::popup::Popup;
 use crate::app::tour::Cast;
+use crate::app::update::Feed;
 use crate::app::{Action, Effect, Key, Tag};
 use crate::model::ProfileName;
 use crate::service::reply::{HeldUp, LifeLine, QueueView, SiteView, TopicRow};

@@ -2,7 +2,7 @@
 
 use super::{Robot, fixtures};
 use crate::app::popup::Popup;
-use crate::app::screens::log::Source;
+use crate::app::screens::Source;
 use crate::app::{Action, Effect, Key, Tag};
 use crate::model::ErrorKind;
 use crate::service::{Event, NoticeLevel, Reply};

@@ -30,8 +30,8 @@ mod wide;
 
 use zeroize::Zeroizing;
 
-use super::feed::Feed;
 use super::popup::{Lookup, Popup};
+use super::update::Feed;
 use super::{Action, Effect, Key, Screen, Settings, State, Tag, update};
 use crate::model::Timestamp;
 use crate::service::reply::{LifeLine, SiteView};

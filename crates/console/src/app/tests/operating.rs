@@ -3,7 +3,7 @@
 use super::*;
 use crate::app::form::Input;
 use crate::app::popup::Typed;
-use crate::app::resume::{kept, recall};
+use crate::app::{kept, recall};
 use crate::model::Timestamp;
 use crate::service::reply::TopicRow;
 use crate::service::{Operation, UploadQuery};
@@ -20,7 +20,7 @@ fn guarded() -> Robot {
 /// Answers pulls with the fixtures, except that the identity is locked.
 fn answers_locked(robot: &mut Robot) {
     robot.is_answered(&Tag::Lock, Ok(Reply::Identity(fixtures::identity(true, false, true))));
-    let tag = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Feed(super::super::feed::Feed::Identity, _)));
+    let tag = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Feed(crate::app::update::Feed::Identity, _)));
     let tag = tag.map(|(_, tag)| tag.clone()).expect("the identity is asked for anew");
     robot.is_answered(&tag, Ok(Reply::Identity(fixtures::identity(true, false, true))));
 }

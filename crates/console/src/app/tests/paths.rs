@@ -1,7 +1,7 @@
 //! Paths in forms are completed as in a shell, and records are exported where they were asked for.
 
 use super::*;
-use crate::app::paths::{Candidate, Found, PathKind, Sought};
+use crate::app::palette::{Candidate, Found, PathKind, Sought};
 
 fn at_file() -> Robot {
     let mut robot = Robot::at_work(true);

@@ -2,8 +2,8 @@
 //! that is told on the Overview.
 
 use super::{Robot, fixtures};
-use crate::app::feed::Feed;
 use crate::app::popup::{Lookup, Popup, Purpose};
+use crate::app::update::Feed;
 use crate::app::{Effect, Key, Tag, policies};
 use crate::model::ErrorKind;
 use crate::service::command::RobotCommand;

@@ -2,7 +2,7 @@
 
 use super::{Robot, fixtures};
 use crate::app::Tag;
-use crate::app::feed::Feed;
+use crate::app::update::Feed;
 use crate::model::ErrorKind;
 use crate::service::{Command, Part, Reply};
 

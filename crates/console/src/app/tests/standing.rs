@@ -2,10 +2,10 @@
 
 use super::{Robot, fixtures};
 use crate::app::available::available;
-use crate::app::feed::Feed;
 use crate::app::identity_path::{self, Need};
 use crate::app::leaving::Capture;
 use crate::app::popup::{Popup, Purpose};
+use crate::app::update::Feed;
 use crate::app::verb::Verb;
 use crate::app::{Key, Settings, Tag};
 use crate::model::Timestamp;

@@ -1,9 +1,9 @@
 //! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and continues
 //! when its step is done.
 
+use super::State;
 use super::popup::{Lookup, Popup};
-use super::screens::grants::{is_active, is_given};
-use super::state::State;
+use super::screens::{is_active, is_given};
 use super::update::is_settled;
 use super::verb::Verb;
 use crate::model::{ProfileName, Verdict};
@@ -16,7 +16,6 @@ pub const ROWS: u16 = 4;
 pub struct Cast {
     /// The owner, whose records are captured and shared.
     pub owner: ProfileName,
-    /// The reader.
     pub reader: ProfileName,
 }
 
@@ -81,7 +80,7 @@ fn is_done(state: &State, cast: &Cast, step: Step) -> bool {
         Step::Verified => owner && sees_verified(state),
         Step::Grant => owner && given(),
         Step::Open => !owner && state.settings.profile == cast.reader && has_opened(state),
-        Step::Revoke => owner && state.feeds.slot(super::feed::Feed::Grants).loaded && !given(),
+        Step::Revoke => owner && state.feeds.slot(super::update::Feed::Grants).loaded && !given(),
         // The last one stays until it is ended by its key.
         Step::End => false,
     }
@@ -133,11 +132,9 @@ pub enum Step {
 pub struct StepText {
     /// What it waits for.
     pub step: Step,
-    /// Its name.
     pub name: &'static str,
     /// What to do.
     pub act: &'static str,
-    /// Why.
     pub why: &'static str,
 }
 

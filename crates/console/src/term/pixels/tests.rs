@@ -43,7 +43,7 @@ fn press(scene: &mut Scene, key: Key) {
 /// How many pictures are placed and how many removed, in this order, by kitty's commands.
 fn commands(bytes: &str) -> Vec<&'static str> {
     let mut found: Vec<(usize, &str)> = bytes.match_indices("\x1b_Ga=T").map(|(at, _)| (at, "put")).collect();
-    found.extend(bytes.match_indices(kitty::TAKE_AWAY).map(|(at, _)| (at, "away")));
+    found.extend(bytes.match_indices(TAKE_AWAY).map(|(at, _)| (at, "away")));
     found.sort_unstable();
     found.into_iter().map(|(_, what)| what).collect()
 }
@@ -103,7 +103,7 @@ fn a_sixel_stays_within_its_cells_and_is_written_over_when_it_goes() {
     let (mut scene, mut painter) = (scene(), painter(Pictures::Sixel));
     let first = painter.paint(&mut scene);
     let ((column, row), sixel, _) = sixel_in(&first).expect("one sixel");
-    let picture = sixel::tests::decode(sixel);
+    let picture = sixel_tests::decode(sixel);
     assert!(sixel.len() <= MOST && picture.width > 240, "{} bytes, {} wide", sixel.len(), picture.width);
     let cells = |pixels: usize, cell: usize| u16::try_from(pixels.div_ceil(cell)).expect("fits");
     let area = Rect::new(column, row, cells(picture.width, 9), cells(picture.height, 20));

@@ -1,31 +1,26 @@
 //! Popups over a screen: a frame in its middle. The small ones are here, the large ones in a file each.
 
-mod incidents;
-mod record;
-mod situation;
+mod windows;
 
-pub(in crate::ui) use self::record::{Piece, provenance_lines, record_lines as record_facts};
-pub(in crate::ui) use record::{inside, put_lines};
-pub(in crate::ui) use situation::coverage_lines;
+pub(in crate::ui) use windows::{
+    Piece, coverage_lines, inside, provenance_lines, put_lines, record_lines as record_facts,
+};
 
 use ratatui::layout::Rect;
 
-use super::canvas::{Canvas, below, columns, right_of, row};
-use super::records;
+use super::lists::{self, empty};
 use super::table::Layout;
 use super::theme::Role;
-use super::topics::{self, empty};
-use super::words::wrap;
+use super::{Canvas, below, columns, right_of, row, wrap};
 use crate::app::available::available;
 use crate::app::choosing::{ALWAYS, Browse, ColumnChoice, Offered, ThemeChoice, choices, offered, wanted};
-use crate::app::contacts::Book;
-use crate::app::feed::Feed;
 use crate::app::form::{Form, Input, Line};
-use crate::app::key::{Key, chord_label};
-use crate::app::keymap::{Binding, Meaning};
+use crate::app::granting::Book;
+use crate::app::keymap::{Binding, Key, Meaning, chord_label};
 use crate::app::leaving::Leaving;
 use crate::app::palette::whole_words;
 use crate::app::popup::{Confirm, Help, Palette, Popup};
+use crate::app::update::Feed;
 use crate::app::verb::{Entry, VERBS};
 use crate::app::{Screen, State, granting, opening};
 use crate::model::clean;
@@ -38,23 +33,23 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Help(help) => draw_help(canvas, area, state, help),
         Popup::Confirm(confirm) => draw_confirm(canvas, area, state, confirm),
         Popup::Form(_, form) => draw_form(canvas, area, form),
-        Popup::Provenance(lookup) => record::draw_provenance(canvas, area, lookup),
-        Popup::Record(opening) => record::draw(canvas, area, opening),
+        Popup::Provenance(lookup) => windows::draw_provenance(canvas, area, lookup),
+        Popup::Record(opening) => windows::draw_opened(canvas, area, opening),
         Popup::Chord(pressed) => draw_chord(canvas, area, state, pressed),
         Popup::Themes(choice) => draw_themes(canvas, area, state, choice),
         Popup::Columns(choice) => draw_columns(canvas, area, state, choice),
-        Popup::Robot(lookup) => situation::draw_robot(canvas, area, state, lookup),
-        Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),
-        Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
-        Popup::Line(line) => situation::draw_line(canvas, area, line),
+        Popup::Robot(lookup) => windows::draw_robot(canvas, area, state, lookup),
+        Popup::Publishers(lookup) => windows::draw_publishers(canvas, area, state, lookup),
+        Popup::Readers(topics) => windows::draw_readers(canvas, area, state, topics),
+        Popup::Line(line) => windows::draw_line(canvas, area, line),
         Popup::Unlocked => {
             let lines = ["The keyring is already unlocked: no passphrase is needed.".to_owned()];
             draw_text(canvas, area, "Keyring", &lines, &[("enter", Role::Key), (" close", Role::Body)]);
         }
-        Popup::Tasks => situation::draw_tasks(canvas, area, state),
+        Popup::Tasks => windows::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => draw_browse(canvas, area, state, browse),
         Popup::Contacts(book) => draw_contacts(canvas, area, state, book),
-        Popup::Incidents(list) => incidents::draw(canvas, area, state, list),
+        Popup::Incidents(list) => windows::draw_incidents(canvas, area, state, list),
         Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
 }
@@ -181,7 +176,6 @@ pub fn draw_themes(canvas: &mut Canvas, area: Rect, state: &State, choice: &Them
 /// Columns of the names.
 const NAME: u16 = 18;
 
-/// Draws the palette.
 pub fn draw_palette(canvas: &mut Canvas, area: Rect, state: &State, palette: &Palette) {
     let inner = framed(canvas, area, "Commands", 72, 14);
     canvas.puts(inner, &[(": ", Role::Key), (palette.field.text(), Role::Accent)]);
@@ -215,15 +209,13 @@ fn draw_entry(canvas: &mut Canvas, area: Rect, state: &State, entry: &Entry, her
 const WIDTH: u16 = 66;
 /// Columns of the cursor and the box.
 const BOX: u16 = 5;
-/// Columns of a name.
 const COLUMNS_NAME: u16 = 12;
 
-/// Draws the choice.
 pub fn draw_columns(canvas: &mut Canvas, area: Rect, state: &State, choice: &ColumnChoice) {
     let Some(table) = state.table() else { return };
     let all = match state.screen {
-        Screen::Topics => topics::COLUMNS,
-        screen => records::all_columns(screen),
+        Screen::Topics => lists::TOPIC_COLUMNS,
+        screen => lists::all_columns(screen),
     };
     let width = opening::list_width(state);
     let shown = wanted(state.screen, table, width);
@@ -344,7 +336,6 @@ const ROWS: u16 = 12;
 /// Columns of a form.
 const FORM_WIDTH: u16 = 68;
 
-/// Draws a form.
 pub fn draw_form(canvas: &mut Canvas, area: Rect, form: &Form) {
     let width = FORM_WIDTH.min(area.width.saturating_sub(6));
     let notes: Vec<String> = form.notes.iter().flat_map(|note| wrap(&clean(note, 500), width)).collect();
@@ -465,7 +456,7 @@ mod columns_tests {
     #[test]
     fn every_column_that_is_offered_is_drawn_and_in_the_same_order() {
         for screen in [Screen::Topics, Screen::Uploads, Screen::Shared] {
-            let all = if screen == Screen::Topics { topics::COLUMNS } else { records::all_columns(screen) };
+            let all = if screen == Screen::Topics { lists::TOPIC_COLUMNS } else { lists::all_columns(screen) };
             let drawn: Vec<&str> = all.iter().map(|column| column.name).filter(|name| !name.is_empty()).collect();
             let named: Vec<&str> = offered(screen).iter().map(|column| column.name).collect();
             assert_eq!(drawn, named, "{screen:?}");

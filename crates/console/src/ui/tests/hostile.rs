@@ -69,7 +69,7 @@ fn infect(robot: &mut Robot, text: &str) {
         about: None,
     }));
     robot.hears_of(Part::Health);
-    robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Err(failure));
+    robot.is_answered(&Tag::Feed(crate::app::update::Feed::Site, 0), Err(failure));
 }
 
 fn open_everything(robot: &mut Robot, text: &str) {

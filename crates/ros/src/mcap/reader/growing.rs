@@ -45,9 +45,6 @@ impl<R: BufRead + Seek> McapReader<R> {
     }
 
     /// Nobody writes the file any more: what is missing at its end is damage.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read.
     pub fn close(&mut self) -> Result<(), RosError> {
         self.growing.open = false;
         self.read_summary().map_err(|error| RosError::unreadable(&error))

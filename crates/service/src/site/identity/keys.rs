@@ -141,7 +141,7 @@ impl Profiles {
                 owner.profile, owner.address
             )));
         }
-        let rows = block_in_place(|| self.plant.ledger.in_state(Some(owner.address), RecordState::Stored, 1))?;
+        let rows = block_in_place(|| self.plant.ledger.records.in_state(Some(owner.address), RecordState::Stored, 1))?;
         if !rows.is_empty() {
             return Err(refused(format!("records of {} are waiting to be anchored; register first", owner.address)));
         }
@@ -223,6 +223,7 @@ impl Profiles {
         // Until the new key signs: nothing may be signed by the old one once the chain has the new one.
         let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
+            self.drain_former(owner, network).await?;
             // Robots know already of a change begun before.
             self.settle_pairs(owner, network).await?;
             if new.signing.is_some() {
@@ -244,17 +245,40 @@ impl Profiles {
         }
     }
 
+    /// Where the chain went back to earlier pairs, waits until what its key signed is anchored, as it was before: once the
+    /// keyring's are registered again, that key has no right.
+    ///
+    /// # Errors
+    /// If it is not anchored after a minute; what is wrong is in the site's health then.
+    pub(in crate::site) async fn drain_former(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+    ) -> Result<(), Failure> {
+        if !recovery::is_ahead(network, owner)? {
+            return Ok(());
+        }
+        let registered = network.directory.identity(owner.address)?.signing;
+        let drained = self.drain(owner, signer_id(&registered)).await.map_err(|failure| {
+            let text = format!(
+                "the chain has earlier SM2 keys of '{}' than the keyring, whose keys are registered again once everything                  signed before is anchored: {}",
+                owner.profile, failure.message
+            );
+            Failure { message: text, ..failure }
+        });
+        self.sharing.note_pairs(owner, drained.as_ref().err().map(|failure| failure.message.clone()));
+        self.hub.changed(Part::Health);
+        drained
+    }
+
     /// Brings the chain to the pairs of the keyring: registers them again where it went back to earlier ones, and finishes a
-    /// change that was begun. The caller holds the owner's changes and has taken over what the chain hands out.
+    /// change that was begun. The caller holds the owner's changes, has taken over what the chain hands out, and drained.
     pub(in crate::site) async fn settle_pairs(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         network: &Network,
     ) -> Result<(), Failure> {
         if recovery::is_ahead(network, owner)? {
-            // What the registered key signed is anchored first, as it was before: afterwards it has no right here.
-            let registered = network.directory.identity(owner.address)?.signing;
-            self.drain(owner, signer_id(&registered)).await?;
             let (signing, envelope) = (owner.signing(), owner.envelope());
             let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
                 let text = format!(
@@ -435,7 +459,7 @@ impl Profiles {
             loop {
                 let (owner, state) = (Some(owner.address), Some(state));
                 let query = RecordQuery { owner, state, after, limit: PAGE, ..RecordQuery::default() };
-                let page = self.plant.ledger.list(&query)?;
+                let page = self.plant.ledger.records.list(&query)?;
                 pending += page.rows.iter().filter(|row: &&RecordRow| row.signer == signer).count();
                 let Some(next) = page.next else { break };
                 after = Some(next);

@@ -285,7 +285,7 @@ impl Profiles {
         }
         if let Some(epoch) = view.epoch {
             let sealed =
-                move |profiles: &Self| Ok(profiles.plant.ledger.sealed_in_epoch(public.address, epoch, None)?);
+                move |profiles: &Self| Ok(profiles.plant.ledger.counts.sealed_in_epoch(public.address, epoch, None)?);
             let (records, since) = blocking(self, sealed).await?;
             view.epoch_records = Some(EpochRecords { records, since });
         }
@@ -328,6 +328,8 @@ fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Op
     }
 }
 
+/// Pause before it is tried again to anchor what a former key signed.
+const DRAIN_AGAIN: Duration = Duration::from_secs(10);
 /// How long a running change may delay the locking.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -369,6 +371,9 @@ impl Profiles {
     /// Registers the owner's identity; nothing is sent if the chain has it already.
     pub(in crate::site) async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
         let network = self.connection.network_or_deploy(owner).await?;
+        if network.directory.identity(owner.address).is_ok() {
+            self.drain_former(owner, &network).await?;
+        }
         let _one_at_a_time = owner.changes.lock().await;
         self.is_current(owner)?;
         if network.directory.identity(owner.address).is_err() {
@@ -417,6 +422,13 @@ impl Profiles {
         let profiles = Arc::clone(self);
         let owner = Arc::clone(owner);
         tokio::spawn(async move {
+            // What is wrong is in the site's health.
+            while profiles.drain_former(&owner, &network).await.is_err() {
+                tokio::time::sleep(DRAIN_AGAIN).await;
+                if !profiles.owners.is_open(&owner) {
+                    return;
+                }
+            }
             let pairs = async {
                 let network = profiles.link.network().await?;
                 let _one_at_a_time = owner.changes.lock().await;

@@ -315,8 +315,14 @@ impl Joined {
         self.link.network().await?;
         match remote.settled(profile, most).await {
             Some(settled) => settled.map(|()| None),
-            None => Ok(Some(format!("the records of the gateway {} are still arriving", remote.address()))),
+            None => Ok(self.still_arriving()),
         }
+    }
+
+    /// The words for a list that may not be all; none if this site joins no gateway.
+    pub(in crate::site) fn still_arriving(&self) -> Option<String> {
+        let remote = self.remote.as_ref()?;
+        Some(format!("the records of the gateway {} are still arriving", remote.address()))
     }
 
     /// Tells the gateway of a grant, so that it need not wait for the chain.

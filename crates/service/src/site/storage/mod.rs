@@ -16,11 +16,12 @@ use super::reading::Reading;
 use crate::config::Config;
 use crate::event::{NoticeLevel, Part};
 use crate::hub::Hub;
-use crate::model::{ByteSize, ProfileName};
+use crate::model::{ByteSize, ProfileName, Timestamp};
 use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::reply::{Failure, HealthLevel};
+use crate::pipeline::{Plant, network_pin};
+use crate::reply::Failure;
 use crate::store::files::free_bytes;
+use crate::store::notes::StoreWasGone;
 use crate::store::{Ledger, Reserve, StoreError};
 
 /// The disk under a site.
@@ -82,13 +83,32 @@ pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreE
         // Nothing is recorded in it, so it needs no recorder of its own.
         return Ok((Ledger::open(&home.ledger())?, false));
     }
-    match Ledger::open_in_place(&home.ledger()) {
+    let missed = misses_store(home);
+    let opened = match Ledger::open_in_place(&home.ledger()) {
         Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
             Ledger::open_in_place(&home.ledger())
         }
         opened => opened,
+    }?;
+    if missed {
+        opened.0.notes.write(&StoreWasGone {}, &Timestamp::now())?;
     }
+    Ok(opened)
 }
+
+/// Whether a home without a store has keys or an embedded chain, so that it had one.
+pub(crate) fn misses_store(home: &Home) -> bool {
+    !home.ledger().exists() && (home.chain().join("chain.db").exists() || !home.profiles().is_empty())
+}
+
+/// What is wrong with a store that began in the place of one that was gone, until it is bound to a contract.
+pub(crate) fn store_loss(home: &Home, missed: Timestamp) -> String {
+    format!("{} was gone at {missed}, and its records with it", home.ledger().display())
+}
+
+/// What to do where the store is gone.
+pub(crate) const STORE_LOST: &str =
+    "restore the last backup: authros restore FILE; without one, name the contract with --contract";
 
 /// Sets space aside for the states of records, never so much that the rest is less than the reserve itself.
 pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
@@ -97,18 +117,22 @@ pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
 }
 
 impl Storage {
-    /// Watches the free space on the disk until the site ends.
+    /// Watches the free space on the disk, and whether the cache is away, until the site ends.
     pub(in crate::site) async fn keep_room(self: Arc<Self>) {
-        let (mut held, mut pause) = (None, LOOKS.0);
+        let (mut held, mut pause, mut away) = (None, LOOKS.0, None);
         let reserve = self.config.disk_reserve;
         while !self.life.is_stopping() {
             if !self.life.beat(pause).await {
                 return;
             }
+            let now_away = self.plant.ciphertext.cache().and_then(|cache| cache.away).map(|away| away.since);
+            if std::mem::replace(&mut away, now_away) != now_away {
+                self.hub.changed(Part::Health);
+            }
             let Ok(free) = blocking(&self, |storage| Ok(free_bytes(storage.home.root())?)).await else { continue };
             pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
             if free < reserve && held.is_none() {
-                held = Some(self.plant.ledger.hold_records());
+                held = Some(self.plant.ledger.records.hold());
                 self.tell_room(NoticeLevel::Error, &self.full_text(free));
             }
             if free < reserve.min(LAST) && self.states.is_held() {
@@ -143,13 +167,18 @@ impl Storage {
         )
     }
 
-    /// How the store's health is reported while records are refused.
-    pub(in crate::site) fn room_health(&self) -> Option<(HealthLevel, String)> {
-        let held: Result<(), Failure> = self.plant.ledger.takes_records().map_err(Failure::from);
-        held.err().map(|_| {
-            let free = free_bytes(self.home.root()).unwrap_or(0);
-            (HealthLevel::Failed, self.full_text(free))
-        })
+    /// What is wrong with the store: it refuses records, or began in the place of one that was gone.
+    ///
+    /// # Errors
+    /// If its notes cannot be read.
+    pub(in crate::site) fn fault(&self) -> Result<Option<String>, Failure> {
+        if self.plant.ledger.records.takes_records().is_err() {
+            return Ok(Some(self.full_text(free_bytes(self.home.root()).unwrap_or(0))));
+        }
+        let ledger = &self.plant.ledger;
+        let missed = ledger.notes.read(&StoreWasGone {})?;
+        let unbound = missed.is_some() && network_pin(&ledger.rights)?.is_none();
+        Ok(missed.filter(|_| unbound).map(|missed| format!("{}; {STORE_LOST}", store_loss(&self.home, missed))))
     }
 }
 
@@ -176,7 +205,7 @@ impl Storage {
 
     /// Checks once, in the background, if the previous run did not close its files.
     pub(in crate::site) async fn check_after_crash(self: Arc<Self>) {
-        if self.plant.ledger.ended_cleanly() {
+        if self.plant.ledger.inspection.ended_cleanly() {
             return;
         }
         match blocking(&self, contradictions).await {
@@ -199,11 +228,12 @@ fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
     let plant = &storage.plant;
     let mut found: Vec<String> = plant
         .ledger
+        .inspection
         .contradictions()?
         .into_iter()
         .map(|text| format!("after an unclean shutdown, in the ledger: {text}; keep a copy of the home"))
         .collect();
-    for digest in plant.ledger.newest_stored(NEWEST)? {
+    for digest in plant.ledger.inspection.newest_stored(NEWEST)? {
         let blob = plant.ciphertext.get(digest)?;
         if blob.is_none_or(|blob| plant.provider.sm3(&[&blob]) != digest.0) {
             found.push(format!("after an unclean shutdown: record {digest} is not in the store as it was written"));

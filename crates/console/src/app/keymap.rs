@@ -1,0 +1,626 @@
+//! Which keys do what on each screen: the preset of the verb list, overridden by the operator's own `keymap.toml`. Key
+//! presses, help, bar and palette all ask here. Keys are named as that file writes them, independent of any terminal library.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::ops::Range;
+
+use super::Screen;
+use super::verb::{Entry, VERBS, Verb};
+use crate::model::clean;
+use serde::Deserialize;
+use toml::Spanned;
+
+pub use text as preset_text;
+
+/// The most keys of one chord.
+pub const LONGEST_CHORD: usize = 3;
+
+/// Keys that do something when pressed in sequence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Binding {
+    pub on: Vec<Key>,
+    /// What they do.
+    pub entry: &'static Entry,
+    /// The operator's own description.
+    pub desc: Option<String>,
+}
+
+impl Binding {
+    /// A line of help.
+    pub fn help(&self) -> &str {
+        self.desc.as_deref().unwrap_or(self.entry.help)
+    }
+
+    fn begins_with(&self, pressed: &[Key]) -> bool {
+        self.on.len() > pressed.len() && self.on.starts_with(pressed)
+    }
+}
+
+/// The meaning of keys pressed in sequence.
+#[derive(Debug, PartialEq)]
+pub enum Meaning<'a> {
+    /// They do this.
+    Does(Verb),
+    /// More keys must follow: these chords begin this way.
+    Begins(Vec<&'a Binding>),
+    Nothing,
+}
+
+/// Where bindings apply; a more specific place takes precedence over a more general one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// On every screen.
+    Everywhere,
+    /// On screens with a list.
+    Lists,
+    On(Screen),
+}
+
+impl Place {
+    /// All, most general first.
+    pub fn all() -> impl Iterator<Item = Self> {
+        [Self::Everywhere, Self::Lists].into_iter().chain(Screen::ALL.map(Self::On))
+    }
+
+    /// Its name in `keymap.toml`.
+    pub fn name(self) -> String {
+        match self {
+            Self::Everywhere => "everywhere".to_owned(),
+            Self::Lists => "lists".to_owned(),
+            Self::On(screen) => screen.title().to_lowercase(),
+        }
+    }
+
+    fn holds_on(self, screen: Screen) -> bool {
+        match self {
+            Self::Everywhere => true,
+            Self::Lists => screen.has_table(),
+            Self::On(own) => own == screen,
+        }
+    }
+
+    /// Where the preset binds an entry.
+    fn of(entry: &Entry) -> Vec<Self> {
+        let lists = || Screen::ALL.into_iter().all(|screen| screen.has_table() == entry.on.contains(&screen));
+        match entry.on {
+            [] => vec![Self::Everywhere],
+            _ if lists() => vec![Self::Lists],
+            screens => screens.iter().copied().map(Self::On).collect(),
+        }
+    }
+}
+
+/// The bindings of every screen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Keymap {
+    screens: [Vec<Binding>; Screen::ALL.len()],
+}
+
+impl Default for Keymap {
+    fn default() -> Self {
+        Self::built(&|_| Vec::new())
+    }
+}
+
+/// A line of the operator's file: keys, and what they do or that they do nothing.
+#[derive(Debug, Clone)]
+struct Change {
+    on: Vec<Key>,
+    entry: Option<&'static Entry>,
+    desc: Option<String>,
+}
+
+impl Keymap {
+    /// The preset, overridden by an operator's file.
+    ///
+    /// # Errors
+    /// [`KeymapError`] naming `file`, the line, and what is wrong with it.
+    pub fn with_file(file: &str, text: &str) -> Result<Self, KeymapError> {
+        read(file, text)
+    }
+
+    fn built(changes: &dyn Fn(Place) -> Vec<Change>) -> Self {
+        let of_screen = |screen: Screen| {
+            let mut bindings = Vec::new();
+            for place in Place::all().filter(|place| place.holds_on(screen)) {
+                preset(place).chain(changes(place)).for_each(|change| apply(&mut bindings, change));
+            }
+            bindings
+        };
+        Self { screens: Screen::ALL.map(of_screen) }
+    }
+
+    pub fn bindings(&self, screen: Screen) -> &[Binding] {
+        &self.screens[screen.index()]
+    }
+
+    /// The meaning of these keys on a screen.
+    pub fn meaning(&self, pressed: &[Key], screen: Screen) -> Meaning<'_> {
+        let bindings = self.bindings(screen);
+        if let Some(found) = bindings.iter().find(|binding| binding.on == pressed) {
+            return Meaning::Does(found.entry.verb);
+        }
+        let begun: Vec<&Binding> = bindings.iter().filter(|binding| binding.begins_with(pressed)).collect();
+        if begun.is_empty() { Meaning::Nothing } else { Meaning::Begins(begun) }
+    }
+
+    /// The bindings of an entry on a screen, the preset's keys first.
+    pub fn of<'a>(&'a self, entry: &'a Entry, screen: Screen) -> impl Iterator<Item = &'a Binding> {
+        self.bindings(screen).iter().filter(|binding| binding.entry.name == entry.name)
+    }
+
+    /// The first keys of an entry on a screen, as written; empty if it has none there.
+    pub fn label(&self, entry: &Entry, screen: Screen) -> String {
+        self.of(entry, screen).next().map(|binding| chord_label(&binding.on)).unwrap_or_default()
+    }
+
+    /// Whether a key does `verb` and nothing else; never true for keys that type text.
+    pub fn is(&self, key: Key, verb: Verb, screen: Screen) -> bool {
+        !matches!(key, Key::Char(_)) && self.meaning(&[key], screen) == Meaning::Does(verb)
+    }
+}
+
+fn preset(place: Place) -> impl Iterator<Item = Change> {
+    let here = VERBS.iter().filter(move |entry| Place::of(entry).contains(&place));
+    here.flat_map(|entry| entry.chords().map(move |on| Change { on, entry: Some(entry), desc: None }))
+}
+
+/// A more specific binding replaces a more general one with the same keys.
+fn apply(bindings: &mut Vec<Binding>, Change { on, entry, desc }: Change) {
+    bindings.retain(|binding| binding.on != on);
+    if let Some(entry) = entry {
+        bindings.push(Binding { on, entry, desc });
+    }
+}
+
+const OPENING: &str = "# Keys of the AuthROS console, as they are without a keymap.toml.
+#
+# Your own keymap.toml \
+(beside config.toml) lists only what differs:
+#   on    a key, or a list of up to three keys pressed one after the \
+other
+#   run   the command, by its name in the palette; \"none\" removes the preset's meaning
+#   desc  your own help \
+text (optional)
+# [everywhere] applies to every screen, [lists] to screens with a list; a screen's own section takes \
+precedence.
+# Keys: characters as they are, space enter esc tab shift-tab backspace del up down left right pgup pgdn \
+home end,
+# ^x = Control and x. Terminals send ^h ^i ^j ^m as backspace, tab and enter, so these cannot be bound.
+";
+
+/// The preset, in the format of the operator's file.
+pub fn text() -> String {
+    let mut text = OPENING.to_owned();
+    for place in Place::all() {
+        let lines: Vec<[String; 3]> = VERBS
+            .iter()
+            .filter(|entry| Place::of(entry).contains(&place))
+            .flat_map(|entry| entry.chords().map(|on| [keys(&on), quoted(entry.name), quoted(entry.help)]))
+            .collect();
+        if lines.is_empty() {
+            continue;
+        }
+        let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);
+        let (on_width, run_width) = (width(0), width(1));
+        // Writing to a string cannot fail.
+        let _ = write!(text, "\n[{}]\nkeys = [\n", place.name());
+        for [on, run, desc] in &lines {
+            let _ = writeln!(text, "  {{ on = {on:on_width$}, run = {run:run_width$}, desc = {desc} }},");
+        }
+        text.push_str("]\n");
+    }
+    text
+}
+
+fn keys(on: &[Key]) -> String {
+    match on {
+        [key] => quoted(&key.label()),
+        keys => format!("[{}]", keys.iter().map(|key| quoted(&key.label())).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
+/// The word that unbinds a preset.
+const NONE: &str = "none";
+/// The most characters of a description.
+const LONGEST_DESC: usize = 100;
+
+/// What is wrong with a keymap file.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{file} line {line}: {what}")]
+pub struct KeymapError {
+    pub file: String,
+    /// The line, from 1.
+    pub line: usize,
+    /// What is wrong, and what to do.
+    pub what: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Part {
+    keys: Vec<Line>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Line {
+    on: Spanned<On>,
+    run: Spanned<String>,
+    desc: Option<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "a key in quotes, or a list of them")]
+enum On {
+    One(String),
+    Chord(Vec<String>),
+}
+
+/// A parsed line.
+struct Read {
+    place: Place,
+    change: Change,
+    at: Range<usize>,
+}
+
+struct Source<'a> {
+    file: &'a str,
+    text: &'a str,
+}
+
+impl Source<'_> {
+    fn wrong(&self, at: usize, what: impl Into<String>) -> KeymapError {
+        let line = self.text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
+        KeymapError { file: clean(self.file, 200), line, what: clean(&what.into(), 300) }
+    }
+}
+
+/// The preset, overridden by the file.
+pub fn read(file: &str, text: &str) -> Result<Keymap, KeymapError> {
+    let source = Source { file, text };
+    let lines = lines(&source)?;
+    let changes = |place: Place| -> Vec<Change> {
+        lines.iter().filter(|line| line.place == place).map(|line| line.change.clone()).collect()
+    };
+    let keymap = Keymap::built(&changes);
+    for screen in Screen::ALL {
+        reachable(&source, &keymap, &lines, screen)?;
+    }
+    Ok(keymap)
+}
+
+fn lines(source: &Source) -> Result<Vec<Read>, KeymapError> {
+    let parts: BTreeMap<Spanned<String>, Part> = toml::from_str(source.text).map_err(|error| {
+        let at = error.span().map_or(0, |span| span.start);
+        source.wrong(at, error.message().trim().replace('\n', "; "))
+    })?;
+    let mut read: Vec<Read> = Vec::new();
+    for (name, part) in parts {
+        let place = Place::all().find(|place| place.name() == *name.get_ref()).ok_or_else(|| {
+            let known: Vec<String> = Place::all().map(Place::name).collect();
+            source.wrong(
+                name.span().start,
+                format!(
+                    "there is no section '{}'; choose \
+                                                   {}",
+                    name.get_ref(),
+                    known.join(", ")
+                ),
+            )
+        })?;
+        for line in part.keys {
+            let one = one(source, place, line)?;
+            if read.iter().any(|other| other.place == place && other.change.on == one.change.on) {
+                let keys = chord_label(&one.change.on);
+                return Err(source.wrong(one.at.start, format!("'{keys}' appears twice in [{}]", place.name())));
+            }
+            read.push(one);
+        }
+    }
+    Ok(read)
+}
+
+fn one(source: &Source, place: Place, line: Line) -> Result<Read, KeymapError> {
+    let at = line.on.span();
+    let on = read_keys(source, at.start, line.on.into_inner())?;
+    let (run, run_at) = (line.run.get_ref().as_str(), line.run.span().start);
+    let entry = VERBS.iter().find(|entry| entry.name == run);
+    if entry.is_none() && run != NONE {
+        let what = format!("there is no command '{run}'; authros --print-default-keymap and the palette list them all");
+        return Err(source.wrong(run_at, what));
+    }
+    let desc = line.desc.map(|desc| clean(&desc, LONGEST_DESC));
+    Ok(Read { place, change: Change { on, entry, desc }, at })
+}
+
+fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, KeymapError> {
+    let labels = match on {
+        On::One(label) => vec![label],
+        On::Chord(labels) => labels,
+    };
+    if labels.is_empty() || labels.len() > LONGEST_CHORD {
+        return Err(source.wrong(at, format!("give one key, or a list of up to {LONGEST_CHORD}")));
+    }
+    let key = |label: &String| {
+        Key::from_label(label).ok_or_else(|| {
+            let what = format!(
+                "'{label}' is not a key that every terminal sends; use one like q, G, space, enter, \
+                                pgup, ^x"
+            );
+            source.wrong(at, what)
+        })
+    };
+    labels.iter().map(key).collect()
+}
+
+/// No chord hides behind a shorter one, and there is a way to the palette and out.
+fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -> Result<(), KeymapError> {
+    let bindings = keymap.bindings(screen);
+    let hidden = |long: &&Binding| bindings.iter().any(|short| long.begins_with(&short.on));
+    if let Some(long) = bindings.iter().find(hidden) {
+        let by = bindings.iter().find(|short| long.begins_with(&short.on)).map_or("", |short| short.entry.name);
+        let what = format!(
+            "on the {} screen '{}' cannot be reached because '{by}' already has a meaning; remove it with run = \
+             \"none\"",
+            screen.title(),
+            chord_label(&long.on)
+        );
+        let concerned = |line: &&Read| line.change.on.starts_with(&long.on) || long.on.starts_with(&line.change.on);
+        return Err(source.wrong(lines.iter().find(concerned).map_or(0, |line| line.at.start), what));
+    }
+    for verb in [Verb::Palette, Verb::Quit] {
+        if !bindings.iter().any(|binding| binding.entry.verb == verb) {
+            let taken = |line: &&Read| {
+                VERBS.iter().any(|entry| entry.verb == verb && entry.chords().any(|on| on == line.change.on))
+            };
+            let at = lines.iter().rfind(taken).map_or(0, |line| line.at.start);
+            let what = format!("on the {} screen no key is left for '{}'", screen.title(), name_of(verb));
+            return Err(source.wrong(at, what));
+        }
+    }
+    Ok(())
+}
+
+fn name_of(verb: Verb) -> &'static str {
+    VERBS.iter().find(|entry| entry.verb == verb).map_or("", |entry| entry.name)
+}
+
+/// One key press. Alt, function keys and terminal-specific ones do not exist here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Key {
+    /// A printable character, with shift already applied.
+    Char(char),
+    /// Control and a lower-case letter.
+    Control(char),
+    /// Return.
+    Enter,
+    Escape,
+    Tab,
+    /// Shift and tab.
+    BackTab,
+    /// Deletes to the left.
+    Backspace,
+    /// Deletes to the right.
+    Delete,
+    /// Cursor up.
+    Up,
+    /// Cursor down.
+    Down,
+    /// Cursor left.
+    Left,
+    /// Cursor right.
+    Right,
+    PageUp,
+    PageDown,
+    /// To the beginning.
+    Home,
+    End,
+}
+
+impl Key {
+    /// As written in help and bottom bar.
+    pub fn label(self) -> String {
+        match self {
+            Self::Char(' ') => "space".to_owned(),
+            Self::Char(character) => character.to_string(),
+            Self::Control(letter) => format!("^{letter}"),
+            Self::Enter => "enter".to_owned(),
+            Self::Escape => "esc".to_owned(),
+            Self::Tab => "tab".to_owned(),
+            Self::BackTab => "shift-tab".to_owned(),
+            Self::Backspace => "backspace".to_owned(),
+            Self::Delete => "del".to_owned(),
+            Self::Up => "up".to_owned(),
+            Self::Down => "down".to_owned(),
+            Self::Left => "left".to_owned(),
+            Self::Right => "right".to_owned(),
+            Self::PageUp => "pgup".to_owned(),
+            Self::PageDown => "pgdn".to_owned(),
+            Self::Home => "home".to_owned(),
+            Self::End => "end".to_owned(),
+        }
+    }
+
+    /// Parses what [`Key::label`] writes; `None` = not a key that every terminal can send.
+    pub fn from_label(label: &str) -> Option<Self> {
+        let named = NAMED.iter().find(|key| key.label() == label).copied();
+        named.or_else(|| Self::letter(label))
+    }
+
+    fn letter(label: &str) -> Option<Self> {
+        let mut characters = label.chars();
+        match (characters.next(), characters.next(), characters.next()) {
+            (Some(character), None, _) => {
+                (!character.is_control() && character != ' ').then_some(Self::Char(character))
+            }
+            // What terminals send for ^h, ^i, ^j and ^m is backspace, tab and enter.
+            (Some('^'), Some(letter @ 'a'..='z'), None) => {
+                (!matches!(letter, 'h' | 'i' | 'j' | 'm')).then_some(Self::Control(letter))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The keys with a name.
+const NAMED: [Key; 15] = [
+    Key::Char(' '),
+    Key::Enter,
+    Key::Escape,
+    Key::Tab,
+    Key::BackTab,
+    Key::Backspace,
+    Key::Delete,
+    Key::Up,
+    Key::Down,
+    Key::Left,
+    Key::Right,
+    Key::PageUp,
+    Key::PageDown,
+    Key::Home,
+    Key::End,
+];
+
+/// Several keys in sequence, as written in help and bottom bar: `z t`.
+pub fn chord_label(keys: &[Key]) -> String {
+    keys.iter().map(|key| key.label()).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_keys_mean_two_things_on_one_screen() {
+        for screen in Screen::ALL {
+            let here = VERBS.iter().filter(|entry| entry.works_on(screen));
+            let mut seen: Vec<Vec<Key>> = Vec::new();
+            for on in here.flat_map(Entry::chords) {
+                assert!(!seen.iter().any(|other| other.starts_with(&on) || on.starts_with(other)), "{on:?} {screen:?}");
+                assert!(on.len() <= LONGEST_CHORD);
+                seen.push(on);
+            }
+            assert_eq!(seen.len(), Keymap::default().bindings(screen).len());
+        }
+    }
+
+    #[test]
+    fn no_key_is_stolen_by_tmux_or_screen() {
+        let stolen = |on: &Vec<Key>| on.iter().any(|key| matches!(key, Key::Control('a' | 'b')));
+        assert!(!VERBS.iter().flat_map(Entry::chords).any(|on| stolen(&on)));
+    }
+
+    #[test]
+    fn a_chord_is_begun_and_done() {
+        let keymap = Keymap::default();
+        let Meaning::Begins(begun) = keymap.meaning(&[Key::Char('z')], Screen::Chain) else { panic!("no chord") };
+        assert!(begun.len() > 1);
+        assert_eq!(keymap.meaning(&begun[0].on, Screen::Chain), Meaning::Does(begun[0].entry.verb));
+        assert_eq!(keymap.meaning(&[Key::Char('z'), Key::Escape], Screen::Chain), Meaning::Nothing);
+    }
+}
+
+#[cfg(test)]
+mod preset_tests {
+    use super::chord_label;
+    use super::*;
+    use crate::app::keymap::Keymap;
+
+    #[test]
+    fn the_text_read_as_a_file_is_the_preset() {
+        let read = Keymap::with_file("keymap.toml", &text()).expect("reads");
+        let preset = Keymap::default();
+        for screen in crate::app::Screen::ALL {
+            let on = |keymap: &Keymap| -> Vec<(String, &'static str)> {
+                let lines = keymap.bindings(screen).iter();
+                let mut lines: Vec<_> = lines.map(|binding| (chord_label(&binding.on), binding.entry.name)).collect();
+                lines.sort();
+                lines
+            };
+            assert_eq!(on(&read), on(&preset));
+        }
+    }
+}
+
+#[cfg(test)]
+mod file_tests {
+    use super::*;
+    use crate::app::keymap::Meaning;
+
+    fn refused(text: &str) -> (usize, String) {
+        let error = Keymap::with_file("keymap.toml", text).expect_err(text);
+        assert_eq!(error.file, "keymap.toml");
+        (error.line, error.what)
+    }
+
+    #[test]
+    fn only_what_differs_is_named() {
+        let text = "[topics]\nkeys = [\n  { on = \"v\", run = \"watch\", desc = \"Look\" },\n  { on = \"w\", run = \"none\" },\n\
+                    ]\n[everywhere]\nkeys = [{ on = [\"z\", \"q\"], run = \"quit\" }]\n";
+        let keymap = Keymap::with_file("keymap.toml", text).expect("reads");
+        assert_eq!(keymap.meaning(&[Key::Char('v')], Screen::Topics), Meaning::Does(Verb::Watch));
+        assert_eq!(keymap.meaning(&[Key::Char('w')], Screen::Topics), Meaning::Nothing);
+        assert_eq!(keymap.meaning(&[Key::Char('w')], Screen::Overview), Meaning::Does(Verb::Watch));
+        assert_eq!(keymap.meaning(&[Key::Char('z'), Key::Char('q')], Screen::Log), Meaning::Does(Verb::Quit));
+        assert_eq!(keymap.meaning(&[Key::Char('q')], Screen::Log), Meaning::Does(Verb::Quit));
+        let words: Vec<&str> = keymap.bindings(Screen::Topics).iter().map(Binding::help).collect();
+        assert!(words.contains(&"Look"));
+        assert_eq!(Keymap::with_file("keymap.toml", "").expect("nothing differs"), Keymap::default());
+    }
+
+    #[test]
+    fn unknown_and_doubled_entries_name_file_and_line() {
+        let (line, what) = refused("[topics]\nkeys = [\n  { on = \"v\", run = \"wacth\" },\n]\n");
+        assert!(line == 3 && what.contains("wacth"), "{line} {what}");
+        let (line, what) = refused("# mine\n[topic]\nkeys = []\n");
+        assert!(line == 2 && what.contains("'topic'") && what.contains("topics"), "{line} {what}");
+        let (line, what) =
+            refused("[log]\nkeys = [\n { on = \"v\", run = \"sort\" },\n { on = \"v\", run = \"filter\" }]\n");
+        assert!(line == 4 && what.contains("twice"), "{line} {what}");
+        let (line, what) = refused("[log]\nkeys = [\n { on = \"v\", rum = \"sort\" }]\n");
+        assert!(line == 3 && what.contains("rum"), "{line} {what}");
+        let (line, what) = refused("[log]\nkeys = []\n\n[log]\nkeys = []\n");
+        assert!(line >= 4 && !what.is_empty(), "{line} {what}");
+        for bad in ["f5", "alt-x", "^m", ""] {
+            let (line, what) = refused(&format!("[log]\nkeys = [\n{{ on = \"{bad}\", run = \"sort\" }}]\n"));
+            assert!(line == 3 && what.contains("not a key"), "{line} {what}");
+        }
+        assert_eq!(refused("[log]\nkeys = [\n{ on = [], run = \"sort\" }]").0, 3);
+        assert_eq!(refused("[log]\nkeys = [\n{ on = 7, run = \"sort\" }]").0, 3);
+        assert_eq!(refused("\n\n[log\n").0, 3);
+    }
+
+    #[test]
+    fn nothing_hides_behind_another_and_a_way_out_is_left() {
+        let (line, what) = refused("[topics]\nkeys = [\n{ on = [\"w\", \"x\"], run = \"sort\" }]\n");
+        assert!(line == 3 && what.contains("'w x'") && what.contains("watch"), "{line} {what}");
+        let (line, what) = refused("[everywhere]\nkeys = [\n{ on = \"z\", run = \"sort\" }]\n");
+        assert!(line == 3 && what.contains("cannot be reached"), "{line} {what}");
+        let (line, what) =
+            refused("[everywhere]\nkeys = [{ on = \"q\", run = \"none\" },\n{ on = \"^c\", run = \"none\" }]\n");
+        assert!(line == 3 && what.contains("quit"), "{line} {what}");
+        refused("[everywhere]\nkeys = [{ on = \":\", run = \"none\" }]\n");
+    }
+}
+
+#[cfg(test)]
+mod key_tests {
+    use super::*;
+
+    #[test]
+    fn every_label_is_read_back() {
+        let letters = ('a'..='z').map(Key::Char).chain([Key::Char('?'), Key::Char('^'), Key::Control('z')]);
+        for key in NAMED.into_iter().chain(letters) {
+            assert_eq!(Key::from_label(&key.label()), Some(key));
+        }
+        for wrong in ["", " ", "f5", "alt-x", "^1", "^A", "^m", "\u{1b}", "ctrl-x"] {
+            assert_eq!(Key::from_label(wrong), None, "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,674 @@
+//! The screens that are lists, or little more: Topics, Uploads and Shared, Grants, Keys, Chain and Log.
+
+use super::bars::notice_level;
+use super::table::{Column, Layout, Sheet, draw as draw_table, order, with_local_time};
+use super::theme::Role;
+use super::{Canvas, below, plot, right_of, row};
+use crate::app::leaving::{self, Capture};
+use crate::app::screens::topics::{SAMPLES, SORTS};
+use crate::app::screens::{
+    GRANT_SORTS, LogLine, Records, Source, Wanted, day, is_active, is_given, key, level_word, other_side, scope, soon,
+};
+use crate::app::update::Feed;
+use crate::app::{Screen, State};
+use crate::model::{Address, RecordKind, RecordState, Timestamp};
+use crate::pipeline::sender::LaneState;
+use crate::service::NoticeLevel;
+use crate::service::reply::{
+    AdministrationView, Caveat, ChainView, EpochView, GasView, GrantRow, IdentityView, KeysView, RecordView,
+    ShownState, TopicRow,
+};
+use ratatui::layout::Rect;
+
+/// Draws the screen.
+pub fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State) {
+    canvas.put(area, "Chain", Role::Title);
+    let area = below(area, 1);
+    match &state.chain {
+        Some(chain) => draw_known(canvas, area, state, chain),
+        None => drop(canvas.put(area, empty(state, Feed::Chain, "Asking…"), Role::Dim)),
+    }
+}
+
+fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView) {
+    let contract = chain.contract.map_or_else(|| "not deployed yet".to_owned(), |contract| contract.to_string());
+    let lines = [
+        (
+            "Kind",
+            chain.through.as_ref().map_or_else(|| chain.kind.clone(), |through| format!("{}, {through}", chain.kind)),
+        ),
+        ("Node", chain.client.clone()),
+        ("Consensus", format!("{}{}", chain.consensus, sealing(chain))),
+        ("Chain id", chain.chain_id.to_string()),
+        ("Genesis", chain.genesis.to_string()),
+        ("Block", super::count(chain.block)),
+        ("Contract", contract),
+        ("Address", state.address().map_or_else(|| "no identity yet".to_owned(), |address| address.to_string())),
+        ("Balance", ether(&chain.balance)),
+        ("Next nonce", chain.nonce.to_string()),
+        ("Pending", format!("{} of your transactions not in a block yet", chain.pending)),
+        ("Gas", gas(&chain.gas)),
+        ("Admin", administrator(state, &chain.administration)),
+    ];
+    for (place, (label, value)) in (0u16..).zip(&lines) {
+        line(canvas, row(area, place), label, value, Role::Body);
+    }
+    let told = draw_administration(canvas, below(area, 14), &chain.administration);
+    let lanes = told + draw_lanes(canvas, below(area, 14 + told), &chain.lanes);
+    if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
+        canvas.put(row(area, 15 + lanes), &failure.message, Role::Bad);
+    }
+}
+
+/// The administrator's unusual decisions; returns how many lines that took.
+fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &AdministrationView) -> u16 {
+    let shown = |account: Address, name: &Option<String>| name.clone().unwrap_or_else(|| account.to_string());
+    let mut lines: Vec<(&str, String)> = Vec::new();
+    lines.extend(decided.paused.then(|| {
+        let end = decided.paused_until.map_or_else(String::new, |until| format!(", until {until}"));
+        ("Paused", format!("by the administrator: no changes except revokes{end}"))
+    }));
+    lines.extend(decided.proposals.iter().map(|one| {
+        let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
+        ("Proposed", format!("{successor} for {lost}, from {} on", one.due))
+    }));
+    lines.extend(decided.successions.iter().map(|one| {
+        let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
+        ("Successor", format!("{successor} for {lost}, lost"))
+    }));
+    for (place, (label, value)) in (0u16..).zip(&lines) {
+        line(canvas, row(area, place), label, value, Role::Warning);
+    }
+    u16::try_from(lines.len()).unwrap_or(u16::MAX)
+}
+
+/// The accounts that anchor, and what delays them; returns how many lines that took.
+fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
+    let mut place = 0;
+    for (number, lane) in (1..).zip(lanes) {
+        let what = format!("{}  {} pending", lane.account, lane.open);
+        line(canvas, row(area, place), &format!("Lane {number}"), &what, Role::Body);
+        place += 1;
+        if let Some(paused) = &lane.paused {
+            canvas.put(row(area, place), &format!("  paused: {}", paused.cause(lane.account)), Role::Bad);
+            place += 1;
+        }
+    }
+    place
+}
+
+/// The cost of anchoring a record, over the newest transactions.
+fn gas(view: &GasView) -> String {
+    if view.records == 0 {
+        return "nothing anchored yet".to_owned();
+    }
+    let each = view.gas / view.records;
+    let (transactions, records) = (super::count(view.transactions), super::count(view.records));
+    format!("{} per record ({records} records in the last {transactions} transactions)", super::count(each))
+}
+
+fn administrator(state: &State, decided: &AdministrationView) -> String {
+    let Some(administrator) = decided.administrator else { return "not known yet".to_owned() };
+    let whose = if Some(administrator) == state.address() { "you; press : for your commands" } else { "not you" };
+    let registration = if decided.open { "anyone can register" } else { "only admitted accounts can register" };
+    format!("{} ({whose}), {registration}", administrator.short())
+}
+
+/// Period, difficulty and signers, as far as the chain reports them.
+fn sealing(chain: &ChainView) -> String {
+    let sealing = &chain.sealing;
+    let mut parts = Vec::new();
+    parts.extend(sealing.period.map(|period| format!("at least {period} ms between blocks")));
+    parts.extend(sealing.difficulty.as_ref().map(|difficulty| format!("difficulty {difficulty}")));
+    if chain.consensus == "poa" && !sealing.sealers.is_empty() {
+        let signers = if sealing.sealers.len() == 1 { "signer" } else { "signers" };
+        parts.push(format!("{} {signers}", sealing.sealers.len()));
+    }
+    if parts.is_empty() { String::new() } else { format!(", {}", parts.join(", ")) }
+}
+
+/// Wei as ether, if it is a round number of at least a millionth.
+fn ether(wei: &str) -> String {
+    const DIGITS: usize = 18;
+    if wei.len() + 6 <= DIGITS || !wei.bytes().all(|digit| digit.is_ascii_digit()) {
+        return format!("{wei} wei");
+    }
+    let padded = format!("{wei:0>width$}", width = DIGITS + 1);
+    let (whole, part) = padded.split_at(padded.len() - DIGITS);
+    format!("{whole}.{} ether", &part[..6])
+}
+
+const GRANT_COLUMNS: &[Column] = &[
+    Column::text("State", 8),
+    Column::text("", 8),
+    Column::text("Account", 13),
+    Column::text("Full address", 42).from(130),
+    Column::text("SM2 fingerprint", 39).from(180),
+    Column::name("Topics"),
+    Column::number("Epoch", 6),
+    Column::text("Ends UTC", 18).from(75),
+    Column::number("Block", 8).from(100),
+];
+
+/// Draws the screen.
+pub fn draw_grants(canvas: &mut Canvas, area: Rect, state: &State) {
+    let grants = &state.grants;
+    let rows = grants.visible();
+    let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
+    let readers = grants.rows.iter().filter(|row| is_given(row) && is_active(row)).count();
+    let order = order(&GRANT_SORTS, &grants.table);
+    let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| grant_cells(state, row));
+    let empty = empty(state, Feed::Grants, "No grants given or received yet; press g to grant.");
+    let sheet = Sheet {
+        title: "Grants",
+        note,
+        columns: GRANT_COLUMNS,
+        keys: &keys,
+        cells: &cells,
+        table: &grants.table,
+        empty,
+        old: false,
+    };
+    draw_table(canvas, area, &sheet);
+}
+
+/// When it ends: if soon, by the time left, with the clock beside it.
+fn ends(state: &State, row: &GrantRow) -> (String, Role) {
+    let Some(end) = row.expires else { return ("no end".to_owned(), Role::Dim) };
+    match soon(row.expires, state.shown_at()).filter(|_| is_active(row)) {
+        Some(left) => (format!("{left}, {}", end.clock().get(..5).unwrap_or_default()), Role::Warning),
+        None => (day(end), Role::Dim),
+    }
+}
+
+fn grant_cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
+    let role = if is_active(row) { Role::Good } else { Role::Dim };
+    let direction = if is_given(row) { "given to" } else { "got from" };
+    vec![
+        (row.state.word().to_owned(), role),
+        (direction.to_owned(), Role::Body),
+        (row.name.clone().unwrap_or_else(|| other_side(row).short()), Role::Accent),
+        (other_side(row).to_string(), Role::Dim),
+        (row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned()), Role::Dim),
+        (scope(&row.topics), Role::Body),
+        (if row.earlier == Some(true) { "all".to_owned() } else { row.epoch.to_string() }, Role::Body),
+        ends(state, row),
+        (row.block.to_string(), Role::Dim),
+    ]
+}
+
+/// Columns of the labels.
+const LABEL: u16 = 12;
+
+/// What a locked keyring can and cannot do, because watched topics are still captured.
+const LOCKED: &str = "locked (u unlocks it)";
+const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring continue";
+
+/// Draws a label and its value.
+pub fn line(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
+    canvas.put(Rect { width: LABEL.min(area.width), ..area }, label, Role::Dim);
+    canvas.put(right_of(area, LABEL), value, role);
+}
+
+/// Draws the screen.
+pub fn draw_keys(canvas: &mut Canvas, area: Rect, state: &State) {
+    canvas.put(area, "Keys", Role::Title);
+    let area = below(area, 1);
+    match &state.identity {
+        None => drop(canvas.put(area, "The site is starting…", Role::Dim)),
+        Some(identity) if !identity.exists => {
+            let text = "This profile has no identity yet: n creates one.";
+            canvas.put(area, text, Role::Body);
+        }
+        Some(identity) => draw_identity(canvas, area, state, identity),
+    }
+}
+
+fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &IdentityView) {
+    let address = identity.address.map(|address| address.to_string()).unwrap_or_default();
+    let (keyring, keyring_role) =
+        if identity.unlocked { ("unlocked", Role::Good) } else { (locked(state), Role::Warning) };
+    let (chain, chain_role) =
+        if identity.registered { ("registered", Role::Good) } else { ("not registered: R registers", Role::Warning) };
+    line(canvas, row(area, 0), "Profile", identity.profile.as_str(), Role::Body);
+    line(canvas, row(area, 1), "Keyring", keyring, keyring_role);
+    line(canvas, row(area, 2), "On chain", chain, chain_role);
+    line(canvas, row(area, 3), "Address", &address, Role::Accent);
+    canvas.put(
+        right_of(row(area, 4), LABEL),
+        "y copies it for anyone who wants to share with you; b backs up",
+        Role::Dim,
+    );
+    let rest = below(area, 6);
+    if let Some(keys) = &state.keys {
+        draw_epochs(canvas, rest, keys);
+    } else {
+        let locked = "Fingerprints and epochs come from the keyring: u unlocks it.";
+        if !identity.unlocked {
+            canvas.put(rest, locked, Role::Dim);
+            return;
+        }
+        let failure = state.feeds.slot(Feed::Keys).failure.as_ref();
+        canvas.put(rest, failure.map_or("Asking for the keys…", |failure| &failure.message), Role::Dim);
+    }
+}
+
+fn draw_epochs(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
+    line(canvas, row(area, 0), "SM2 signing", &keys.signing_fingerprint, Role::Body);
+    line(canvas, row(area, 1), "SM2 decrypt", &keys.envelope_fingerprint, Role::Body);
+    let area = below(area, 3);
+    canvas.puts(
+        area,
+        &[("SM4 epochs", Role::Title), ("  newest first; token = public commitment to each key", Role::Dim)],
+    );
+    let mut epochs: Vec<&EpochView> = keys.epochs.iter().collect();
+    epochs.sort_by_key(|epoch| std::cmp::Reverse(epoch.epoch));
+    for (place, epoch) in (1u16..area.height).zip(epochs) {
+        let now = if epoch.current { "in use" } else { "" };
+        let number = format!("{:>6}  ", epoch.epoch);
+        let token = format!("{}…  ", epoch.token.to_hex().chars().take(16).collect::<String>());
+        canvas.puts(row(area, place), &[(&number, Role::Body), (&token, Role::Dim), (now, Role::Good)]);
+    }
+}
+
+/// What goes on is said only if it is known.
+fn locked(state: &State) -> &'static str {
+    if leaving::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
+}
+
+const LOG_COLUMNS: &[Column] =
+    &[Column::text("UTC", 8), Column::text("Level", 7), Column::text("From", 11), Column::wide("What")];
+
+/// Draws the screen.
+pub fn draw_log(canvas: &mut Canvas, area: Rect, state: &State) {
+    let log = &state.log;
+    let lines = log.visible();
+    let keys: Vec<String> = lines.iter().map(|line| line.key.clone()).collect();
+    let least = match log.least {
+        NoticeLevel::Info => "all levels",
+        NoticeLevel::Warning => "warnings and errors",
+        NoticeLevel::Error => "errors",
+    };
+    let from = log.source.map_or_else(|| "all sources".to_owned(), |source| format!("from {}", source.word()));
+    let follows = if log.table.is_bound() { "held (home: newest)" } else { "newest first" };
+    let note = format!("{} of {} lines, {least}, {from}, {follows}", lines.len(), log.count());
+    let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| log_cells(state, line));
+    let sheet = Sheet {
+        title: "Log",
+        note,
+        columns: &with_local_time(LOG_COLUMNS, state),
+        keys: &keys,
+        cells: &cells,
+        table: &log.table,
+        empty: "Nothing yet.",
+        old: false,
+    };
+    draw_table(canvas, area, &sheet);
+}
+
+/// Audit lines also show their number.
+fn from(line: &LogLine) -> String {
+    match line.source {
+        Source::Audit => line.key.clone(),
+        source => source.word().to_owned(),
+    }
+}
+
+fn log_cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
+    let role = if line.level == NoticeLevel::Info { Role::Dim } else { notice_level(line.level).1 };
+    vec![
+        (state.clock(line.at), Role::Dim),
+        (level_word(line.level).to_owned(), role),
+        (from(line), Role::Dim),
+        (line.text.clone(), Role::Body),
+    ]
+}
+
+/// All columns of the list.
+pub(in crate::ui) const TOPIC_COLUMNS: &[Column] = &[
+    Column::name("Topic").named("topic"),
+    Column::text("Type", 27).named("type"),
+    Column::text("Publishers", 24).named("publishers"),
+    Column::text("Pinned", 10).named("pinned"),
+    Column::text("Watched", 13).named("watched"),
+    Column::number("Hz", 7).named("hz"),
+    Column::number("kB/s", 8).named("rate"),
+    Column::text("Last 8 s", 8).named("bars"),
+    Column::number("Captured", 9).named("captured"),
+    Column::number("Lost t/r", 8).named("lost"),
+    Column::number("Age", 6).named("age"),
+    Column::text("", 3).below(100),
+    Column::text("", 9).from(100),
+];
+
+/// Terminal width from which all topic columns fit.
+const ALL_FROM: u16 = 170;
+
+/// Draws the screen.
+pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
+    let topics = &state.topics;
+    let rows = topics.visible();
+    let keys: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
+    let layout = Layout::new(TOPIC_COLUMNS, Screen::Topics, &topics.table, area.width);
+    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), order(&SORTS, &topics.table));
+    if !topics.table.marks.is_empty() {
+        note.push_str(&format!(", {} marked", topics.table.marks.len()));
+    }
+    let scale = if layout.has("bars") { topics.scale(state.shown_at()) } else { 0.0 };
+    if scale > 0.0 {
+        note.push_str(&format!(", bars to {} kB/s", super::kilobytes(Some(scale))));
+    }
+    note.push_str(&layout.note());
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| layout.pick(topic_cells(state, row, scale)));
+    let empty = empty(state, Feed::Topics, "No topics published yet; they appear here automatically.");
+    let sheet = Sheet {
+        title: "Topics",
+        note,
+        columns: &layout.columns,
+        keys: &keys,
+        cells: &cells,
+        table: &topics.table,
+        empty,
+        old: false,
+    };
+    let narrow = area.width < ALL_FROM;
+    draw_table(canvas, Rect { height: area.height - u16::from(narrow), ..area }, &sheet);
+    if let Some(selected) = topics.selected().filter(|_| narrow) {
+        draw_detail(canvas, row(area, area.height - 1), selected);
+    }
+}
+
+/// The selected topic's data that the columns of a narrow screen leave out; it changes with every move of the cursor,
+/// so it is kept cheap: no colours.
+fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
+    let publishers = match topic.publishers.as_slice() {
+        [] => "nobody".to_owned(),
+        names if topic.pins == 0 => names.join(" "),
+        names if topic.unpinned.is_empty() => format!("{} (pinned)", names.join(" ")),
+        names => format!("{} (NOT PINNED: {})", names.join(" "), topic.unpinned.join(" ")),
+    };
+    let last = topic.last_message.map(|last| format!(", last {}", last.clock())).unwrap_or_default();
+    let type_name = topic.type_name.as_deref().unwrap_or("type not known yet");
+    let lost = topic.lost_in_transport + topic.lost_in_recorder;
+    let lost = if lost > 0 { format!(", {} lost", super::count(lost)) } else { String::new() };
+    let held = match topic.quarantined {
+        0 if topic.alarm => String::from(", ALARM: suspect publisher (enter)"),
+        0 => String::new(),
+        held => format!(", {} QUARANTINED", super::count(held)),
+    };
+    let captured = super::count(topic.messages);
+    let detail = format!("{type_name} from {publishers}: {captured} captured{held}{lost}{last}");
+    canvas.put(area, &detail, Role::Body);
+}
+
+/// The text for a feed without rows.
+pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
+    match &state.feeds.slot(feed).failure {
+        Some(failure) => &failure.message,
+        None if state.awaits(feed) && state.site.is_none() => "The site is starting…",
+        None if state.awaits(feed) && state.feeds.slot(feed).outstanding => "Asking…",
+        None => nothing,
+    }
+}
+
+fn topic_cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)> {
+    let lost = format!("{}/{}", row.lost_in_transport, row.lost_in_recorder);
+    let any_lost = row.lost_in_transport + row.lost_in_recorder > 0;
+    vec![
+        (row.topic.clone(), Role::Body),
+        (row.type_name.clone().unwrap_or_default(), Role::Dim),
+        (row.publishers.join(" "), Role::Dim),
+        pinned(row),
+        watched_of(state, row),
+        (super::rate(row.hz), Role::Accent),
+        (super::kilobytes(row.bytes_per_second), Role::Body),
+        (plot::sparkline(&state.topics.samples(&row.topic, SAMPLES, state.shown_at()), scale), Role::Accent),
+        (super::count(row.messages), Role::Body),
+        (lost, if any_lost { Role::Warning } else { Role::Dim }),
+        (row.last_message.map(|last| super::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
+        simulated(row.simulated),
+    ]
+}
+
+/// The cell that says whether all publishers are pinned ones.
+pub fn pinned(row: &TopicRow) -> (String, Role) {
+    match row {
+        TopicRow { pins: 0, .. } => ("-".to_owned(), Role::Dim),
+        TopicRow { unpinned, .. } if unpinned.is_empty() => ("pinned".to_owned(), Role::Good),
+        _ => ("NOT PINNED".to_owned(), Role::Warning),
+    }
+}
+
+/// The same for a folded robot: how many of its topics.
+fn watched_of(state: &State, row: &TopicRow) -> (String, Role) {
+    let Some(robot) = state.topics.robot(&row.topic) else { return watched(row) };
+    let (count, all) = state.topics.watched_of(robot);
+    let (word, role) = watched(row);
+    if row.watched && !row.alarm && row.held_up.is_none() { (format!("{count} of {all}"), role) } else { (word, role) }
+}
+
+/// The cell that says whether a topic is watched, or that one of its publishers is suspect.
+pub fn watched(row: &TopicRow) -> (String, Role) {
+    match row {
+        TopicRow { alarm: true, .. } => ("ALARM".to_owned(), Role::Bad),
+        row => (Capture::of(row).word().to_owned(), capture_role(Capture::of(row))),
+    }
+}
+
+fn capture_role(capture: Capture) -> Role {
+    match capture {
+        Capture::Watched => Role::Good,
+        Capture::WaitsForKey => Role::Warning,
+        Capture::Paused => Role::Accent,
+        Capture::Unwatched | Capture::NoPublisher => Role::Dim,
+    }
+}
+
+/// The cell that says what comes from a simulated robot: a mark in each row; the colour of warnings is for what is wrong.
+pub fn simulated(simulated: bool) -> (String, Role) {
+    (if simulated { "SIMULATED".to_owned() } else { String::new() }, Role::Dim)
+}
+
+const STATE: Column = Column::text("State", 11).named("state");
+const TOPIC: Column = Column::name("Topic").named("topic");
+const TYPE: Column = Column::text("Type", 27).named("type");
+const SEQ: Column = Column::number("Seq", 7).named("seq");
+const SIZE: Column = Column::number("Size", 8).named("size");
+const TIME: Column = Column::text("UTC", 8).named("time");
+const EPOCH: Column = Column::number("Epoch", 5).named("epoch");
+const BLOCK: Column = Column::number("Block", 8).named("block");
+const ID: Column = Column::text("Id", 16).named("id");
+const DIGEST: Column = Column::text("SM3", 13).named("digest");
+const TRANSACTION: Column = Column::text("Transaction", 13).named("transaction");
+
+/// From which width the mark of simulated records is written out, columns.
+const UPLOADS_WIDE: u16 = 70;
+const SHARED_WIDE: u16 = 100;
+
+const UPLOADS: &[Column] = &[
+    STATE,
+    TOPIC,
+    TYPE,
+    SEQ,
+    SIZE,
+    TIME,
+    EPOCH,
+    BLOCK,
+    ID,
+    DIGEST,
+    TRANSACTION,
+    Column::text("", 3).below(UPLOADS_WIDE),
+    Column::text("", 9).from(UPLOADS_WIDE),
+];
+
+const SHARED: &[Column] = &[
+    STATE,
+    Column::text("Owner", 13).named("owner"),
+    TOPIC,
+    TYPE,
+    SEQ,
+    SIZE,
+    TIME,
+    EPOCH,
+    BLOCK,
+    ID,
+    DIGEST,
+    TRANSACTION,
+    Column::text("", 3).below(SHARED_WIDE),
+    Column::text("", 9).from(SHARED_WIDE),
+];
+
+/// All columns of Uploads, or of Shared.
+pub(in crate::ui) fn all_columns(screen: Screen) -> &'static [Column] {
+    if screen == Screen::Shared { SHARED } else { UPLOADS }
+}
+
+/// Draws the Uploads screen.
+pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
+    let nothing = "No records yet: watch a topic (2, then w).";
+    draw_records(
+        canvas,
+        area,
+        state,
+        (&state.uploads, Feed::Uploads, Screen::Uploads),
+        ("Uploads", empty(state, Feed::Uploads, nothing)),
+    );
+}
+
+/// Draws the Shared screen.
+pub fn draw_shared(canvas: &mut Canvas, area: Rect, state: &State) {
+    let nothing = "Nobody shares with you yet: give others your address (6, then y).";
+    draw_records(
+        canvas,
+        area,
+        state,
+        (&state.shared, Feed::Shared, Screen::Shared),
+        ("Shared with me", empty(state, Feed::Shared, nothing)),
+    );
+}
+
+fn draw_records(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed, Screen), look: (&str, &str)) {
+    let (records, feed, screen) = list;
+    let slot = state.feeds.slot(feed);
+    let (title, empty) = look;
+    let rows = records.visible(&state.topics.rows);
+    let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
+    let layout = Layout::new(&with_local_time(all_columns(screen), state), screen, &records.table, area.width);
+    let cells = |index: usize| {
+        rows.get(index).map_or_else(Vec::new, |row| layout.pick(record_cells(state, row, screen == Screen::Shared)))
+    };
+    let empty = if records.table.filter.text().is_empty() { empty } else { "No records match the filter." };
+    let mut note = note(records, &records.wanted(&state.topics.rows));
+    note.push_str(&layout.note());
+    if slot.left || slot.told != slot.generation {
+        note.push_str(", reading…");
+    }
+    let columns = &layout.columns;
+    let sheet =
+        Sheet { title, note, columns, keys: &keys, cells: &cells, table: &records.table, empty, old: slot.left };
+    draw_table(canvas, area, &sheet);
+}
+
+/// `2026-11-26 21:54:22`.
+fn second(at: Timestamp) -> String {
+    let text = at.to_string();
+    text.get(..19).unwrap_or(&text).replace('T', " ")
+}
+
+fn note(records: &Records, wanted: &Wanted) -> String {
+    let order = if records.table.sort == 0 { "newest first" } else { "oldest first" };
+    let marked = records.table.marks.len();
+    let marked = if marked > 0 { format!("{marked} marked, ") } else { String::new() };
+    let mut note = format!("{marked}{order}, page {}", records.path.len() + 1);
+    if let Some(at) = records.anchor {
+        note.push_str(&format!(" as of {} (home: newest)", at.clock()));
+    }
+    if records.next.is_some() {
+        note.push_str(", more below");
+    }
+    if records.arriving {
+        note.push_str(", more is arriving from the gateway");
+    }
+    let asked = &wanted.asked;
+    let words = [
+        asked.topic.as_ref().map(|topic| format!("only {topic}")),
+        asked.type_name.as_ref().map(|name| format!("only {name}")),
+        asked.owner.as_ref().map(|owner| format!("of {}", owner.short())),
+        asked.kind.map(|kind| format!("only of kind {}", kind.word())),
+        asked.since.map(|since| format!("since {} UTC", second(since))),
+        asked.until.map(|until| format!("until {} UTC", second(until))),
+    ];
+    let searched = asked.words.iter().map(|word| format!("with '{word}'"));
+    let tags = asked.tags.iter().map(|(name, value)| format!("tag {name}={value}"));
+    for word in words.into_iter().flatten().chain(searched).chain(tags) {
+        note.push_str(", ");
+        note.push_str(&word);
+    }
+    if !wanted.rest.is_empty() {
+        note.push_str(", ids on this page only");
+    }
+    note
+}
+
+fn record_cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role)> {
+    let topic = match row.kind {
+        RecordKind::Data => row.topic.clone(),
+        kind => format!("{} ({})", row.topic, kind.word()),
+    };
+    let mut cells = vec![(short_state(row.state.word()).to_owned(), state_role(row.state))];
+    if with_owner {
+        let short = || row.owner.map(|owner| owner.short());
+        cells.push((row.owner_name.clone().or_else(short).unwrap_or_default(), Role::Accent));
+    }
+    cells.extend([
+        (topic, Role::Body),
+        (row.type_name.clone(), Role::Dim),
+        (row.seq.to_string(), Role::Body),
+        (super::size(row.bytes), Role::Body),
+        (state.clock(row.captured_at), Role::Dim),
+        (row.epoch.to_string(), Role::Dim),
+        (row.block.map(|block| block.to_string()).unwrap_or_default(), Role::Dim),
+        (row.id.clone(), Role::Dim),
+        (beginning(&row.digest.to_hex()), Role::Dim),
+        (row.transaction.map(|hash| beginning(&hash.to_string())).unwrap_or_default(), Role::Dim),
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
+        simulated(row.simulated),
+    ]);
+    cells
+}
+
+/// Enough of a digest or a hash to compare it by eye.
+fn beginning(text: &str) -> String {
+    text.chars().take(12).chain(['…']).collect()
+}
+
+/// A record's state, to fit into its column.
+fn short_state(state: &str) -> &str {
+    state.strip_prefix("waits: ").unwrap_or(state)
+}
+
+/// The role of a record's state.
+pub fn state_role(state: ShownState) -> Role {
+    match state {
+        ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked) => Role::Good,
+        ShownState::Kept(RecordState::Tampered) | ShownState::Refused(_) => Role::Bad,
+        ShownState::Kept(RecordState::Quarantined | RecordState::Dropped | RecordState::RightEnded) => Role::Warning,
+        ShownState::Kept(_) | ShownState::Verified(Caveat::Deleted | Caveat::Unread) => Role::Accent,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn balances_read_as_ether() {
+        assert_eq!(ether("0"), "0 wei");
+        assert_eq!(ether("1500000000000000000"), "1.500000 ether");
+        assert_eq!(ether("1234567890123"), "0.000001 ether");
+        assert_eq!(ether("100000000000000000000"), "100.000000 ether");
+        assert_eq!(ether("many"), "many wei");
+    }
+}

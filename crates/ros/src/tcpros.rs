@@ -1,0 +1,398 @@
+//! What every ROS 1 node has: connection headers and length-prefixed frames of TCPROS, and the slave API that the master
+//! and tools such as rosnode call. Who connects to whom, and what happens to the frames, is up to capture and robots.
+
+use std::io::{BufRead, BufReader, ErrorKind, Read};
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::model::clean;
+use crate::ros::RosError;
+use crate::ros::address::{authority, listen_address};
+use crate::ros::xmlrpc::{Answer, OF_A_NODE, Server, Value};
+
+/// The longest message accepted, bytes.
+pub const LONGEST_MESSAGE: usize = 64 << 20;
+
+/// The longest header accepted, bytes.
+pub(crate) const LONGEST_HEADER: usize = 1 << 20;
+
+/// The most fields in a header.
+const MOST_FIELDS: usize = 64;
+
+/// A connection header: its fields in order.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(crate) struct ConnectionHeader(Vec<(String, String)>);
+
+impl ConnectionHeader {
+    /// With these fields.
+    pub fn new<'a>(fields: impl IntoIterator<Item = (&'a str, &'a str)>) -> Self {
+        Self(fields.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned())).collect())
+    }
+
+    /// The value of a field.
+    pub fn get(&self, key: &str) -> Option<&str> {
+        self.0.iter().find(|(name, _)| name == key).map(|(_, value)| value.as_str())
+    }
+
+    /// From the bytes after the length; invalid UTF-8 is replaced.
+    pub fn parse(mut bytes: &[u8]) -> Result<Self, &'static str> {
+        let mut fields = Vec::new();
+        while !bytes.is_empty() {
+            let (prefix, rest) = bytes.split_first_chunk().ok_or("a field's length is cut short")?;
+            let length = usize::try_from(u32::from_le_bytes(*prefix)).map_err(|_| "a field is too long")?;
+            let (field, rest) = rest.split_at_checked(length).ok_or("a field is cut short")?;
+            let text = String::from_utf8_lossy(field);
+            let (key, value) = text.split_once('=').ok_or("a field has no '='")?;
+            if fields.len() == MOST_FIELDS {
+                return Err("it has too many fields");
+            }
+            fields.push((key.to_owned(), value.to_owned()));
+            bytes = rest;
+        }
+        Ok(Self(fields))
+    }
+
+    /// The bytes as sent, total length first. Fields beyond what 32 bits can count are left out.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut body = Vec::new();
+        for (key, value) in &self.0 {
+            if let Ok(length) = u32::try_from(key.len() + 1 + value.len()) {
+                body.extend_from_slice(&length.to_le_bytes());
+                body.extend_from_slice(key.as_bytes());
+                body.push(b'=');
+                body.extend_from_slice(value.as_bytes());
+            }
+        }
+        let total = u32::try_from(body.len()).unwrap_or(u32::MAX);
+        [total.to_le_bytes().as_slice(), &body].concat()
+    }
+}
+
+/// How much is read from the socket at a time, bytes.
+const BUFFER: usize = 256 << 10;
+
+/// The result of reading.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Poll {
+    /// A complete frame.
+    Frame(Vec<u8>),
+    /// Nothing complete before the read timed out.
+    Pending,
+    /// The peer closed, between frames (`true`) or inside one.
+    Closed(bool),
+    /// The peer announced a frame of this length, beyond the cap; the stream is no longer usable.
+    TooLong(u32),
+}
+
+/// Reads frames; keeps an incomplete frame between calls.
+pub(crate) struct FrameReader<R> {
+    reader: BufReader<R>,
+    prefix: Vec<u8>,
+    body: Vec<u8>,
+}
+
+impl<R: Read> FrameReader<R> {
+    /// Over a stream, which needs a read timeout if waiting is to end.
+    pub fn new(stream: R) -> Self {
+        Self { reader: BufReader::with_capacity(BUFFER, stream), prefix: Vec::with_capacity(4), body: Vec::new() }
+    }
+
+    /// The next frame of at most `most` bytes.
+    pub fn poll(&mut self, most: usize) -> std::io::Result<Poll> {
+        loop {
+            let Ok(prefix) = <[u8; 4]>::try_from(self.prefix.as_slice()) else {
+                match fill(&mut self.reader, &mut self.prefix, 4)? {
+                    Filled::Whole => continue,
+                    Filled::TimedOut => return Ok(Poll::Pending),
+                    Filled::Closed => return Ok(Poll::Closed(self.prefix.is_empty())),
+                }
+            };
+            let claimed = u32::from_le_bytes(prefix);
+            let Some(length) = usize::try_from(claimed).ok().filter(|length| *length <= most) else {
+                return Ok(Poll::TooLong(claimed));
+            };
+            if self.body.capacity() == 0 {
+                self.body.reserve_exact(length.min(BUFFER));
+            }
+            return match fill(&mut self.reader, &mut self.body, length)? {
+                Filled::Whole => {
+                    self.prefix.clear();
+                    Ok(Poll::Frame(std::mem::take(&mut self.body)))
+                }
+                Filled::TimedOut => Ok(Poll::Pending),
+                Filled::Closed => Ok(Poll::Closed(false)),
+            };
+        }
+    }
+}
+
+enum Filled {
+    Whole,
+    TimedOut,
+    Closed,
+}
+
+/// Reads until `into` holds `length` bytes.
+fn fill(reader: &mut impl BufRead, into: &mut Vec<u8>, length: usize) -> std::io::Result<Filled> {
+    while into.len() < length {
+        let available = match reader.fill_buf() {
+            Ok([]) => return Ok(Filled::Closed),
+            Ok(bytes) => bytes,
+            Err(error) => match error.kind() {
+                ErrorKind::Interrupted => continue,
+                ErrorKind::WouldBlock | ErrorKind::TimedOut => return Ok(Filled::TimedOut),
+                _ => return Err(error),
+            },
+        };
+        let taken = available.len().min(length - into.len());
+        into.extend_from_slice(&available[..taken]);
+        reader.consume(taken);
+    }
+    Ok(Filled::Whole)
+}
+
+/// One connection of a node, as `getBusInfo` reports it.
+pub(super) struct BusLink {
+    pub peer: String,
+    pub outbound: bool,
+    pub topic: String,
+}
+
+/// What a node reports about itself. Nothing here may block.
+pub(super) trait Node: Send + Sync + 'static {
+    fn master_uri(&self) -> String;
+    /// Topics and types it subscribes to.
+    fn subscriptions(&self) -> Vec<(String, String)>;
+    /// Topics and types it publishes.
+    fn publications(&self) -> Vec<(String, String)>;
+    /// Its connections.
+    fn links(&self) -> Vec<BusLink>;
+    /// Somebody reports that the publishers of a topic have changed, and their URIs.
+    fn publishers_changed(&self, topic: &str, publishers: &[&str]);
+    /// Host and port where it serves a topic.
+    fn outlet(&self, topic: &str) -> Option<(String, u16)>;
+    /// Somebody asks it to shut down.
+    fn shutdown_asked(&self, by: &str, reason: &str);
+}
+
+/// A node's running slave API.
+pub(super) struct SlaveServer {
+    pub uri: String,
+    _server: Server,
+}
+
+impl SlaveServer {
+    /// Serves `node` on a free port of `host`.
+    pub fn start(host: &str, node: Arc<dyn Node>) -> Result<Self, RosError> {
+        let listener = listen(host)?;
+        let port = listener.local_addr().map_err(|error| RosError::system("listen", &error))?.port();
+        let server = Server::start(listener, Arc::new(Slave(node)), OF_A_NODE)
+            .map_err(|error| RosError::system("start a thread", &error))?;
+        Ok(Self { uri: format!("http://{}/", authority(host, port)), _server: server })
+    }
+}
+
+/// A listener on a free port of `host` only.
+pub(super) fn listen(host: &str) -> Result<TcpListener, RosError> {
+    let address = listen_address(host, Instant::now() + Duration::from_secs(2))?;
+    TcpListener::bind(address).map_err(|error| RosError::OwnHost { host: clean(host, 80), reason: error.to_string() })
+}
+
+struct Slave(Arc<dyn Node>);
+
+impl Answer for Slave {
+    fn answer(&self, method: &str, params: &[Value]) -> Option<Value> {
+        let node = &*self.0;
+        Some(match method {
+            "getPid" => success(Value::Int(i64::from(std::process::id()))),
+            "getMasterUri" => success(node.master_uri().into()),
+            "getSubscriptions" => success(pairs(node.subscriptions())),
+            "getPublications" => success(pairs(node.publications())),
+            "getBusStats" => success(Value::Array(vec![empty(), empty(), empty()])),
+            "getBusInfo" => success(bus_info(node.links())),
+            "publisherUpdate" => publisher_update(node, params),
+            "requestTopic" => request_topic(node, params),
+            "paramUpdate" => success(Value::Int(0)),
+            "shutdown" => {
+                node.shutdown_asked(text_at(params, 0), text_at(params, 1));
+                success(Value::Int(0))
+            }
+            _ => return None,
+        })
+    }
+}
+
+fn text_at(params: &[Value], index: usize) -> &str {
+    params.get(index).and_then(Value::as_text).unwrap_or_default()
+}
+
+fn empty() -> Value {
+    Value::Array(Vec::new())
+}
+
+fn success(value: Value) -> Value {
+    Value::Array(vec![Value::Int(1), "".into(), value])
+}
+
+fn failure(code: i64, reason: &str) -> Value {
+    Value::Array(vec![Value::Int(code), reason.into(), Value::Int(0)])
+}
+
+fn pairs(pairs: Vec<(String, String)>) -> Value {
+    pairs.into_iter().map(|(topic, type_name)| Value::Array(vec![topic.into(), type_name.into()])).collect()
+}
+
+fn bus_info(links: Vec<BusLink>) -> Value {
+    let row = |(number, link): (i64, BusLink)| {
+        Value::Array(vec![
+            Value::Int(number),
+            link.peer.into(),
+            if link.outbound { "o" } else { "i" }.into(),
+            "TCPROS".into(),
+            link.topic.into(),
+            Value::Bool(true),
+        ])
+    };
+    (1..).zip(links).map(row).collect()
+}
+
+fn publisher_update(node: &dyn Node, params: &[Value]) -> Value {
+    match params.get(1).and_then(Value::as_text) {
+        Some(topic) => {
+            let uris = params.get(2).and_then(Value::as_array).unwrap_or_default();
+            let uris: Vec<&str> = uris.iter().filter_map(Value::as_text).collect();
+            node.publishers_changed(topic, &uris);
+            success(Value::Int(0))
+        }
+        None => failure(-1, "publisherUpdate needs a topic"),
+    }
+}
+
+fn request_topic(node: &dyn Node, params: &[Value]) -> Value {
+    let protocols = params.get(2).and_then(Value::as_array).unwrap_or_default();
+    let tcpros =
+        |protocol: &Value| protocol.as_array().and_then(<[Value]>::first).and_then(Value::as_text) == Some("TCPROS");
+    if !protocols.iter().any(tcpros) {
+        return failure(0, "only TCPROS is supported");
+    }
+    match node.outlet(text_at(params, 1)) {
+        Some((host, port)) => success(Value::Array(vec!["TCPROS".into(), host.into(), Value::Int(i64::from(port))])),
+        None => failure(0, "this topic is not published here"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn broken_headers_are_refused() {
+        assert_eq!(ConnectionHeader::parse(&[1, 0, 0]), Err("a field's length is cut short"));
+        assert_eq!(ConnectionHeader::parse(&[255, 255, 255, 255, b'a']), Err("a field is cut short"));
+        assert_eq!(ConnectionHeader::parse(&[1, 0, 0, 0, b'a']), Err("a field has no '='"));
+        assert_eq!(ConnectionHeader::parse(&[2, 0, 0, 0, b'a', b'='].repeat(65)), Err("it has too many fields"));
+        assert_eq!(ConnectionHeader::parse(&[]), Ok(ConnectionHeader::default()));
+    }
+
+    proptest! {
+        #[test]
+        fn round_trip_and_every_cut(fields in prop::collection::vec(("[a-z]{1,8}", ".{0,20}"), 1..6)) {
+            let header = ConnectionHeader(fields);
+            let bytes = header.to_bytes();
+            let total = u32::try_from(bytes.len() - 4).expect("short");
+            prop_assert_eq!(bytes.first_chunk(), Some(&total.to_le_bytes()));
+            prop_assert_eq!(ConnectionHeader::parse(&bytes[4..]), Ok(header.clone()));
+            for end in 5..bytes.len() {
+                prop_assert_ne!(ConnectionHeader::parse(&bytes[4..end]), Ok(header.clone()));
+            }
+        }
+
+        #[test]
+        fn noise_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            let _ = ConnectionHeader::parse(&bytes);
+        }
+    }
+}
+
+#[cfg(test)]
+mod frame_tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::VecDeque;
+
+    /// Returns its pieces one by one, with a timeout after each.
+    struct Dripping(VecDeque<Vec<u8>>, bool);
+
+    impl Read for Dripping {
+        fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+            self.1 = !self.1;
+            if self.1 {
+                return Err(ErrorKind::WouldBlock.into());
+            }
+            let Some(mut piece) = self.0.pop_front() else { return Ok(0) };
+            let taken = piece.len().min(out.len());
+            out[..taken].copy_from_slice(&piece[..taken]);
+            if taken < piece.len() {
+                self.0.push_front(piece.split_off(taken));
+            }
+            Ok(taken)
+        }
+    }
+
+    fn frame(body: &[u8]) -> Vec<u8> {
+        [u32::try_from(body.len()).expect("short").to_le_bytes().as_slice(), body].concat()
+    }
+
+    fn read_all(pieces: Vec<Vec<u8>>, most: usize) -> (Vec<Vec<u8>>, Poll) {
+        let mut reader = FrameReader::new(Dripping(pieces.into_iter().filter(|p| !p.is_empty()).collect(), false));
+        let mut frames = Vec::new();
+        loop {
+            match reader.poll(most).expect("no error") {
+                Poll::Frame(body) => frames.push(body),
+                Poll::Pending => {}
+                end => return (frames, end),
+            }
+        }
+    }
+
+    #[test]
+    fn a_claim_beyond_the_cap_is_not_followed() {
+        assert_eq!(read_all(vec![vec![255, 255, 255, 255, 0]], 1000), (Vec::new(), Poll::TooLong(u32::MAX)));
+        assert_eq!(read_all(vec![frame(b"abcd")], 3), (Vec::new(), Poll::TooLong(4)));
+    }
+
+    #[test]
+    fn a_long_claim_allocates_only_what_arrives() {
+        let mut reader = FrameReader::new([0, 0, 0, 4, 1, 2, 3].as_slice());
+        assert_eq!(reader.poll(64 << 20).expect("no error"), Poll::Closed(false));
+        assert!(reader.body.capacity() <= BUFFER);
+    }
+
+    proptest! {
+        #[test]
+        fn frames_survive_any_cutting(
+            bodies in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..50), 0..8),
+            cuts in prop::collection::vec(0usize..300, 0..12),
+            lost in 0usize..5,
+        ) {
+            let mut stream: Vec<u8> = bodies.iter().flat_map(|body| frame(body)).collect();
+            let lost = lost.min(bodies.last().map_or(0, |body| body.len() + 3));
+            stream.truncate(stream.len() - lost);
+            let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut.min(stream.len())).collect();
+            cuts.sort_unstable();
+            let mut pieces = Vec::new();
+            let mut from = 0;
+            for cut in cuts {
+                pieces.push(stream[from..cut].to_vec());
+                from = cut;
+            }
+            pieces.push(stream[from..].to_vec());
+            let (frames, end) = read_all(pieces, 1000);
+            let whole = if lost == 0 { bodies.len() } else { bodies.len() - 1 };
+            prop_assert_eq!(frames.as_slice(), &bodies[..whole]);
+            prop_assert_eq!(end, Poll::Closed(lost == 0));
+        }
+    }
+}
