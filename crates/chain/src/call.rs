@@ -308,9 +308,6 @@ pub fn artefact() -> Result<&'static Artefact, ChainError> {
 
 impl Artefact {
     /// A function of the contract.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if there is none of that name.
     pub fn function(&self, name: &str) -> Result<&Function, ChainError> {
         self.abi.function(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))
     }
@@ -325,9 +322,6 @@ impl Artefact {
     }
 
     /// The first topic of an event.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if there is none of that name.
     pub fn event_signature(&self, name: &str) -> Result<Hash, ChainError> {
         let event = self.abi.event(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))?;
         Ok(Hash(event.signature().0))

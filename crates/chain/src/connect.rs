@@ -166,9 +166,6 @@ impl Chain {
     }
 
     /// Uses an existing contract, after checking that its code is this program's.
-    ///
-    /// # Errors
-    /// [`ChainError::NotTheContract`], or an error of the node.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
         let code_hash = artefact()?.code_hash;
         if self.code_hash(contract).await? != Some(code_hash) {
@@ -179,9 +176,6 @@ impl Chain {
     }
 
     /// Whether a contract of this program is at an address.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn has_contract(&self, contract: Address) -> Result<bool, ChainError> {
         Ok(self.code_hash(contract).await? == Some(artefact()?.code_hash))
     }
@@ -232,7 +226,6 @@ impl Chain {
         self.pin().map(|pin| pin.contract).ok_or(ChainError::NoContract)
     }
 
-    /// The chain id.
     pub fn chain_id(&self) -> u64 {
         self.inner.chain_id
     }
@@ -265,17 +258,11 @@ impl Chain {
     }
 
     /// The newest block.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn head(&self) -> Result<BlockRef, ChainError> {
         Ok(self.newest().await?.reference())
     }
 
     /// The block of that number; `None` above the head.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn block(&self, number: u64) -> Result<Option<BlockRef>, ChainError> {
         Ok(self.raw_block(number).await?.as_ref().map(RawBlock::reference))
     }
@@ -421,9 +408,6 @@ pub struct Deployment {
 
 impl Chain {
     /// Deploys the contract with open registration and [`DEFAULT_DELAY`], waits until it is mined, and uses it.
-    ///
-    /// # Errors
-    /// See [`Chain::deploy_with`].
     pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
         Ok(self.deploy_with(eoa, DEFAULT_DELAY, Policy::default()).await?.pin)
     }

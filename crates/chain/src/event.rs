@@ -193,7 +193,6 @@ pub enum Completeness {
 /// The contract's events in one block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BlockEvents {
-    /// The block.
     pub block: BlockRef,
     /// Hash of the block before it.
     pub parent: Hash,
@@ -236,9 +235,6 @@ fn covers(logs: &[RawLog], named: &[H256]) -> bool {
 
 impl Chain {
     /// The contract's events in block `number`; `None` if those asked do not have the block, or not all of it yet.
-    ///
-    /// # Errors
-    /// [`ChainError::NoContract`], or an error of the node.
     pub async fn block_events(&self, number: u64) -> Result<Option<BlockEvents>, ChainError> {
         let Some(header) = self.raw_block(number).await? else { return Ok(None) };
         let missing = || self.misunderstood("eth_getBlockByNumber", "it has no parent");
@@ -252,9 +248,6 @@ impl Chain {
     }
 
     /// Like [`Chain::block_events`] for blocks `from` to `to`, in order; for [`AT_ONCE`] of them at most.
-    ///
-    /// # Errors
-    /// See [`Chain::block_events`].
     pub async fn each_block(&self, from: u64, to: u64) -> Result<Vec<Option<BlockEvents>>, ChainError> {
         let mut asked = JoinSet::new();
         for number in from..=to.min(from + AT_ONCE - 1) {

@@ -59,9 +59,6 @@ impl Offered {
 
 impl Chain {
     /// The newest block and the current gas price.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn market(&self) -> Result<Market, ChainError> {
         let block = self.newest().await?;
         self.note_room(block.room());
@@ -76,17 +73,11 @@ impl Chain {
     }
 
     /// Wei held by an account, saturating at the largest number.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn wealth(&self, account: Address) -> Result<u128, ChainError> {
         Ok(u128::try_from(self.balance(account).await?).unwrap_or(u128::MAX))
     }
 
     /// What the account holds, and what its next call needs at this price; the node's own estimate may be higher.
-    ///
-    /// # Errors
-    /// Errors of the node, [`ChainError::Input`].
     pub async fn shortfall(&self, account: Address, call: &Call, price: u128) -> Result<Shortfall, ChainError> {
         let gas = known_cost(call.name(), &call.encode()?);
         let needed = Wei(price.saturating_mul(u128::from(gas)));
@@ -94,9 +85,6 @@ impl Chain {
     }
 
     /// Like [`Chain::sign`], at a given price in wei per gas.
-    ///
-    /// # Errors
-    /// See [`Chain::sign`].
     pub async fn sign_at(
         &self,
         eoa: &EoaSecret,
@@ -112,9 +100,6 @@ impl Chain {
     }
 
     /// Signs a transfer of `wei` to `to`, without data. Nothing is sent.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if it cannot be signed.
     pub fn sign_transfer(
         &self,
         eoa: &EoaSecret,
@@ -161,9 +146,6 @@ fn function_of(data: &[u8]) -> Option<&'static str> {
 }
 
 /// The gas terms of signed legacy bytes.
-///
-/// # Errors
-/// [`ChainError::Input`] if they are not a legacy transaction.
 pub fn offered(raw: &[u8]) -> Result<Offered, ChainError> {
     let terms = decode(raw)?;
     Ok(Offered { price: terms.gas_price, gas: terms.gas_limit, value: terms.value.saturating_to() })
@@ -176,9 +158,6 @@ pub fn is_same_call(one: &[u8], other: &[u8]) -> bool {
 }
 
 /// The call data of signed legacy bytes.
-///
-/// # Errors
-/// [`ChainError::Input`] if they are not a legacy transaction.
 pub fn call_data(raw: &[u8]) -> Result<Vec<u8>, ChainError> {
     Ok(decode(raw)?.input)
 }
@@ -303,7 +282,6 @@ impl Wait {
 /// What an account holds, and what it needs for its next transaction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Shortfall {
-    /// The account.
     pub account: Address,
     /// Its ether.
     pub held: Wei,

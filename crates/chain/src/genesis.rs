@@ -182,9 +182,6 @@ fn qbft_extra(vanity: &[u8; VANITY], validators: &[Address]) -> Vec<u8> {
 }
 
 /// Random bytes.
-///
-/// # Errors
-/// [`ChainError::Internal`] if the system gives none.
 pub fn noise<const N: usize>() -> Result<[u8; N], ChainError> {
     let mut noise = [0; N];
     getrandom::fill(&mut noise).map_err(|error| ChainError::Internal(format!("no randomness: {error}")))?;

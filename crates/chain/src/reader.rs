@@ -31,9 +31,6 @@ pub struct Nonces {
 
 impl Chain {
     /// The chain's properties and, for `account`, its holdings.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
         let mut status = ChainStatus {
             kind: self.kind().to_owned(),
@@ -71,9 +68,6 @@ impl Chain {
 
     /// The next nonce of an account; `pending` counts transactions not yet mined. If a node keeps no pending state, the
     /// mined nonce is returned.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn nonce(&self, account: Address, pending: bool) -> Result<u64, ChainError> {
         let ask = |tag: &'static str| self.rpc::<U64>("eth_getTransactionCount", json!([account.to_string(), tag]));
         let nonce = match ask(if pending { "pending" } else { "latest" }).await {
@@ -142,9 +136,6 @@ impl Chain {
     }
 
     /// The state of a registered account; `None` if it is not registered.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn account(&self, owner: Address) -> Result<Option<AccountState>, ChainError> {
         let read = |values: &mut Values| {
             let (identity, epoch) = (values.bytes()?, values.number()?);
@@ -161,9 +152,6 @@ impl Chain {
     }
 
     /// The paper's dataQuery, as `from` would be answered. A node does not authenticate `from`.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn data_query(&self, from: Address, token: Token, owner: Address) -> Result<QueryAnswer, ChainError> {
         let arguments = [AbiToken::Bytes(token.0.to_vec()), address(owner)];
         let read = |values: &mut Values| {
@@ -174,26 +162,17 @@ impl Chain {
     }
 
     /// Whether an owner uploaded this digest individually (not in a batch).
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn anchored(&self, owner: Address, digest: Digest) -> Result<bool, ChainError> {
         Ok(self.uploaded_at(owner, digest).await?.is_some())
     }
 
     /// The block in which an owner uploaded this digest individually.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn uploaded_at(&self, owner: Address, digest: Digest) -> Result<Option<u64>, ChainError> {
         let block = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)], Values::number).await?;
         Ok((block != 0).then_some(block))
     }
 
     /// The block in which an account first anchored a root, and the number of its leaves.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn root_anchored(&self, account: Address, root: Hash) -> Result<Option<(u64, u64)>, ChainError> {
         let read = |values: &mut Values| Some((values.number()?, values.number()?));
         let found = self.view(account, "anchorOf", &[address(account), word(root.0)], read).await?;
@@ -201,17 +180,11 @@ impl Chain {
     }
 
     /// The root that an account anchored last; zero before the first.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn anchor_head(&self, account: Address) -> Result<Hash, ChainError> {
         self.view(account, "headOf", &[address(account)], Values::hash).await
     }
 
     /// An owner's grant to an account; `None` if there never was one.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn grant(&self, owner: Address, grantee: Address) -> Result<Option<GrantState>, ChainError> {
         let read = |values: &mut Values| {
             Some(GrantState { active: values.flag()?, epoch: values.number()?, expiry: values.end()? })
@@ -228,9 +201,6 @@ impl Chain {
     }
 
     /// Writes the embedded chain, as it is between two blocks, to a new file; `false` for other chains.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub async fn copy_to(&self, path: std::path::PathBuf) -> Result<bool, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.copy_to(path).await.map(|()| true),
@@ -283,9 +253,6 @@ pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option
 
 impl Chain {
     /// Transactions and gas of blocks `from` to `to`, inclusive.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn work(&self, from: u64, to: u64) -> Result<(u64, u64), ChainError> {
         let (mut transactions, mut gas) = (0, 0);
         for number in from..=to {
@@ -335,17 +302,11 @@ fn wide(contract: Address, from: u64, to: u64, topics: &Value) -> Value {
 
 impl Chain {
     /// The contract's events in blocks `from` to `to` (at most the head), in order.
-    ///
-    /// # Errors
-    /// [`ChainError::NoContract`], or an error of the node.
     pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         self.collect(from, to, &Value::Null).await
     }
 
     /// Like [`Chain::events`], without uploads and anchors: the events from which rights are rebuilt.
-    ///
-    /// # Errors
-    /// See [`Chain::events`].
     pub async fn changes(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let changes = artefact()?.abi.events().filter(|event| !ANCHORS.contains(&event.name.as_str()));
         let wanted: Vec<String> = changes.map(|event| Hash(event.signature().0).to_string()).collect();
@@ -355,9 +316,6 @@ impl Chain {
     }
 
     /// Every anchor of one root in blocks `from` to `to`, by any account, in the chain's order.
-    ///
-    /// # Errors
-    /// See [`Chain::events`].
     pub async fn anchors_of(&self, root: Hash, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let name = artefact()?.event_signature("Anchored")?.to_string();
         let mut found = self.collect(from, to, &json!([name, null, root.to_string()])).await?;
@@ -452,9 +410,6 @@ impl Chain {
     }
 
     /// The head as soon as it is above `after`, or the current one when `patience` is over.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn next_block(&self, after: u64, patience: Duration) -> Result<BlockRef, ChainError> {
         if let Some(embedded) = self.transport().embedded() {
             let mut news = embedded.head();

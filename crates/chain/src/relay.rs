@@ -119,9 +119,6 @@ pub fn check(method: &str, parameters: &Value) -> Result<(), RelayError> {
 impl Chain {
     /// Passes another party's request on to this chain, over this process's own connection. Whether it may pass is for
     /// [`examine`] to say.
-    ///
-    /// # Errors
-    /// [`RelayError`].
     pub async fn relay(&self, method: &str, parameters: &Value) -> Result<Value, RelayError> {
         check(method, parameters)?;
         Ok(self.transport().request_for_another(method, parameters.clone()).await?)

@@ -177,9 +177,6 @@ impl SealedBy {
 
 impl Chain {
     /// Who seals this chain, as the node reports it: the caller has to trust that node.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn sealed_by(&self) -> Result<SealedBy, ChainError> {
         let sealing = self.sealing().await?;
         let (client, consensus) = (&self.inner.client, self.inner.consensus);
@@ -201,9 +198,6 @@ const MISSED: u32 = 2;
 
 impl Chain {
     /// How long after a block the next one is due; `None` if nothing is due, or if the newest blocks do not show it.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn due_within(&self) -> Result<Option<Duration>, ChainError> {
         // Where one program is the whole chain, its answer is the chain's word: there is nobody to be cut off from.
         let is_alone = self.transport().embedded().is_some() || self.inner.client.starts_with("AuthROS/");

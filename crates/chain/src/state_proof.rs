@@ -105,9 +105,7 @@ const VERSION: u8 = 1;
 pub struct AnchorProof {
     /// Who anchored it.
     pub account: Address,
-    /// The transaction.
     pub transaction: Hash,
-    /// Its block.
     pub block: u64,
     /// That block's hash.
     pub block_hash: Hash,
@@ -135,9 +133,6 @@ impl AnchorProof {
     }
 
     /// From its encoding; each proof has exactly one.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.u8("version")? != VERSION {

@@ -53,7 +53,6 @@ impl<'a> Items<'a> {
         if bytes.is_empty() { Ok(Self(items)) } else { Err(Error::UnexpectedLength) }
     }
 
-    /// The next one.
     pub fn next<T: Decodable>(&mut self) -> alloy_rlp::Result<T> {
         T::decode(&mut self.0)
     }
@@ -94,7 +93,6 @@ const REPLAY_PROTECTED: u64 = 35;
 /// What a transaction does and may cost.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Unsigned {
-    /// Its nonce.
     pub nonce: u64,
     /// Wei per gas.
     pub gas_price: u128,
@@ -147,9 +145,6 @@ impl Unsigned {
     }
 
     /// Signs it for a chain.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if it cannot be signed.
     pub fn sign(self, eoa: &EoaSecret, chain_id: u64) -> Result<SignedTransaction, ChainError> {
         let key = SigningKey::from_slice(eoa.expose());
         let signed = key.and_then(|key| key.sign_prehash_recoverable(&self.signing_hash(chain_id)[..]));
@@ -176,9 +171,6 @@ impl Unsigned {
 impl Transaction {
     /// Decodes `raw` and recovers its sender. Refusals are worded as in geth, so that one table of messages fits every
     /// node.
-    ///
-    /// # Errors
-    /// What is wrong.
     pub fn decode(raw: &[u8], chain_id: u64) -> Result<Self, String> {
         if raw.len() > LARGEST {
             return Err(format!("oversized data: transaction size {}, limit {LARGEST}", raw.len()));
@@ -201,9 +193,6 @@ impl Transaction {
     }
 
     /// The fields of `raw`, without its sender.
-    ///
-    /// # Errors
-    /// What is no legacy transaction.
     pub fn parse(raw: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(raw)?;
         let unsigned = Unsigned {
@@ -308,9 +297,6 @@ impl Chain {
     }
 
     /// The result of a transaction; `None` until it is mined.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn receipt(&self, hash: Hash) -> Result<Option<Receipt>, ChainError> {
         let Some((raw, value)) = self.raw_receipt(hash).await? else { return Ok(None) };
         let success = raw.status.is_none_or(|status| !status.is_zero());

@@ -189,17 +189,11 @@ impl Transport {
     }
 
     /// Makes one request.
-    ///
-    /// # Errors
-    /// [`TransportError`].
     pub async fn request<R: DeserializeOwned>(&self, method: &str, parameters: Value) -> Result<R, TransportError> {
         self.request_within(method, parameters, Limits::of(method)).await
     }
 
     /// Makes one request whose answer is passed on as it is: as a tree of values it takes many times its bytes.
-    ///
-    /// # Errors
-    /// [`TransportError`].
     pub async fn request_for_another(&self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         let limits = Limits { bytes: USUAL.bytes, ..Limits::of(method) };
         self.request_within(method, parameters, limits).await

@@ -36,9 +36,7 @@ pub struct Header {
     pub parent: Hash,
     /// Root of the state after the block.
     pub state_root: Hash,
-    /// Root of the transactions.
     pub transactions_root: Hash,
-    /// Root of the receipts.
     pub receipts_root: Hash,
     /// Bloom filter of the addresses and topics of the logs.
     pub bloom: Bloom,
@@ -171,7 +169,6 @@ impl Header {
 pub struct Receipt {
     /// Whether it took effect.
     pub success: bool,
-    /// Gas it used.
     pub gas_used: u64,
     /// Gas used by it and all before it in its block.
     pub cumulative_gas: u64,
@@ -179,7 +176,6 @@ pub struct Receipt {
     pub contract: Option<Address>,
     /// Revert data if it failed, otherwise empty.
     pub output: Vec<u8>,
-    /// Its logs.
     pub logs: Vec<Log>,
 }
 
@@ -191,9 +187,6 @@ impl Receipt {
     }
 
     /// From the chain's file.
-    ///
-    /// # Errors
-    /// If it is not exactly one receipt.
     pub fn decode(bytes: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(bytes)?;
         let receipt = Self {
@@ -329,7 +322,6 @@ pub fn receipt(one: &Transaction, receipt: &Receipt, mining: Mining, first_log: 
     value
 }
 
-/// A log.
 pub fn log(log: &Log, transaction: Hash, mining: Mining, index: usize) -> Value {
     json!({
         "address": data(log.address.as_slice()), "data": data(&log.data.data), "removed": false,

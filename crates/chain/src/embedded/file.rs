@@ -45,7 +45,6 @@ const KEY_LENGTH: usize = 32;
 
 /// Drawn when a chain is founded.
 pub struct Founding {
-    /// Its chain id.
     pub chain_id: u64,
     /// How its blocks are sealed.
     pub consensus: Consensus,
@@ -55,7 +54,6 @@ pub struct Founding {
 
 /// A block to be written to the file.
 pub struct Sealed<'a> {
-    /// Its header.
     pub header: &'a Header,
     /// Its transactions.
     pub sent: &'a [Transaction],
@@ -137,9 +135,6 @@ impl ChainFile {
     }
 
     /// Writes a new chain: founding and genesis block, all or nothing.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub fn found(&self, founding: &Founding, genesis: &Header) -> Result<(), ChainError> {
         let mut keys = Zeroizing::new(Vec::with_capacity(KEY_LENGTH * founding.keys.len()));
         founding.keys.iter().for_each(|key| keys.extend_from_slice(&Zeroizing::new(key.to_bytes())[..]));
@@ -177,18 +172,12 @@ impl ChainFile {
     }
 
     /// The number of the newest block.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn newest_number(&self) -> Result<u64, ChainError> {
         let newest = self.one("SELECT coalesce(max(number), 0) FROM block", [], |row| natural(row, 0))?;
         Ok(newest.unwrap_or(0))
     }
 
     /// Copies the file, as it is, to a new file of mode 0600.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub fn copy_to(&self, path: &Path) -> Result<(), ChainError> {
         let blame = |error: std::io::Error| ChainError::File { path: path.to_owned(), reason: error.to_string() };
         let file = OpenOptions::new().create_new(true).write(true).mode(0o600).open(path).map_err(blame)?;
@@ -198,35 +187,23 @@ impl ChainFile {
     }
 
     /// A block by number: hash and header.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn block(&self, number: u64) -> Result<Option<(Hash, Vec<u8>)>, ChainError> {
         let query = "SELECT hash, header FROM block WHERE number = ?1";
         self.one(query, params![integer(number)], |row| Ok((Hash(row.get(0)?), row.get(1)?)))
     }
 
     /// The number of the block with this hash.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn number_of(&self, hash: Hash) -> Result<Option<u64>, ChainError> {
         self.one("SELECT number FROM block WHERE hash = ?1", params![hash.0], |row| natural(row, 0))
     }
 
     /// The block and index at which a transaction was mined.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn place_of(&self, hash: Hash) -> Result<Option<(u64, u64)>, ChainError> {
         let query = "SELECT block, position FROM sent WHERE hash = ?1";
         self.one(query, params![hash.0], |row| Ok((natural(row, 0)?, natural(row, 1)?)))
     }
 
     /// The transactions of a block, in order.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn block_transactions(&self, number: u64) -> Result<Vec<Mined>, ChainError> {
         let query = "SELECT raw, receipt, logs FROM sent WHERE block = ?1 ORDER BY position";
         let mined = |row: &Row<'_>| Ok(Mined { raw: row.get(0)?, receipt: row.get(1)?, logs: natural(row, 2)? });
@@ -234,18 +211,12 @@ impl ChainFile {
     }
 
     /// The numbers of the blocks with logs from `from` to `to`, in order.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn with_logs(&self, from: u64, to: u64) -> Result<Vec<u64>, ChainError> {
         let query = "SELECT DISTINCT block FROM sent WHERE block BETWEEN ?1 AND ?2 AND logs > 0 ORDER BY block";
         self.all(query, [from, to].map(integer), |row| natural(row, 0))
     }
 
     /// One row of a query.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub(super) fn one<T>(
         &self,
         query: &str,
@@ -257,9 +228,6 @@ impl ChainFile {
     }
 
     /// All rows of a query.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub(super) fn all<T>(
         &self,
         query: &str,
@@ -368,7 +336,6 @@ fn natural(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
 
 /// A mined transaction, with its receipt.
 pub struct Done {
-    /// The transaction.
     pub transaction: Transaction,
     /// Its result.
     pub receipt: Receipt,
@@ -499,7 +466,6 @@ pub struct Auditing {
 }
 
 impl Node {
-    /// Begins an audit.
     pub fn begin_audit(&mut self, reply: oneshot::Sender<Result<u64, ChainError>>) {
         match sealing::open(&self.file, None) {
             Ok(founded) => {

@@ -64,7 +64,6 @@ pub enum Answer {
 pub struct Machine {
     /// The state.
     pub tries: Tries,
-    /// Its id.
     pub chain_id: u64,
 }
 
@@ -97,9 +96,6 @@ impl Machine {
 
     /// Runs transactions one after the other on top of the state, which is unchanged. By the rules of admission (`new`)
     /// those with too much surplus are refused, and none is started once the block has reached its limit.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn run(&self, place: &Environment, transactions: Vec<Transaction>, new: bool) -> Result<Outcome, ChainError> {
         let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
         let mut evm = self.evm(place, most);
@@ -137,9 +133,6 @@ impl Machine {
     }
 
     /// Runs a message call, whatever its nonce, without changing anything.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn call(&self, place: &Environment, from: Address, message: &Unsigned) -> Result<Answer, ChainError> {
         let gas_limit = message.gas_limit.min(TRANSACTION_GAS);
         let message = Unsigned { nonce: self.nonce(from)?, gas_limit, ..message.clone() };
@@ -160,9 +153,6 @@ impl Machine {
     /// than one estimate may.
     ///
     /// Inside: how the call ends if no limit is enough.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn estimate(
         &self,
         place: &Environment,
@@ -192,25 +182,16 @@ impl Machine {
     }
 
     /// The next nonce of an account, without pending transactions.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn nonce(&self, account: Address) -> Result<u64, ChainError> {
         Ok(self.tries.account(account)?.map_or(0, |account| account.nonce))
     }
 
     /// Wei held by an account.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn balance(&self, account: Address) -> Result<U256, ChainError> {
         Ok(self.tries.account(account)?.map_or(U256::ZERO, |account| account.balance))
     }
 
     /// Code of a contract; empty for other accounts.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn code(&self, account: Address) -> Result<Arc<[u8]>, ChainError> {
         self.tries.code(self.tries.account(account)?.map_or(KECCAK256_EMPTY, |account| account.code_hash))
     }

@@ -164,17 +164,11 @@ impl Embedded {
     }
 
     /// All call data, storage (keys and values) and logs of the chain.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         self.with(|node| dump(node)).await?
     }
 
     /// Writes the chain as it is between two blocks to a new file.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
         self.with(move |node| node.file.copy_to(&path)).await?
     }

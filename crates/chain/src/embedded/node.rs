@@ -35,17 +35,14 @@ pub type Found = Arc<dyn Fn(u64) + Send + Sync>;
 pub struct Node {
     /// Its rules and state.
     pub machine: Machine,
-    /// The file.
     pub file: Rc<ChainFile>,
     /// The blocks whose transactions were read or written last.
     pub looked: Looked,
     /// The pending transactions.
     pub pool: Pool,
-    /// Its chain id.
     pub chain_id: u64,
     /// Its founding data.
     pub consensus: Consensus,
-    /// Its sealing.
     pub sealing: Sealing,
     /// Its newest block.
     pub head: BlockRef,
@@ -112,9 +109,6 @@ impl Node {
     }
 
     /// Takes a raw transaction into the pool.
-    ///
-    /// # Errors
-    /// Why it is refused, in geth's words.
     pub fn submit(&mut self, raw: &[u8]) -> Result<Hash, String> {
         if let Some(trouble) = &self.trouble {
             return Err(format!("no block can be written: {trouble}"));
@@ -237,7 +231,6 @@ fn reference(header: &Header) -> BlockRef {
 pub struct Again {
     /// Its state after the last block run.
     pub machine: Machine,
-    /// Its sealing.
     pub sealing: Sealing,
     /// The last block run.
     pub last: Header,

@@ -8,7 +8,6 @@ use crate::transaction::{Transaction, Unsigned};
 
 /// Creation code: a part that runs once, then a part that repeats.
 pub struct Payload {
-    /// Its name.
     pub name: String,
     /// Its bytes.
     pub code: Vec<u8>,

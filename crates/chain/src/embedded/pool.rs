@@ -57,7 +57,6 @@ impl Lane {
     }
 }
 
-/// The pool.
 #[derive(Default)]
 pub struct Pool {
     lanes: HashMap<Address, Lane>,
@@ -73,9 +72,6 @@ pub struct Pool {
 
 impl Pool {
     /// Takes a transaction whose sender's next nonce on chain is `next`.
-    ///
-    /// # Errors
-    /// Why it is refused, in geth's words.
     pub fn add(&mut self, transaction: Transaction, next: u64) -> Result<(), String> {
         if self.hashes.contains(&transaction.hash) {
             return Err("already known".into());

@@ -116,9 +116,6 @@ impl Sealing {
 
     /// Checks everything about a block of the file that its transactions do not show; returns its context. With a single
     /// signer it is not recovered from every seal: the newest seal vouches for all blocks below it.
-    ///
-    /// # Errors
-    /// What is wrong, in plain words.
     pub fn accept(&self, header: &Header, parent_time: u64) -> Result<Environment, &'static str> {
         let Header { number, timestamp, difficulty, .. } = *header;
         let (other, early) = match self.work {
@@ -141,9 +138,6 @@ impl Sealing {
     }
 
     /// Checks that the seal on a block is that of the signer whose turn it is.
-    ///
-    /// # Errors
-    /// What is wrong, in plain words.
     pub fn vouch(&self, header: &Header) -> Result<(), &'static str> {
         match header.sealer() {
             _ if self.work.is_some() => Ok(()),
@@ -204,9 +198,6 @@ pub struct Search {
 
 impl Search {
     /// Searches from `first` on, and reports the first nonce that seals the block.
-    ///
-    /// # Errors
-    /// If no thread can be started.
     pub fn start(
         work_hash: Hash,
         difficulty: u64,
@@ -255,7 +246,6 @@ const RANDOM: usize = 16;
 
 /// The founding data of a chain.
 pub struct Founded {
-    /// Its chain id.
     pub chain_id: u64,
     /// How its blocks are sealed.
     pub consensus: Consensus,

@@ -32,9 +32,6 @@ pub trait Nodes {
     fn malformed(&self, hash: Hash) -> ChainError;
 
     /// The hash of a block, for the BLOCKHASH instruction; zero where there are no blocks.
-    ///
-    /// # Errors
-    /// [`ChainError`] if it cannot be read.
     fn block_hash(&self, _number: u64) -> Result<Hash, ChainError> {
         Ok(Hash([0; 32]))
     }
@@ -92,17 +89,11 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     }
 
     /// The value of a key.
-    ///
-    /// # Errors
-    /// Errors of [`Nodes`].
     pub fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, ChainError> {
         self.find(&self.root, &nibbles(key), &mut |_| ())
     }
 
     /// The value of a key, and every stored node on the way to it or to where it would be, from the root down (EIP-1186).
-    ///
-    /// # Errors
-    /// Errors of [`Nodes`].
     pub fn prove(&self, key: &[u8]) -> Result<Proof, ChainError> {
         let mut way = Vec::new();
         let value = self.find(&self.root, &nibbles(key), &mut |node| way.push(Arc::clone(node)))?;
@@ -134,9 +125,6 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     }
 
     /// Sets the value of a key, or removes the key.
-    ///
-    /// # Errors
-    /// Errors of [`Nodes`].
     pub fn set(&mut self, key: &[u8], value: Option<Vec<u8>>) -> Result<(), ChainError> {
         if self.get(key)? == value {
             return Ok(());

@@ -30,7 +30,6 @@ impl DBErrorMarker for Unread {}
 pub struct Tries {
     /// The store of its nodes.
     pub ground: Rc<dyn Nodes>,
-    /// Its root.
     pub root: Hash,
 }
 
@@ -62,18 +61,12 @@ impl Tries {
     }
 
     /// An account.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
     pub fn account(&self, address: Address) -> Result<Option<TrieAccount>, ChainError> {
         let found = Trie::new(&*self.ground, self.root).get(&keccak256(address.0)[..])?;
         found.map(|bytes| self.read(self.root, &bytes)).transpose()
     }
 
     /// A storage slot of an account.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
     pub fn slot(&self, address: Address, slot: U256) -> Result<U256, ChainError> {
         let storage = Hash(self.account(address)?.unwrap_or_default().storage_root.0);
         let found = Trie::new(&*self.ground, storage).get(&slot_key(slot)[..])?;
@@ -81,17 +74,11 @@ impl Tries {
     }
 
     /// The code with this hash.
-    ///
-    /// # Errors
-    /// [`ChainError`] if it was altered.
     pub fn code(&self, hash: B256) -> Result<Arc<[u8]>, ChainError> {
         if hash == KECCAK256_EMPTY || hash.is_zero() { Ok(Arc::default()) } else { self.ground.node(Hash(hash.0)) }
     }
 
     /// The proof of an account and some of its slots.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
     pub fn proof(&self, address: Address, slots: &[U256]) -> Result<Proof, ChainError> {
         let (found, way) = Trie::new(&*self.ground, self.root).prove(&keccak256(address.0)[..])?;
         let account: TrieAccount = found.map(|bytes| self.read(self.root, &bytes)).transpose()?.unwrap_or_default();
@@ -105,9 +92,6 @@ impl Tries {
     }
 
     /// The root after a block's changes, and their effect on the nodes. Nothing is written.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
     pub fn after<'c>(&self, changes: impl IntoIterator<Item = &'c EvmState>) -> Result<(Hash, Turnover), ChainError> {
         let mut folded: BTreeMap<B256, Change> = BTreeMap::new();
         let mut all = Turnover::default();
@@ -311,9 +295,6 @@ impl ChainFile {
     }
 
     /// Every node of the state that the file holds.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn all_nodes(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         self.all("SELECT body FROM node ORDER BY hash", [], |row| row.get(0))
     }

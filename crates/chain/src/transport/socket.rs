@@ -58,9 +58,6 @@ pub(super) struct Server {
 
 impl Address {
     /// Parses a URL; `roots` is a PEM file of authorities.
-    ///
-    /// # Errors
-    /// [`ChainError::Url`], [`ChainError::Roots`].
     pub(super) fn parse(text: &str, roots: Option<&Path>) -> Result<Self, ChainError> {
         let shown = clean(&address_without_secrets(text), 120);
         let scheme = text.split_once("://").map_or("", |(scheme, _)| scheme);
@@ -136,9 +133,6 @@ impl<L: Link> Kept<L> {
     }
 
     /// Makes a request and returns its answer.
-    ///
-    /// # Errors
-    /// [`TransportError`].
     pub(super) async fn ask(&self, request: &str, limits: Limits) -> Result<Bytes, TransportError> {
         let idle = || {
             let kept = if limits.is_wide() { &self.wide } else { &self.usual };
@@ -167,7 +161,6 @@ trait Wire: AsyncRead + AsyncWrite + Unpin + Send {}
 
 impl<T: AsyncRead + AsyncWrite + Unpin + Send> Wire for T {}
 
-/// A WebSocket.
 pub(super) struct WebSocket {
     stream: WebSocketStream<Box<dyn Wire>>,
 }
@@ -323,9 +316,6 @@ pub(super) struct Http {
 
 impl Http {
     /// Not connected yet.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if the client cannot be built.
     pub(super) fn new(server: Server) -> Result<Self, ChainError> {
         // Redirects are not followed: only the node that was named gets requests and credentials.
         let client = Client::builder().no_proxy().redirect(Policy::none()).tls_built_in_root_certs(false);
@@ -341,9 +331,6 @@ impl Http {
     }
 
     /// Makes a request and reads the result in its answer.
-    ///
-    /// # Errors
-    /// [`TransportError`].
     pub(super) async fn ask<R: DeserializeOwned>(&self, body: String, limits: Limits) -> Result<R, TransportError> {
         let mut request = self.client.post(self.server.url.clone()).header(CONTENT_TYPE, "application/json");
         if let Some(credentials) = &self.server.credentials {
