@@ -156,7 +156,7 @@ async fn connection(stream: TcpStream, service: &Service, limits: Limits) -> std
         })
     });
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(limits.patience).max_buf_size(LONGEST_HEAD);
+    http.timer(TokioTimer::new()).header_read_timeout(limits.patience).max_buf_size(LONGEST_HEAD).half_close(true);
     let mut exchanges = http.serve_connection(TokioIo::new(stream), answering);
     let ended = loop {
         let last = *deadline.borrow();
