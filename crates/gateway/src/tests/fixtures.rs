@@ -14,7 +14,7 @@ use authros_gateway::command::{
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
-use authros_gateway::{Code, Feed, FeedEntry, FeedPage, Found, Receipt};
+use authros_gateway::{Code, Feed, FeedEntry, FeedPage, Found, Place, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
     Address, Digest, Domain, Fact, Hash, Head, ProfileName, PublicKey, RecordKind, RecorderId, RecorderPrefix,
@@ -156,7 +156,10 @@ fn feed() -> Feed {
         kind: Some(RecordKind::Key),
         topics: vec![TopicId([2; 16]); 2],
         recorders: vec![RecorderId([3; 16]); 3],
-        places: vec![(Address([4; 20]), 5), (Address([6; 20]), u64::MAX)],
+        places: vec![
+            Place { owner: Address([4; 20]), after: 5, grant: 7 },
+            Place { owner: Address([6; 20]), after: u64::MAX, grant: 0 },
+        ],
     }
 }
 

@@ -40,10 +40,11 @@ async fn a_robot_enrols_uploads_and_reads_back() {
     assert_eq!(missing, [(Digest([0; 32]), Code::NotFound)]);
 
     stage.desk.state().verify();
-    let (mut follow, mut seen) = (Follow::new(Feed::of(alice.account())), Vec::new());
-    while let Some(page) = follow.next(&mut client, Duration::ZERO).await.expect("a page") {
+    let (mut feed, mut seen) = (Feed::of(alice.account()), Vec::new());
+    loop {
+        let page = client.feed(&feed).await.expect("a page");
         seen.extend(page.entries.iter().map(|entry| entry.seq));
-        follow.took(&page, page.upto);
+        feed.after(&page);
         if page.upto == page.head {
             break;
         }
@@ -177,23 +178,23 @@ fn revoke_of(reader: &Member) -> RevokeNotice {
     RevokeNotice { grantee: reader.account(), epoch: 2, token: Token([2; 32]), transaction: Hash([2; 32]) }
 }
 
-/// A follower that is told of one record after the other, as they come.
+/// A follower that gets one record after the other, as they come.
 struct Live {
-    follow: Follow,
+    feed: Feed,
     told: VecDeque<FeedEntry>,
 }
 
 impl Live {
     fn of(owner: Address) -> Self {
-        Self { follow: Follow::new(Feed::of(owner)), told: VecDeque::new() }
+        Self { feed: Feed::of(owner), told: VecDeque::new() }
     }
 
     /// The next record; nothing if none comes within `patience`.
     async fn next(&mut self, client: &mut Client, patience: Duration) -> Result<Option<FeedEntry>, GatewayError> {
-        if self.told.is_empty()
-            && let Some(page) = self.follow.next(client, patience).await?
-        {
-            self.follow.took(&page, page.upto);
+        if self.told.is_empty() {
+            self.feed.wait = patience;
+            let page = client.feed(&self.feed).await?;
+            self.feed.after(&page);
             self.told.extend(page.entries);
         }
         Ok(self.told.pop_front())
@@ -247,11 +248,13 @@ async fn one_owner_who_gives_nothing_keeps_no_other_away() {
         (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
     reader.upload(vec![bob.record(&bob.signing, 1, b"his own")]).await.expect("receipt");
     owner.upload(vec![alice.record(&alice.signing, 1, b"hers")]).await.expect("receipt");
-    let mut live = Live::of(bob.account());
-    live.follow.add(alice.account(), 0);
-    let told = live.next(&mut reader, LONG).await.expect("a page").expect("his own");
-    let resting: Vec<Address> = live.follow.resting().copied().collect();
-    assert_eq!((told.owner, resting), (bob.account(), vec![alice.account()]));
+    let mut both = Feed::of(bob.account());
+    both.places.extend(Feed::of(alice.account()).places);
+    let mut live = Live { feed: Feed { wait: LONG, ..both }, told: VecDeque::new() };
+    let page = reader.feed(&live.feed).await.expect("a page");
+    live.feed.after(&page);
+    assert_eq!(page.refused, [(alice.account(), Code::NotAuthorised)]);
+    assert_eq!(page.entries.iter().map(|told| told.owner).collect::<Vec<_>>(), [bob.account()]);
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     let told = loop {
         if let Some(told) = live.next(&mut reader, LONG).await.expect("a page") {

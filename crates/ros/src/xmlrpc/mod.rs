@@ -123,7 +123,7 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Serves `listener` in its own thread, so many connections at once.
+    /// Serves `listener` in its own thread, this many connections at once.
     pub fn start(listener: TcpListener, answer: Arc<dyn Answer>, most: usize) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let stopping = Arc::new(AtomicBool::new(false));

@@ -382,3 +382,29 @@ fn nothing_is_sealed_under_an_epoch_that_has_ended() {
     assert_eq!(stage(Some(past), Some((past, issued(2).now))), Some(2));
     assert_eq!(stage(Some(future), Some((future, issued(2).now))), Some(1));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_notice_that_cannot_be_had_stops_no_uploads_and_is_taken_once_it_can() {
+    let mut scene = Scene::new().await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, given) = (SealedEnrolment::kept_in(scene.home.path()), scene.home.path().join("given"));
+    sealed.create(&given).expect("writes");
+    let author = Arc::new(Author::new(scene.alice.account()));
+    author.obey(&sealed.enrolment);
+    let observer = Arc::clone(&scene.plant.observer);
+    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept, taker());
+    let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
+    let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
+    let mut owner = scene.owner().await;
+    let own = signer_id(&scene.device.public);
+    owner.upload(vec![notice(&scene, &scene.alice.signing, own, 3, 3)]).await.expect("receipt");
+    scene.stage.desk.state().spoilt = true;
+    scene.capture(3, 10);
+    let work = tokio::spawn(async move { forwarder.run(&stored).await });
+    scene.until("uploaded", |scene| scene.at_gateway() == 4).await;
+    assert_eq!(epoch(), 1);
+    scene.stage.desk.state().spoilt = false;
+    scene.until("taken", |_| epoch() == 3).await;
+    work.abort();
+}
