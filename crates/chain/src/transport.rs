@@ -7,6 +7,7 @@ mod tests;
 
 use std::error::Error;
 use std::fmt;
+use std::path::Path;
 use std::time::Duration;
 
 use serde::de::{DeserializeOwned, IgnoredAny};
@@ -155,17 +156,19 @@ impl Transport {
                 let url = format!("embedded:{}", directory.display());
                 Ok(Self::new(Line::Embedded(Embedded::open(directory.clone(), *consensus).await?), url))
             }
-            Endpoint::Node { url, roots } => {
-                let address = Address::parse(url, roots.as_deref())?;
-                let line = match address.place {
-                    Place::Http(server) => Line::Http(Http::new(server)?),
-                    Place::WebSocket(server) => Line::WebSocket(Kept::new(WebSocket::opener(server))),
-                    Place::Local(path) => Line::Local(Kept::new(Local::opener(path))),
-                };
-                Ok(Self::new(line, address.shown))
-            }
+            Endpoint::Node { url, roots } => Self::to_node(url, roots.as_deref()),
             Endpoint::Relay(relay) => Ok(Self::new(Line::Relay(relay.clone()), relay.0.place())),
         }
+    }
+
+    fn to_node(url: &str, roots: Option<&Path>) -> Result<Self, ChainError> {
+        let address = Address::parse(url, roots)?;
+        let line = match address.place {
+            Place::Http(server) => Line::Http(Http::new(server)?),
+            Place::WebSocket(server) => Line::WebSocket(Kept::new(WebSocket::opener(server))),
+            Place::Local(path) => Line::Local(Kept::new(Local::opener(path))),
+        };
+        Ok(Self::new(line, address.shown))
     }
 
     /// A line to no chain; every request fails with this error.
