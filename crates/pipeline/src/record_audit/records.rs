@@ -20,13 +20,11 @@ use crate::crypto::Provider;
 use crate::model::{RecordState, Timestamp, clean};
 use crate::store::{AuditedRecord, StoreError};
 
-/// Rows per page.
 const PAGE: usize = 512;
 /// Bytes in one piece of work, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
 /// Simultaneous queries to the chain.
 const AT_ONCE: usize = 32;
-/// The most threads.
 const MOST_THREADS: usize = 16;
 
 /// What is compared, the same for every record.
@@ -46,9 +44,7 @@ pub(super) struct Bench<'a> {
 pub(super) enum Uploaded {
     /// It was not queried: the record is in a batch, in no block, or there is no chain.
     NotAsked,
-    /// Nowhere.
     Nowhere,
-    /// In this block.
     In(u64),
 }
 

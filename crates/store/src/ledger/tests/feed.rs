@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use proptest::prelude::*;
 
 use super::*;
-use crate::chain::merkle::Inclusion;
+use crate::crypto::merkle::Inclusion;
 use crate::model::Fact;
 use crate::snapshot::{Snapshot, renew_ledger};
 
