@@ -19,6 +19,8 @@ use authros_output::{Output, table};
 
 /// Between two lines about how far it is: it may go on for days.
 const TELLING: Duration = Duration::from_secs(30);
+/// How long after the answer something that was said before it may still arrive.
+const LAST_WORDS: Duration = Duration::from_millis(200);
 
 /// `bag follow …`
 #[derive(Debug, Args)]
@@ -79,12 +81,12 @@ async fn until_ended(client: &Client, wishes: FollowWishes, output: &Output) -> 
     tick.reset();
     loop {
         tokio::select! {
-            view = &mut answer => return view,
-            Ok(event) = events.recv() => if let Event::Notice { at, level, text, about } = event
-                && level >= NoticeLevel::Info
-            {
-                output.notice(at, level, about.as_deref(), &text);
-            },
+            view = &mut answer => {
+                let rest = async { while let Ok(event) = events.recv().await { show(event, output) } };
+                drop(tokio::time::timeout(LAST_WORDS, rest).await);
+                return view;
+            }
+            Ok(event) = events.recv() => show(event, output),
             _ = tick.tick() => teller.tell(client, output).await,
             ending = super::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
@@ -96,6 +98,14 @@ async fn until_ended(client: &Client, wishes: FollowWishes, output: &Output) -> 
                 client.ask(StopCapture).await?;
             }
         }
+    }
+}
+
+fn show(event: Event, output: &Output) {
+    if let Event::Notice { at, level, text, about } = event
+        && level >= NoticeLevel::Info
+    {
+        output.notice(at, level, about.as_deref(), &text);
     }
 }
 

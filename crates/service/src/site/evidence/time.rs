@@ -14,7 +14,6 @@ use authros_evidence::time::{
 };
 use sha2::{Digest as _, Sha256};
 
-use crate::chain::web;
 use crate::config::TimeAuthority;
 use crate::crypto::random_bytes;
 use crate::model::{ErrorKind, Hash, Timestamp, clean};
@@ -256,19 +255,20 @@ fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
     // Only authorities in the settings are asked.
     let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
     let client = if authority.url.starts_with("https://") {
-        let tls = web::tls(None).map_err(|why| input(format!("{why}; check this machine's ca-certificates")))?;
+        let tls =
+            authros_tls::tls(None).map_err(|why| input(format!("{why}; check this machine's ca-certificates")))?;
         client.use_preconfigured_tls(tls)
     } else {
         client.tls_built_in_root_certs(false)
     };
-    client.timeout(PATIENCE).build().map_err(|error| internal(web::innermost(&error)))
+    client.timeout(PATIENCE).build().map_err(|error| internal(authros_tls::innermost(&error)))
 }
 
 async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec<u8>) -> Result<Vec<u8>, Failure> {
     let name = clean(&authority.name, 80);
     let unreachable = |error: reqwest::Error| {
-        let why = if error.is_timeout() { "no answer in time".to_owned() } else { web::innermost(&error) };
-        let text = match web::tls_fault(&error, "SSL_CERT_FILE") {
+        let why = if error.is_timeout() { "no answer in time".to_owned() } else { authros_tls::innermost(&error) };
+        let text = match authros_tls::tls_fault(&error, "SSL_CERT_FILE") {
             Some(fault) => format!("the time stamp authority '{name}' {}; {}", fault.reason, fault.advice),
             None => format!("the time stamp authority '{name}' cannot be reached: {why}; check time.authorities"),
         };
