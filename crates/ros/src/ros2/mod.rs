@@ -325,10 +325,8 @@ impl Shared {
                 drop(child.kill());
                 child.wait().is_ok_and(|status| status.success())
             };
-            let participant = self.state().participant.take();
-            if let Some(participant) = participant.filter(|_| !has_left) {
-                participant.bury(&self.program);
-            }
+            let participants = std::mem::take(&mut self.state().participants);
+            participants.into_iter().filter(|_| !has_left).for_each(|participant| participant.bury(&self.program));
         }
         reason
     }
