@@ -30,6 +30,10 @@ const DISPATCH: [&str; 10] = [
     "src/cli/mod.rs",
     "src/cli/verbs.rs",
 ];
+/// The most public functions of one store of the ledger.
+const MOST_OF_A_STORE: usize = 30;
+/// What is done with a ledger as a whole; all else is a store's.
+const OF_THE_LEDGER: [&str; 5] = ["check_version", "open", "open_in_place", "path", "close"];
 /// Names that say nothing.
 const EMPTY_NAMES: [&str; 7] = ["util", "utils", "helper", "helpers", "manager", "misc", "common"];
 
@@ -279,7 +283,6 @@ fn nothing_falls_through_where_requests_answers_and_verbs_are_told_apart() {
     assert!(!catches_all("Some(_) => {}") && !catches_all("Verb::Keys(verb) => keys(verb),"));
 }
 
-/// Whether a line begins a catch-all arm.
 #[test]
 fn rights_are_decided_in_one_place() {
     let mut found = Vec::new();
@@ -293,9 +296,48 @@ fn rights_are_decided_in_one_place() {
     assert_none("who may sign and read is asked of pipeline::authority", &found);
 }
 
+/// Whether a line begins a catch-all arm.
 fn catches_all(line: &str) -> bool {
     let Some((pattern, _)) = line.trim_start().split_once(" =>") else { return false };
     !pattern.is_empty() && pattern.chars().all(|character| character.is_ascii_lowercase() || character == '_')
+}
+
+/// The public functions of each type, by its name, from all of its `impl` blocks.
+fn public_functions(sources: &[String]) -> BTreeMap<String, Vec<String>> {
+    let mut found: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for source in sources {
+        let mut owner = None;
+        for line in source.lines() {
+            if let Some(rest) = line.strip_prefix("impl ") {
+                owner = Some(word(rest)).filter(|_| !rest.contains(" for "));
+            } else if line == "}" {
+                owner = None;
+            } else if let (Some(owner), Some(function)) = (&owner, line.strip_prefix("    pub ")) {
+                let name = function.split_once("fn ").map(|(_, rest)| word(rest));
+                found.entry(owner.clone()).or_default().extend(name);
+            }
+        }
+    }
+    found
+}
+
+/// A feature gets the stores that it needs, so a store must not become the ledger again, and the ledger nothing but their owner.
+#[test]
+fn stores_are_narrow_and_the_ledger_only_opens_and_closes_them() {
+    let sources: Vec<String> = rust_files("crates/store/src").iter().map(|path| code_only(&read(path))).collect();
+    let functions = public_functions(&sources);
+    let ledger = code_only(&read(Path::new("crates/store/src/ledger.rs")));
+    let listed =
+        ledger.split_once("\nstores! {").and_then(|(_, rest)| rest.split_once('}')).expect("a list of the stores").0;
+    let stores: Vec<String> = listed.split(';').filter_map(|line| Some(word(line.split_once(": ")?.1))).collect();
+    assert!(stores.len() >= 20 && stores.contains(&"Records".to_owned()), "{stores:?}");
+    let large = stores.iter().filter(|store| functions[*store].len() > MOST_OF_A_STORE);
+    assert_none(
+        "too many public functions",
+        &large.map(|store| format!("{store}: {:?}", functions[store])).collect::<Vec<_>>(),
+    );
+    let more = functions["Ledger"].iter().filter(|name| !OF_THE_LEDGER.contains(&name.as_str()));
+    assert_none("functions of the ledger that belong to a store", &more.cloned().collect::<Vec<_>>());
 }
 
 #[test]

@@ -58,7 +58,7 @@ const TOO_MUCH_GAS: &str = "is forwarded";
 /// The pool's refusal of a nonce that is not the next one.
 const ORDER: [&str; 3] = ["nonce", "already known", "underpriced"];
 /// The gateways' refusals of clients that ask too much.
-const BOUNDS: [Code; 5] = [Code::Quota, Code::Busy, Code::TooSlow, Code::Session, Code::Transaction];
+const BOUNDS: [Code; 4] = [Code::Quota, Code::Busy, Code::TooSlow, Code::Session];
 
 /// Sends a frame; returns its hash if it was passed on. A client that comes too often may also be refused by one of
 /// `bounds`.

@@ -9,9 +9,9 @@ use authros::chain::RelayError;
 use authros::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use authros::gateway::{
     Account, Binding, Cabinet, Caller, Code, Context, Desk, Feed, FeedEntry, FeedPage, Found, Limits, NetworkName,
-    Notice, Received, Refusal, Registration, Schedule, Server,
+    Notice, Received, Refusal, Schedule, Server,
 };
-use authros::model::{Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use authros::model::{Address, Digest, Fact, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use authros::store::{Ciphertext, Ledger};
 use serde_json::Value;
 use tokio::sync::watch;
@@ -57,10 +57,6 @@ impl Desk for Liar {
     }
 
     async fn bind(&self, _: &ProfileName, _: Binding) -> Result<(), Refusal> {
-        no()
-    }
-
-    async fn register(&self, _: &Registration) -> Result<Hash, Refusal> {
         no()
     }
 

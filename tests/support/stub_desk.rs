@@ -11,9 +11,9 @@ use authros::chain::RelayError;
 use authros::crypto::{SmKeyPair, signer_id};
 use authros::gateway::{
     Account, Binding, Cabinet, Caller, Code, Context, Desk, Feed, FeedPage, Found, Limits, NetworkName, Notice,
-    Received, Refusal, Registration, Schedule, Server,
+    Received, Refusal, Schedule, Server,
 };
-use authros::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use authros::model::{Address, Digest, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use serde_json::Value;
 use tokio::sync::watch;
 
@@ -86,10 +86,6 @@ impl Desk for StubDesk {
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
         self.bindings.lock().expect("not poisoned").insert(name.clone(), binding);
         Ok(())
-    }
-
-    async fn register(&self, _: &Registration) -> Result<Hash, Refusal> {
-        not_here()
     }
 
     async fn store(&self, _: &Caller, _: Vec<Received>) -> Result<Timestamp, Refusal> {

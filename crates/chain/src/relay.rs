@@ -199,8 +199,6 @@ pub enum Passed {
     Transaction {
         /// The signer.
         sender: Address,
-        /// The signed bytes.
-        raw: Vec<u8>,
         /// The identity, if it registers one.
         registers: Option<Box<Identity>>,
     },
@@ -286,11 +284,11 @@ fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
     if decoded.gas_limit > MOST_GAS {
         return rejected(format!("the transaction may use {} gas; at most {MOST_GAS} is forwarded", decoded.gas_limit));
     }
-    Ok(Passed::Transaction { sender: decoded.sender, registers: registration(&decoded.input), raw })
+    Ok(Passed::Transaction { sender: decoded.sender, registers: registration(&decoded.input) })
 }
 
 /// The identity that this call data registers, if that is exactly what it does.
-pub(crate) fn registration(data: &[u8]) -> Option<Box<Identity>> {
+fn registration(data: &[u8]) -> Option<Box<Identity>> {
     if data.len() > LONGEST_DATA {
         return None;
     }

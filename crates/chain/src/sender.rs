@@ -10,12 +10,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::crypto::EoaSecret;
-use crate::embedded::Transaction;
 use crate::error::explain;
 use crate::model::bytes::hex;
-use crate::model::{Address, Hash, Identity};
+use crate::model::{Address, Hash};
 use crate::reader::{RawLog, reason};
-use crate::relay::registration;
 use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, fees};
 
 impl Chain {
@@ -81,27 +79,6 @@ impl Chain {
 
     pub(super) fn forget_gas(&self) {
         self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
-    }
-
-    /// Checks that these bytes are a transaction that `account` signed for this chain and that does nothing but register
-    /// this identity with the contract.
-    ///
-    /// # Errors
-    /// [`ChainError::Input`] saying what differs.
-    pub fn expect_registration(&self, raw: &[u8], account: Address, identity: &Identity) -> Result<Hash, ChainError> {
-        let transaction = Transaction::decode(raw, self.chain_id()).map_err(ChainError::Input)?;
-        let contract = self.pin().map(|pin| pin.contract);
-        let other = |what: &str| Err(ChainError::Input(format!("the transaction is not the one described: {what}")));
-        if transaction.sender != account {
-            return other("another account signed it");
-        }
-        if contract.is_none() || transaction.to != contract {
-            return other("it is not for this contract");
-        }
-        if registration(&transaction.input).as_deref() != Some(identity) || !transaction.value.is_zero() {
-            return other("it makes a different call");
-        }
-        Ok(transaction.hash)
     }
 
     /// Sends signed bytes.

@@ -14,7 +14,7 @@ use crate::command::relay::LONGEST_PARAMETERS;
 use crate::command::request::MOST_DIGESTS;
 use crate::command::{
     Answer, DeviceNotice, ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Inner, LARGEST_MESSAGE, Notice,
-    Part, Registration, RelayCall, Relayed, Request, RevokeNotice, Speaker, Upload, signed_bytes, split,
+    Part, RelayCall, Relayed, Request, RevokeNotice, Speaker, Upload, signed_bytes, split,
 };
 use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
@@ -23,7 +23,7 @@ use crate::feed::{Feed, FeedPage};
 use crate::frame::{Assembler, FrameKind, Line, LineError, Message};
 use crate::hello::{Agreed, ClientHello, Context, NetworkName};
 use crate::model::wire::Reader;
-use crate::model::{Digest, Hash, ProfileName, Timestamp, Token, clean};
+use crate::model::{Digest, ProfileName, Timestamp, Token, clean};
 use crate::receipt::Receipt;
 use crate::session::Session;
 use crate::system_keys::SystemKeyList;
@@ -151,23 +151,6 @@ impl Client {
         let digest = request.digest(context.provider);
         let receipt = client.acknowledged(&Request::KeyAllocation(request), &[digest]).await?;
         Ok((key, receipt))
-    }
-
-    /// Has a gateway pass a registration to the chain; returns the transaction's hash.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn register(
-        endpoint: &Endpoint,
-        trust: &mut Trust,
-        name: &ProfileName,
-        registration: Registration,
-    ) -> Result<Hash, GatewayError> {
-        let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
-        match client.ask(&Request::Register(Box::new(registration))).await? {
-            Answer::Registered(hash) => Ok(hash),
-            _ => Err(GatewayError::Unexpected("no transaction")),
-        }
     }
 
     /// Asks the first of these addresses that answers which network it is on. Nothing is proven yet; the hello on that

@@ -8,7 +8,7 @@ pub mod request;
 
 pub use answer::{Answer, Fetched, Found};
 pub use relay::{RelayCall, Relayed};
-pub use request::{DeviceNotice, GrantNotice, Notice, Registration, Request, RevokeNotice, Upload};
+pub use request::{DeviceNotice, GrantNotice, Notice, Request, RevokeNotice, Upload};
 
 use crate::crypto::{AccountSignature, ErasedStatement};
 use crate::model::wire::{Reader, WireError};
@@ -43,8 +43,6 @@ commands! {
     SystemKeys = 1;
     /// K_T to the gateway, N bound to an account.
     KeyAllocation = 2;
-    /// A signed transaction that registers an identity, for the chain.
-    Register = 3;
     /// One record.
     Upload = 4;
     /// Several records.
@@ -87,14 +85,14 @@ impl Command {
     }
 
     /// Whether it changes state and is signed by d_C. Uploads carry their records' signatures, an allocation has its
-    /// own signatures, a registration is a signed transaction.
+    /// own.
     pub fn is_signed(self) -> bool {
         matches!(self, Self::GrantNotice | Self::RevokeNotice | Self::DeviceNotice)
     }
 
     /// Whether a session without a transport key may use it.
     pub fn is_for_allocation(self) -> bool {
-        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping | Self::Relay)
+        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Ping | Self::Relay)
     }
 }
 

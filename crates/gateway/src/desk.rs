@@ -10,10 +10,10 @@ use tokio::sync::watch;
 use crate::chain::RelayError;
 use crate::crypto::{SealedRecord, TransportKey};
 use crate::model::{
-    Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
-use super::command::{ErasureNotice, ErasureOutcome, Found, Notice, Registration};
+use super::command::{ErasureNotice, ErasureOutcome, Found, Notice};
 use super::error::{Code, Refusal};
 use super::feed::{Feed, FeedPage};
 use super::hello::NetworkName;
@@ -124,10 +124,6 @@ pub trait Desk: Send + Sync + 'static {
     /// Binds a name, durably before it returns. Called one at a time, and only if the name is free, bound to the same
     /// account, or to one that this account succeeds.
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal>;
-
-    /// Passes a registration to the chain: `Transaction` unless it is signed by the account and calls the contract with
-    /// exactly this identity, whose proof has been checked. Returns the transaction's hash.
-    async fn register(&self, registration: &Registration) -> Result<Hash, Refusal>;
 
     /// Stores records, on disk before it returns; known ones are acknowledged again. Returns the time for the receipt.
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal>;

@@ -231,10 +231,8 @@ codes! {
     TooSlow = 24 Unreachable "the connection was too slow or idle; connect again";
     /// The record belongs to a network or owner other than the session's.
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
-    /// A chain transaction that was refused.
-    Transaction = 26 Refused "the chain rejected the transaction; check account, nonce and balance";
     /// A request that is not passed on to the chain.
-    Method = 27 Refused "the gateway does not forward this request to the chain; use a node for it";
+    Method = 26 Refused "the gateway does not forward this request to the chain; use a node for it";
 }
 
 impl Code {
@@ -305,6 +303,6 @@ mod code_tests {
             assert!(code.to_string().contains("; "), "{code:?} says what to do next");
         }
         assert_eq!(Code::from_number(0), None);
-        assert_eq!(Code::from_number(28), None);
+        assert_eq!(Code::from_number(27), None);
     }
 }

@@ -2,11 +2,11 @@
 //! counter and tag were checked before.
 
 use crate::crypto::record::Checked;
-use crate::crypto::{Anchor, SmSecret, Unchecked, check_identity, check_many};
+use crate::crypto::{Anchor, SmSecret, Unchecked, check_many};
 use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind};
 
 use super::allocation::{AllocationRequest, examine};
-use super::command::{Notice, Registration, Request, Upload, signed_bytes};
+use super::command::{Notice, Request, Upload, signed_bytes};
 use super::desk::{Account, Binding, Caller, Desk, Received};
 use super::error::{Code, Refusal};
 use super::frame::Message;
@@ -146,15 +146,6 @@ pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey])
         Ok(Received { header, digest, signature: upload.signature, signer: *signer, blob: upload.blob })
     };
     uploads.into_iter().zip(signers).zip(checked).map(one).collect()
-}
-
-/// The proof of an identity to be registered.
-///
-/// # Errors
-/// [`Refusal`] with `Signature`.
-pub fn check_registration(context: &Context, registration: &Registration) -> Result<(), Refusal> {
-    check_identity(context.provider, &context.domain, &registration.account, &registration.identity)
-        .map_err(Refusal::because(Code::Signature))
 }
 
 /// A complete key allocation: both signatures, the chain's registration, the owner of the name. Binds the name as its

@@ -35,7 +35,7 @@ pub use allocation::Applicant;
 pub use client::{Client, Credentials, Endpoint};
 pub use command::{
     Answer, Command, DeviceNotice, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Notice,
-    Registration, RelayCall, Relayed, Request, RevokeNotice, Upload,
+    RelayCall, Relayed, Request, RevokeNotice, Upload,
 };
 pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 pub use error::GatewayError;

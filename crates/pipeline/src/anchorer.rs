@@ -141,7 +141,7 @@ impl Anchorer {
         owner: Address,
         look: bool,
     ) -> Result<Option<WaitingBatch>, PipelineError> {
-        let first = || block_in_place(|| plant.ledger.waiting_batches(owner, 1)).map(|found| found.first().copied());
+        let first = || block_in_place(|| plant.ledger.batches.waiting(owner, 1)).map(|found| found.first().copied());
         let found = first()?;
         if found.is_none() || !look {
             return Ok(found);
@@ -159,7 +159,7 @@ impl Anchorer {
         idle: bool,
     ) -> Result<Result<WaitingBatch, Duration>, PipelineError> {
         block_in_place(|| {
-            let (waiting, oldest) = plant.ledger.unbatched(owner)?;
+            let (waiting, oldest) = plant.ledger.batches.unbatched(owner)?;
             let Some(oldest) = oldest.filter(|_| waiting > 0) else { return Ok(Err(LONGEST_WAIT)) };
             let age = Duration::from_nanos(Timestamp::now().0.saturating_sub(oldest.0));
             let due_in = self.pace.due_in(usize::try_from(waiting).unwrap_or(usize::MAX), age, idle, Instant::now());
@@ -167,7 +167,7 @@ impl Anchorer {
                 return Ok(Err(due_in));
             }
             self.settle(plant, network, owner)?;
-            let leaves = plant.ledger.stored_leaves(owner, MOST_LEAVES)?;
+            let leaves = plant.ledger.batches.stored_leaves(owner, MOST_LEAVES)?;
             let count = leaves.len();
             let Some(batch) = close_batch(plant, owner, leaves)? else { return Ok(Err(LONGEST_WAIT)) };
             self.pace.closed(count, Instant::now());
@@ -187,7 +187,7 @@ pub(super) fn close_batch(
     let leaves: Vec<_> = places.map(|(index, leaf)| (leaf.digest, tree.path(index))).collect();
     let batch = WaitingBatch { root: tree.root(), count: leaves.len() as u64 };
     fault::point("batch-due");
-    plant.ledger.close_batch(NewBatch { owner, root: batch.root, leaves })?;
+    plant.ledger.batches.close(NewBatch { owner, root: batch.root, leaves })?;
     fault::point("batch-closed");
     plant.observer.records_changed();
     Ok(Some(batch))
@@ -209,7 +209,7 @@ fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tre
 /// Records whose own uploads were skipped: the contract accepts a digest once, so they go into a batch.
 fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>, PipelineError> {
     block_in_place(|| {
-        let leaves = plant.ledger.passed_over_leaves(owner, MOST_LEAVES)?;
+        let leaves = plant.ledger.batches.passed_over_leaves(owner, MOST_LEAVES)?;
         close_batch(plant, owner, leaves)
     })
 }
@@ -224,7 +224,7 @@ fn free_lane<'a>(
     block_in_place(|| {
         let (mut best, mut fewest) = (None, MOST_OPEN_BATCHES);
         for lane in lanes.iter().filter(|lane| !resting.contains_key(&lane.address())) {
-            let open = plant.ledger.open_roots(lane.address())?.len();
+            let open = plant.ledger.batches.open_roots(lane.address())?.len();
             if open < fewest && sender.room(lane.address())? > 0 {
                 (best, fewest) = (Some(lane), open);
             }
@@ -242,7 +242,7 @@ async fn send(
 ) -> Result<Round, PipelineError> {
     // Held from checking what is open until the next one is signed, so that the chain of roots does not fork.
     let held = sender.lane(&network.chain, lane).await;
-    let open = block_in_place(|| plant.ledger.open_roots(lane.address()))?;
+    let open = block_in_place(|| plant.ledger.batches.open_roots(lane.address()))?;
     let previous = match open.last() {
         Some(root) => *root,
         None => network.chain.anchor_head(lane.address()).await?,
@@ -269,7 +269,7 @@ async fn one_by_one(
     if room == 0 {
         return Ok(Round::wait(IDLE));
     }
-    let rows = block_in_place(|| plant.ledger.in_state(Some(owner), RecordState::Stored, room))?;
+    let rows = block_in_place(|| plant.ledger.records.in_state(Some(owner), RecordState::Stored, room))?;
     let mut uploads = Vec::with_capacity(rows.len());
     for row in &rows {
         let token = block_in_place(|| kept::token(&plant.ledger.rights, &network.directory, row.owner, row.epoch))?;

@@ -89,7 +89,7 @@ pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
         newest_first: true,
         ..RecordQuery::default()
     };
-    let page = tokio::task::block_in_place(|| reader.plant.ledger.list(&query))?;
+    let page = tokio::task::block_in_place(|| reader.plant.ledger.records.list(&query))?;
     let mut heads = Heads::default();
     for row in &page.rows {
         match open(reader, row).await {

@@ -432,7 +432,7 @@ fn ever(account: Option<&Account>, owner: Address, signer: SignerId) -> Result<S
 /// # Errors
 /// Errors of the ledger; the next call does what is left.
 pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<(), PipelineError> {
-    for waiting in plant.ledger.waiting_signers(keeper)? {
+    for waiting in plant.ledger.batches.waiting_signers(keeper)? {
         let now = Moment::newest(network.directory.now());
         match may_sign(&network.directory, waiting.owner, waiting.signer, now) {
             Ok(_) if waiting.held => free(plant, keeper, waiting)?,
@@ -448,7 +448,7 @@ pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Resu
 fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -> Result<(), PipelineError> {
     let mut held = 0;
     loop {
-        match plant.ledger.hold_signer(keeper, waiting.owner, waiting.signer)? {
+        match plant.ledger.batches.hold_signer(keeper, waiting.owner, waiting.signer)? {
             0 => break,
             more => held += more,
         }
@@ -466,7 +466,7 @@ fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -
 fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<(), PipelineError> {
     let mut freed = 0;
     loop {
-        match plant.ledger.free_signer(keeper, waiting.owner, waiting.signer)? {
+        match plant.ledger.batches.free_signer(keeper, waiting.owner, waiting.signer)? {
             0 => break,
             more => freed += more,
         }

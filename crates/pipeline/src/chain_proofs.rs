@@ -284,7 +284,7 @@ pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> R
         return Ok(true);
     }
     let chain = &network.chain;
-    let placed = block_in_place(|| plant.ledger.placed(row.digest))?;
+    let placed = block_in_place(|| plant.ledger.records.placed(row.digest))?;
     // Its row may have moved since it was read: its block is the one of the place's own moment.
     let (anchored, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
     if let Some(place) = place
@@ -338,5 +338,5 @@ pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, Pip
         let anchored = placed.and_then(|placed| placed.place).filter(|place| place.block.is_some());
         row.block.is_some() && anchored.is_none_or(|place| is_included(&place, row))
     };
-    Ok(rows.iter().zip(plant.ledger.placed_all(&digests)?).map(sighted).collect())
+    Ok(rows.iter().zip(plant.ledger.records.placed_all(&digests)?).map(sighted).collect())
 }

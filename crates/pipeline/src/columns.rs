@@ -184,7 +184,7 @@ impl Comparison<'_> {
         let unknown: Vec<Digest> =
             rows.iter().map(|row| row.digest).filter(|digest| self.heads.of(*digest).is_none()).collect();
         let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
-        let placed = self.plant.ledger.placed_all(&digests)?;
+        let placed = self.plant.ledger.records.placed_all(&digests)?;
         let mut fronts = self.fronts(&unknown);
         // A row may have moved since it was listed: what is compared with its place is of the place's own moment.
         let now = rows.into_iter().zip(placed).map(|(row, placed)| placed.unwrap_or(PlacedRecord { row, place: None }));
@@ -207,7 +207,7 @@ impl Comparison<'_> {
                 None => Sight::Nothing,
             },
         };
-        let here = self.plant.ledger.recorder();
+        let here = self.plant.ledger.records.recorder();
         let (compared, sealed) = match &sight {
             Sight::Nothing => return Ok(Shown { differs: place, ..Shown::unread(row) }),
             Sight::Broken(what) => return Ok(Shown { differs: Some(what), ..Shown::unread(row) }),
@@ -293,7 +293,7 @@ impl Sight {
 /// What the ledger keeps of a record whose bytes retention deleted: its header.
 fn kept_front(plant: &Plant, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
     match row.deleted_at {
-        Some(_) => Ok(plant.ledger.retained(row.digest)?.map(|retained| retained.header)),
+        Some(_) => Ok(plant.ledger.retention.find(row.digest)?.map(|retained| retained.header)),
         None => Ok(None),
     }
 }

@@ -127,7 +127,7 @@ impl Pulls {
         let (mut rows, mut new) = (Vec::new(), Brought::default());
         for record in records {
             let (topic, is_definition) = (record.topic.clone(), record.is_definition);
-            if self.plant.ledger.record(record.digest)?.is_none()
+            if self.plant.ledger.records.find(record.digest)?.is_none()
                 && let Some(row) = self.row(record)
             {
                 if !is_definition {
@@ -137,7 +137,7 @@ impl Pulls {
                 rows.push(row);
             }
         }
-        self.plant.keep(rows, |rows| self.plant.ledger.append(rows))?;
+        self.plant.keep(rows, |rows| self.plant.ledger.records.append(rows))?;
         self.plant.observer.records_changed();
         brought.messages += new.messages;
         brought.topics.extend(new.topics);

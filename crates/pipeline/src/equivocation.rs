@@ -48,7 +48,7 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
     let held =
         plant.ledger.inspection.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
-    let Some(row) = plant.ledger.record(held)? else { return Ok(false) };
+    let Some(row) = plant.ledger.records.find(held)? else { return Ok(false) };
     let Claim { owner, signer, recorder, topic, number, digest, signature } = claim;
     let is_new = plant.ledger.notes.change(&Equivocations { recorder: *recorder }, |known| {
         let is_new = !known.contains(digest) && known.len() < MOST;
@@ -122,9 +122,9 @@ mod tests {
             provider: provider(ProviderName::RustCrypto),
             observer: Arc::clone(&notes) as _,
         };
-        plant.ledger.append(vec![record(1, 5)]).expect("taken");
+        plant.ledger.records.append(vec![record(1, 5)]).expect("taken");
         let claim = |digest, seq| Claim::of(&record(digest, seq)).expect("from elsewhere");
-        assert!(plant.ledger.append(vec![record(2, 5)]).is_err(), "the number is taken");
+        assert!(plant.ledger.records.append(vec![record(2, 5)]).is_err(), "the number is taken");
         assert!(!tell(&plant, &claim(1, 5)).expect("asked"), "the same record is none");
         assert!(!tell(&plant, &claim(2, 6)).expect("asked"), "another number is none");
         for _ in 0..3 {

@@ -139,7 +139,7 @@ fn stored(
     let plant = reader.plant;
     let Some(record) = plant.stored_bytes(row)? else {
         let known = |gone: &Retained| gone.anchored || is_stated(plant, Some(reader.network), row.digest, gone);
-        let gone: Option<Retained> = plant.ledger.retained(row.digest)?.filter(known);
+        let gone: Option<Retained> = plant.ledger.retention.find(row.digest)?.filter(known);
         return match gone {
             // What somebody had erased is no hole in the evidence that nobody explains: the rest is still evidence.
             Some(Retained { erased: Some(erasure), report, .. }) => {
@@ -167,7 +167,7 @@ fn stored(
 
 /// The block of the record's anchor, and the kind of anchor.
 fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
-    let placed = reader.plant.ledger.placed(row.digest)?;
+    let placed = reader.plant.ledger.records.placed(row.digest)?;
     let (block, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
     let Some(place) = place else {
         return Ok(block.map(|block| (block, Anchoring::Each {})));
@@ -459,7 +459,7 @@ fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Res
         newest_first: type_name == Heads::TYPE,
         ..RecordQuery::default()
     };
-    let mut rows = block_in_place(|| reader.plant.ledger.list(&query))?.rows;
+    let mut rows = block_in_place(|| reader.plant.ledger.records.list(&query))?.rows;
     rows.retain(is_confirmed);
     Ok(rows)
 }
@@ -476,7 +476,7 @@ async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
 /// The list of numbers under a head.
 async fn heights(reader: &Reader<'_>, row: &RecordRow) -> Option<Heights> {
     let heads = Heads::parse(&body(reader, row).await?).ok()?;
-    let listed = block_in_place(|| reader.plant.ledger.record(heads.heights)).ok()??;
+    let listed = block_in_place(|| reader.plant.ledger.records.find(heads.heights)).ok()??;
     let heights = Heights::parse(&body(reader, &listed).await?).ok()?;
     (tree(&heights)?.root() == heads.root).then_some(heights)
 }

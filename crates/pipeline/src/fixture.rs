@@ -180,7 +180,7 @@ impl Process {
             state: RecordState::Stored,
             blob: None,
         };
-        self.plant.ledger.append(numbers.map(record).collect()).expect("acknowledged");
+        self.plant.ledger.records.append(numbers.map(record).collect()).expect("acknowledged");
     }
 
     /// The transaction purpose for anchoring a record.
@@ -191,7 +191,7 @@ impl Process {
 
     /// Submits whatever is stored, at most this many at once.
     pub async fn anchor(&self, most: usize) {
-        let rows = self.plant.ledger.in_state(None, RecordState::Stored, most).expect("read");
+        let rows = self.plant.ledger.records.in_state(None, RecordState::Stored, most).expect("read");
         let outgoing = rows.iter().map(|row| Self::upload(row.seq - 1)).collect();
         self.sender.submit(&self.network.chain, &self.eoa, outgoing).await.expect("submits");
     }
@@ -204,7 +204,7 @@ impl Process {
 
     /// How many records are in a state.
     pub fn count(&self, state: RecordState) -> u64 {
-        self.plant.ledger.counts(None).expect("counts").data_in(state)
+        self.plant.ledger.counts.by_state(None).expect("counts").data_in(state)
     }
 
     /// Rounds until `done`, at most for a minute.
@@ -215,7 +215,7 @@ impl Process {
             if done(self) {
                 return;
             }
-            assert!(Instant::now() < deadline, "{what}: {:?}", self.plant.ledger.counts(None));
+            assert!(Instant::now() < deadline, "{what}: {:?}", self.plant.ledger.counts.by_state(None));
             tokio::time::sleep(Duration::from_millis(30)).await;
         }
     }
@@ -226,7 +226,7 @@ impl Process {
         while !done(self) {
             self.anchor(16).await;
             self.round().await;
-            assert!(Instant::now() < deadline, "{what}: {:?}", self.plant.ledger.counts(None));
+            assert!(Instant::now() < deadline, "{what}: {:?}", self.plant.ledger.counts.by_state(None));
             tokio::time::sleep(Duration::from_millis(30)).await;
         }
     }

@@ -386,10 +386,10 @@ impl Line<'_> {
     /// signed for. Returns whether it was asked anything.
     async fn check(&mut self, client: &mut Client) -> Result<bool, ForwardError> {
         let ledger = &self.outbox.plant.ledger;
-        if block_in_place(|| ledger.forwarded(None, 1))?.rows.is_empty() {
+        if block_in_place(|| ledger.forwarding.undecided(None, 1))?.rows.is_empty() {
             return Ok(false);
         }
-        let recorders = block_in_place(|| ledger.recorders(MOST_NAMED))?;
+        let recorders = block_in_place(|| ledger.forwarding.recorders(MOST_NAMED))?;
         self.proofs.follow.set_recorders(recorders);
         self.proofs.go_back();
         for _ in 0..MOST_PAGES {
@@ -407,7 +407,7 @@ impl Line<'_> {
     fn told(&mut self, page: &FeedPage) -> Result<(), PipelineError> {
         let ledger = &self.outbox.plant.ledger;
         let told: Vec<&FeedEntry> = page.entries.iter().filter(|entry| entry.fact != Fact::Stored).collect();
-        let rows = ledger.records(&told.iter().map(|entry| entry.digest).collect::<Vec<_>>())?;
+        let rows = ledger.records.find_all(&told.iter().map(|entry| entry.digest).collect::<Vec<_>>())?;
         let (mut proofs, mut doubted, mut early) = (Vec::new(), Vec::new(), Vec::new());
         for (entry, row) in told.into_iter().zip(rows) {
             match row {
@@ -432,7 +432,12 @@ impl Line<'_> {
         if !proofs.is_empty() {
             let statement = page.statement(self.outbox.plant.provider);
             // Before its state changes: a verified record without it would be kept forever.
-            ledger.keep_proven(KeptStanding { time: page.time, statement, signature: page.signature, proofs })?;
+            ledger.forwarding.keep_proven(KeptStanding {
+                time: page.time,
+                statement,
+                signature: page.signature,
+                proofs,
+            })?;
             self.moved = true;
         }
         self.decide(&verified, &[], &[])?;
@@ -459,7 +464,7 @@ impl Line<'_> {
             }
         }
         let Some(after) = self.proofs.sweep else { return Ok(()) };
-        let page = block_in_place(|| self.outbox.plant.ledger.forwarded(Some(after), PAGE))?;
+        let page = block_in_place(|| self.outbox.plant.ledger.forwarding.undecided(Some(after), PAGE))?;
         self.proofs.sweep = page.next;
         let digests: Vec<Digest> = page.rows.iter().map(|row| row.digest).collect();
         if digests.is_empty() {
@@ -484,10 +489,10 @@ impl Line<'_> {
     fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
         let (ledger, observer) = (&self.outbox.plant.ledger, &self.outbox.plant.observer);
         if !verified.is_empty() {
-            ledger.settle_forwarded(verified, RecordState::Verified)?;
+            ledger.forwarding.settle(verified, RecordState::Verified)?;
             observer.verified(verified);
         }
-        if !unknown.is_empty() && ledger.settle_forwarded(unknown, RecordState::Stored)? > 0 {
+        if !unknown.is_empty() && ledger.forwarding.settle(unknown, RecordState::Stored)? > 0 {
             let count = unknown.len();
             observer.alert(
                 true,
@@ -497,7 +502,7 @@ impl Line<'_> {
                 ),
             );
         }
-        if !tampered.is_empty() && ledger.settle_forwarded(tampered, RecordState::Tampered)? > 0 {
+        if !tampered.is_empty() && ledger.forwarding.settle(tampered, RecordState::Tampered)? > 0 {
             observer.tampered(tampered);
             let count = tampered.len();
             observer.alert(

@@ -1,5 +1,5 @@
-//! The one way in for records that were not sealed here: a reader's, and what their owners had erased. Every claim is compared with
-//! the chain, in the same steps and with the same words whoever brings it; then the record is stored as if it had been captured here.
+//! The one way in for records that were not sealed here: a reader's, an owner's uploads to a gateway, and what their owners had
+//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words whoever brings it; then the record is stored as if it had been captured here.
 //! A gateway that lies gets nothing in.
 
 use std::collections::BTreeMap;
@@ -13,6 +13,7 @@ use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
 use crate::crypto::{CryptoError, ErasedStatement, SealedRecord, check_deleted, signer_id};
 use crate::equivocation::{self, Claim};
+use crate::gateway::desk::Received;
 use crate::gateway::{ErasedRecord, FeedEntry, Fetched};
 use crate::model::{Address, Digest, Fact, Hash, Header, PublicKey, RecordState, Timestamp};
 use crate::reader::Reader;
@@ -100,31 +101,16 @@ impl From<Reason> for Stop {
     }
 }
 
-impl From<PipelineError> for Stop {
-    fn from(error: PipelineError) -> Self {
-        match error {
+impl<E> From<E> for Stop
+where
+    PipelineError: From<E>,
+{
+    fn from(error: E) -> Self {
+        match error.into() {
             PipelineError::Crypto(CryptoError::FalseName(what)) => Self::Refused(Reason::FalseName(what)),
             PipelineError::Crypto(error) => Self::Refused(Reason::Crypto(error)),
             error => Self::Failed(error),
         }
-    }
-}
-
-impl From<CryptoError> for Stop {
-    fn from(error: CryptoError) -> Self {
-        Self::from(PipelineError::Crypto(error))
-    }
-}
-
-impl From<StoreError> for Stop {
-    fn from(error: StoreError) -> Self {
-        Self::Failed(error.into())
-    }
-}
-
-impl From<crate::chain::ChainError> for Stop {
-    fn from(error: crate::chain::ChainError) -> Self {
-        Self::Failed(error.into())
     }
 }
 
@@ -290,7 +276,7 @@ impl Intake<'_> {
             return Err(Reason::AnotherOwner.into());
         }
         let proof = self.examine(&header, digest, (&record.signer, &record.proof)).await?;
-        let is_new = block_in_place(|| self.plant.ledger.record(digest))?.is_none();
+        let is_new = block_in_place(|| self.plant.ledger.records.find(digest))?.is_none();
         if is_new {
             self.keep(reader, header, digest, record, proof.block).await?;
         }
@@ -310,29 +296,24 @@ impl Intake<'_> {
         let opened = opener.open_bytes(&asked, &record.blob).await?;
         let sealed = SealedRecord { header, blob: record.blob, digest, signature: record.signature };
         let row = NewRecord::foreign(sealed, self.keeper).named(&opened.head);
-        let claim = Claim::of(&row);
-        match block_in_place(|| self.plant.keep([row], |row| self.plant.ledger.append(row.into()))) {
-            Err(StoreError::Conflict { .. }) => {
-                if let Some(claim) = claim {
-                    block_in_place(|| equivocation::tell(self.plant, &claim))?;
-                }
-                Err(Reason::Number.into())
-            }
-            done => Ok(done?),
-        }
+        Ok(block_in_place(|| store(self.plant, vec![row]))??)
     }
 
     fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, Stop> {
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let ledger = &self.plant.ledger;
-        if ledger.record(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
+        if ledger.records.find(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
             return Ok(false);
         }
         let Some(inclusion) = inclusion else {
-            return Ok(ledger.mined(&[Sighting { owner, digest, transaction, block, block_hash }])? > 0);
+            return Ok(ledger.batches.mined(&[Sighting { owner, digest, transaction, block, block_hash }])? > 0);
         };
         let (root, count) = (inclusion.root, inclusion.count);
-        match ledger.take_in(digest, inclusion, RootSighting { account, root, count, transaction, block, block_hash }) {
+        match ledger.batches.take_in(
+            digest,
+            inclusion,
+            RootSighting { account, root, count, transaction, block, block_hash },
+        ) {
             // The chain replaced that block since it was asked: it is asked again.
             Err(StoreError::Replaced { .. }) => {
                 self.anchors.forget();
@@ -374,7 +355,7 @@ impl Intake<'_> {
         let taken = taken_erased(record.blob, &statement);
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: record.signature };
         let row = NewRecord { blob: None, ..NewRecord::foreign(sealed, self.keeper) };
-        block_in_place(|| match self.plant.ledger.take_erased(row, taken) {
+        block_in_place(|| match self.plant.ledger.erasures.take(row, taken) {
             Err(StoreError::Conflict { .. }) => Err(Reason::Number.into()),
             noted => Ok(noted? && self.prove(owner, digest, proof)?),
         })
@@ -414,6 +395,35 @@ impl Intake<'_> {
     }
 }
 
+/// Takes an owner's uploads in, all or none: their signatures and their signers' rights were checked when they came, and `keeper`
+/// anchors them from here.
+///
+/// # Errors
+/// Errors of the store.
+pub fn accept_uploads(
+    plant: &Plant,
+    keeper: Address,
+    uploads: Vec<Received>,
+) -> Result<Result<(), Reason>, PipelineError> {
+    store(plant, uploads.into_iter().map(|upload| NewRecord::foreign(upload.into(), keeper)).collect())
+}
+
+/// Stores records that were not sealed here. Where one has the number of another, none is stored, and both signatures are kept.
+fn store(plant: &Plant, rows: Vec<NewRecord>) -> Result<Result<(), Reason>, PipelineError> {
+    let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
+    match plant.keep(rows, |rows| plant.ledger.records.append(rows)) {
+        Err(error @ StoreError::Conflict { .. }) => {
+            let told: Vec<bool> =
+                claims.iter().map(|claim| equivocation::tell(plant, claim)).collect::<Result<_, _>>()?;
+            if !told.contains(&true) {
+                plant.observer.alert(true, format!("a sender's record contradicts another one: {error}"));
+            }
+            Ok(Err(Reason::Number))
+        }
+        done => Ok(Ok(done?)),
+    }
+}
+
 /// What a reader makes of an entry of a feed, before it asks for the record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wish {
@@ -434,7 +444,7 @@ pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish,
     if entry.fact == Fact::Stored || entry.fact == Fact::Erased && !entry.kind.is_content() {
         return Ok(Wish::Pass);
     }
-    Ok(match block_in_place(|| reader.plant.ledger.record(entry.digest))? {
+    Ok(match block_in_place(|| reader.plant.ledger.records.find(entry.digest))? {
         Some(row) if entry.fact == Fact::Verified && row.state == RecordState::Stored => Wish::Ask,
         Some(_) => Wish::Pass,
         None if block_in_place(|| reader.topic_key(&row_of_entry(entry))).is_ok() => Wish::Ask,

@@ -16,7 +16,7 @@ impl Plant {
         records: R,
         acknowledge: impl FnOnce(R) -> Result<T, StoreError>,
     ) -> Result<T, StoreError> {
-        self.ledger.takes_records()?;
+        self.ledger.records.takes_records()?;
         let cached = self.ciphertext.is_cached();
         let digests: Vec<_> = records.as_ref().iter().filter(|_| cached).map(|record| record.digest).collect();
         let done = acknowledge(records)?;

@@ -138,8 +138,8 @@ pub struct Network {
 ///
 /// # Errors
 /// [`StoreError::Corrupt`] if it cannot be understood, or errors of the ledger.
-pub fn network_pin(ledger: &Ledger) -> Result<Option<Pin>, StoreError> {
-    ledger.rights.contract_pin()?.map(|text| read_pin(&text, ledger.path())).transpose()
+pub fn network_pin(rights: &Rights) -> Result<Option<Pin>, StoreError> {
+    rights.contract_pin()?.map(|text| read_pin(&text, rights.path())).transpose()
 }
 
 /// The same of a home whose ledger is not open here.

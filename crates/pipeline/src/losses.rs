@@ -183,7 +183,7 @@ impl Losses {
     /// Errors of the ledger.
     pub fn counts(&self, plant: &Plant, owner: Address) -> Result<StateCounts, StoreError> {
         let _still = lock(&self.moving);
-        let mut counts = plant.ledger.counts(Some(owner))?;
+        let mut counts = plant.ledger.counts.by_state(Some(owner))?;
         let all = self.unwritten(owner, None);
         counts.lost_in_transport += all.in_transport;
         counts.lost_in_recorder += all.in_recorder;
@@ -229,7 +229,7 @@ impl Losses {
     /// # Errors
     /// Errors of sealing and of the store; what is sealed so far stays.
     pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Stream, u64)>, PipelineError> {
-        if plant.ledger.takes_records().is_err() {
+        if plant.ledger.records.takes_records().is_err() {
             return Ok(Vec::new());
         }
         let authors: Vec<_> = lock(&self.authors).values().cloned().collect();

@@ -17,7 +17,7 @@ use crate::crypto::{
 };
 use crate::gateway::{Client, Code, Feed, FeedEntry, Fetched, Follow, GatewayError};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
-use crate::store::Ledger;
+use crate::store::Notes;
 
 use super::forwarder::{Errand, ForwardError};
 use super::{Author, Observer, PipelineError, disk_ring};
@@ -45,7 +45,7 @@ pub struct Notices {
     /// Changes when the owner has named other addresses of the gateway.
     gateway: watch::Sender<GatewayAccess>,
     /// Notes what is asked of the ring, where this robot has one.
-    ring: Option<Ledger>,
+    ring: Option<Notes>,
     /// Whether it has one now.
     has_ring: Arc<AtomicBool>,
     policies: Arc<dyn PolicyTaker>,
@@ -89,14 +89,14 @@ impl Notices {
 
     /// The same for a robot with a ring: what is asked of it is noted in the ledger.
     #[must_use]
-    pub fn with_ring(self, ledger: Ledger) -> Self {
-        Self { ring: Some(ledger), ..self }
+    pub fn with_ring(self, notes: Notes) -> Self {
+        Self { ring: Some(notes), ..self }
     }
 
     /// The same for a robot whose ring comes and goes with its policy.
     #[must_use]
-    pub fn with_ring_while(self, ledger: Ledger, has_ring: &Arc<AtomicBool>) -> Self {
-        Self { has_ring: Arc::clone(has_ring), ..self.with_ring(ledger) }
+    pub fn with_ring_while(self, notes: Notes, has_ring: &Arc<AtomicBool>) -> Self {
+        Self { has_ring: Arc::clone(has_ring), ..self.with_ring(notes) }
     }
 
     /// Whether an entry says that it is a notice to this device and newer than the newest one taken.
@@ -273,15 +273,15 @@ pub fn open_notice(
 }
 
 /// Notes what is asked of the ring before the notice counts as taken; what was done, in words.
-fn asked(ring: Option<&Ledger>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
+fn asked(ring: Option<&Notes>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
     let RingSpan { since, until, .. } = span;
-    let Some(ledger) = ring else {
+    let Some(notes) = ring else {
         return Ok(format!(
             "the owner asks for what was captured from {since} to {until} and nobody watched, but this robot keeps no ring; \
              ring.keep and ring.topics give it one"
         ));
     };
-    block_in_place(|| disk_ring::ask(&ledger.notes, number, span))?;
+    block_in_place(|| disk_ring::ask(notes, number, span))?;
     Ok(format!("the owner asks for what the ring has from {since} to {until}; it goes into the outbox"))
 }
 

@@ -62,7 +62,7 @@ pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize, Pipe
 /// `false`: there are no keys to seal with yet.
 fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool, PipelineError> {
     let Some(keys) = author.sealing() else { return Ok(false) };
-    let recorder = plant.ledger.recorder().of_signer(&keys.signer);
+    let recorder = plant.ledger.records.recorder().of_signer(&keys.signer);
     let seqs = || held.records.iter().map(|(seq, _)| *seq);
     let digests: Vec<Digest> = held.records.iter().map(|(_, digest)| *digest).collect();
     let stream = (author.address, recorder);

@@ -68,7 +68,7 @@ impl Reader<'_> {
             return Ok(checked);
         }
         // Its block may have been replaced since its row was read.
-        match block_in_place(|| self.plant.ledger.record(row.digest))? {
+        match block_in_place(|| self.plant.ledger.records.find(row.digest))? {
             Some(now) if now != *row => self.check_once(&now).await,
             _ => Ok(checked),
         }
@@ -112,7 +112,7 @@ impl Reader<'_> {
     }
 
     fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {
-        let retained = block_in_place(|| self.plant.ledger.retained(row.digest))?;
+        let retained = block_in_place(|| self.plant.ledger.retention.find(row.digest))?;
         let stated = |retained: &Retained| is_stated(self.plant, Some(self.network), row.digest, retained);
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
@@ -170,8 +170,8 @@ impl Reader<'_> {
         let opened = open(self.plant.provider, blob, &row.signature, &signer, anchor, &key, &expected)?;
         let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
         // A record that is only about to be kept here has no place that it could contradict.
-        let placed = block_in_place(|| self.plant.ledger.placed(row.digest))?;
-        let found = columns::difference(row, &opened, self.plant.ledger.recorder())
+        let placed = block_in_place(|| self.plant.ledger.records.placed(row.digest))?;
+        let found = columns::difference(row, &opened, self.plant.ledger.records.recorder())
             .or_else(|| placed.as_ref().and_then(columns::anchor_difference));
         found.map_or(Ok(opened), |field| Err(differs(field)))
     }

@@ -276,7 +276,7 @@ fn scrub(
 }
 
 fn mark(plant: &Plant, bad: &[Digest]) -> Result<(), StoreError> {
-    plant.ledger.advance(bad, RecordState::Verified, RecordState::Tampered)?;
+    plant.ledger.records.advance(bad, RecordState::Verified, RecordState::Tampered)?;
     plant.observer.tampered(bad);
     plant.observer.records_changed();
     Ok(())

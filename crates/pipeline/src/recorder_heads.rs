@@ -15,7 +15,7 @@ use super::{PipelineError, Plant, audit_head};
 pub const TOPIC: &str = "authros/recorder";
 
 fn noted(plant: &Plant, owner: Address, keys: &EpochKeys) -> StatedNumbers {
-    StatedNumbers { recorder: plant.ledger.recorder().of_signer(&keys.signer), owner, domain: keys.domain }
+    StatedNumbers { recorder: plant.ledger.records.recorder().of_signer(&keys.signer), owner, domain: keys.domain }
 }
 
 /// The tree over topics with their numbers; `None` for none, and for more than a tree holds.
@@ -48,7 +48,7 @@ pub fn state(
         return Ok(None);
     }
     *seen = Some(Instant::now());
-    let heights = Heights { topics: plant.ledger.heights(owner, keys.signer, [TOPIC, audit_head::TOPIC])? };
+    let heights = Heights { topics: plant.ledger.counts.heights(owner, keys.signer, [TOPIC, audit_head::TOPIC])? };
     let Some(root) = tree(&heights).map(|tree| tree.root()) else { return Ok(None) };
     let note = |root, heads| plant.ledger.notes.write(&noted, &StatedRoot { looked, root, heads });
     let Some(before) = before else {
@@ -79,7 +79,7 @@ fn stated(
         statement::state(plant, owner, keys, statement)
     };
     if before.is_none() {
-        let birth = Birth { predecessor: plant.ledger.predecessor(owner, keys.signer)? };
+        let birth = Birth { predecessor: plant.ledger.counts.predecessor(owner, keys.signer)? };
         put(Birth::TYPE, birth.encode())?;
     }
     let Some(listed) = put(Heights::TYPE, heights.encode())? else { return Ok(None) };

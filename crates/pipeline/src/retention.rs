@@ -65,7 +65,7 @@ impl Retention {
         }
         let mut done = Round { named: Vec::new(), deleted: delete(plant, owner)? };
         let incidents = plant.ledger.incidents.list(owner.address)?;
-        for topic in plant.ledger.kept_topics(owner.address)? {
+        for topic in plant.ledger.retention.topics(owner.address)? {
             self.hold((owner.address, topic.key), Held::of(&topic.name, &incidents));
             if !topic.is_named() {
                 continue;
@@ -132,7 +132,7 @@ fn due(
     let mut rest = excess;
     let mut due = Vec::new();
     for free in held.between((since, until)) {
-        due.extend(plant.ledger.oldest(topic, free, ROUND - due.len())?);
+        due.extend(plant.ledger.retention.oldest(topic, free, ROUND - due.len())?);
         if due.len() >= ROUND {
             break;
         }
@@ -210,7 +210,7 @@ fn report(
     let body = report_body(plant, (&keys.domain, owner.address), about, &gone);
     let speaker = Speaker::of(&keys, owner.address, &place);
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
-    statement::put(plant, &speaker, statement, |row| plant.ledger.give_up(topic, row, records))?;
+    statement::put(plant, &speaker, statement, |row| plant.ledger.retention.give_up(topic, row, records))?;
     plant.observer.records_changed();
     Ok(true)
 }
@@ -221,10 +221,10 @@ fn report(
 /// # Errors
 /// Errors of the store; called again, it does what is left.
 pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
-    let digests = plant.ledger.told_to_delete(ROUND)?;
+    let digests = plant.ledger.erasures.told_to_delete(ROUND)?;
     if !digests.is_empty() {
         plant.ciphertext.scour(&digests)?;
-        plant.ledger.deleted(&digests)?;
+        plant.ledger.retention.deleted(&digests)?;
         plant.observer.erased();
         plant.observer.records_changed();
     }
@@ -236,14 +236,14 @@ pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
 /// # Errors
 /// Errors of the store; called again, it does what is left.
 pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
-    let digests = plant.ledger.to_delete(owner.address, ROUND)?;
+    let digests = plant.ledger.retention.to_delete(owner.address, ROUND)?;
     if digests.is_empty() {
         return Ok(0);
     }
-    let erased = plant.ledger.erased_among(&digests)?;
+    let erased = plant.ledger.erasures.erased_among(&digests)?;
     plant.ciphertext.scour(&erased)?;
     plant.ciphertext.discard(&digests)?;
-    plant.ledger.deleted(&digests)?;
+    plant.ledger.retention.deleted(&digests)?;
     plant.observer.erased();
     plant.observer.records_changed();
     Ok(digests.len() as u64)
@@ -280,7 +280,7 @@ pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure)
         let mut whole = Vec::with_capacity(rows.len());
         for row in rows {
             // What only a rule has named is still to be overwritten, by whom and why.
-            let retained = plant.ledger.retained(row.digest)?;
+            let retained = plant.ledger.retention.find(row.digest)?;
             if retained.is_some_and(|retained| retained.deleted_at.is_some() || retained.erased.is_some()) {
                 continue;
             }
@@ -316,7 +316,7 @@ fn report_erased(
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
     let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
     let told = named.clone();
-    statement::put(plant, &speaker, statement, |row| plant.ledger.erase(row, erasure, named))?;
+    statement::put(plant, &speaker, statement, |row| plant.ledger.erasures.erase(row, erasure, named))?;
     state(plant, (&keys.signing, &owner.eoa()), erasure, &told)
 }
 
@@ -329,10 +329,10 @@ fn state(
 ) -> Result<(), PipelineError> {
     let mut statements = Vec::with_capacity(erased.len());
     for (digest, header) in erased {
-        let Some(retained) = plant.ledger.retained(*digest)? else { continue };
+        let Some(retained) = plant.ledger.retention.find(*digest)? else { continue };
         statements.push(stated(plant, keys, (digest, header), (retained.report, erasure.at))?);
     }
-    Ok(plant.ledger.keep_erasures(statements)?)
+    Ok(plant.ledger.erasures.keep(statements)?)
 }
 
 /// What an owner states of one erased record, signed by d_C and by the account.
@@ -357,13 +357,13 @@ pub fn stated(
 /// # Errors
 /// Errors of signing and the ledger; what was stated so far stays.
 pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool, PipelineError> {
-    let unstated = plant.ledger.unstated(owner.address, &signing.public, ROUND)?;
+    let unstated = plant.ledger.erasures.unstated(owner.address, &signing.public, ROUND)?;
     let (keys, count) = ((signing, &owner.eoa()), unstated.len());
     let mut statements = Vec::with_capacity(count);
     for Unstated { digest, report, header, erasure } in unstated {
         statements.push(stated(plant, keys, (&digest, &header), (report, erasure.at))?);
     }
-    plant.ledger.keep_erasures(statements)?;
+    plant.ledger.erasures.keep(statements)?;
     Ok(count < ROUND)
 }
 
@@ -467,7 +467,7 @@ pub fn left_of(
     header: Vec<u8>,
 ) -> Result<Option<Fetched>, PipelineError> {
     let Some(signer) = key_of(plant, network, row)? else { return Ok(None) };
-    let placed = plant.ledger.placed(row.digest)?;
+    let placed = plant.ledger.records.placed(row.digest)?;
     let proof = placed.and_then(anchor_proof).map(|proof| proof.encode()).unwrap_or_default();
     Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
 }
@@ -486,14 +486,14 @@ pub fn notice_of(
     let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
         return Ok(None);
     };
-    let Some(PlacedRecord { row, place }) = ledger.placed(digest)? else { return Ok(None) };
+    let Some(PlacedRecord { row, place }) = ledger.records.placed(digest)? else { return Ok(None) };
     let is_batched = place.is_some() && row.block.is_some();
     if !is_batched || !is_owners(network, row.owner, &statement.signer) {
         return Ok(None);
     }
     let is_of_here =
         |retained: &Retained| Header::parse(&retained.header).is_ok_and(|(header, _)| header.domain == network.domain);
-    let Some(retained) = ledger.retained(digest)?.filter(is_of_here) else { return Ok(None) };
+    let Some(retained) = ledger.retention.find(digest)?.filter(is_of_here) else { return Ok(None) };
     let left = left_of(plant, network, &row, retained.header)?.map(|record| ErasedRecord { record, statement });
     Ok(left.map(|left| ErasureNotice { digest, account_signature: AccountSignature(account), left }))
 }

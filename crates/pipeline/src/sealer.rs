@@ -113,7 +113,7 @@ impl Sealer {
     ) -> Result<(), Panicked> {
         let mut pause = Duration::from_millis(100);
         let names = loop {
-            let tried = match self.plant.ledger.takes_records() {
+            let tried = match self.plant.ledger.records.takes_records() {
                 // What waits is noted, and nothing but room changes anything.
                 Err(full) if self.losses.is_noted() => Ok(Err(full.into())),
                 _ => {

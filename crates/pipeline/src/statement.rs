@@ -37,7 +37,7 @@ pub fn state(
     let speaker = Speaker::of(keys, owner, &topic);
     put(plant, &speaker, statement, |row| {
         let digest = row.digest;
-        plant.ledger.append(vec![row]).map(|()| Some(digest))
+        plant.ledger.records.append(vec![row]).map(|()| Some(digest))
     })
 }
 
@@ -56,7 +56,7 @@ pub fn state_to_be_found(
     let speaker = Speaker::of(keys, owner, &topic);
     put_filtered(plant, &speaker, statement, filters, |row| {
         let digest = row.digest;
-        plant.ledger.append(vec![row]).map(|()| Some(digest))
+        plant.ledger.records.append(vec![row]).map(|()| Some(digest))
     })
 }
 
@@ -112,7 +112,7 @@ fn put_filtered<T>(
 ) -> Result<T, PipelineError> {
     let Statement { kind, topic, type_name, body } = statement;
     let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
-    let seq = plant.ledger.next_seq(owner, signer_id(&signing.public), topic_id)?;
+    let seq = plant.ledger.records.next_seq(owner, signer_id(&signing.public), topic_id)?;
     let head = head(topic, type_name, body.len());
     let request = SealRequest {
         domain,
@@ -120,7 +120,7 @@ fn put_filtered<T>(
         signer: signing,
         epoch,
         topic_key,
-        recorder: plant.ledger.recorder(),
+        recorder: plant.ledger.records.recorder(),
         seq,
         topic_id,
         kind,

@@ -82,11 +82,11 @@ impl Line {
 
     fn append(&self, topic: u8, from: u64, count: u64) {
         let records = (from..from + count).map(|seq| record(&self.owner, topic, seq)).collect();
-        self.plant.ledger.append(records).expect("acknowledged");
+        self.plant.ledger.records.append(records).expect("acknowledged");
     }
 
     fn count(&self, state: RecordState) -> u64 {
-        self.plant.ledger.counts(None).expect("counts").data_in(state)
+        self.plant.ledger.counts.by_state(None).expect("counts").data_in(state)
     }
 
     /// Anchors until everything is confirmed; `feed` adds records between rounds and says whether it has more.
@@ -112,7 +112,7 @@ impl Line {
     }
 
     fn rows(&self, limit: usize) -> Vec<RecordRow> {
-        self.plant.ledger.list(&RecordQuery { limit, ..RecordQuery::default() }).expect("a page").rows
+        self.plant.ledger.records.list(&RecordQuery { limit, ..RecordQuery::default() }).expect("a page").rows
     }
 }
 
@@ -218,13 +218,13 @@ async fn both_modes_anchor_what_the_other_left() {
     line.drain(AnchorMode::Batch, 80, || false).await;
     // A batch that was closed and not sent is anchored as a batch, even in one-by-one mode.
     line.append(1, 81, 10);
-    let leaves = line.plant.ledger.stored_leaves(line.owner.address, 100).expect("leaves");
+    let leaves = line.plant.ledger.batches.stored_leaves(line.owner.address, 100).expect("leaves");
     let batch = super::anchorer::close_batch(&line.plant, line.owner.address, leaves).expect("closed");
     assert_eq!(batch.map(|batch| batch.count), Some(10));
     line.drain(AnchorMode::Each, 90, || false).await;
     for row in line.rows(100) {
         assert!(line.is_anchored(&row).await, "{}", row.seq);
-        let place = line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place);
+        let place = line.plant.ledger.records.placed(row.digest).expect("read").and_then(|placed| placed.place);
         assert_eq!(place.is_some(), row.seq > 40);
         let uploaded = line.network.chain.anchored(row.owner, row.digest).await.expect("answer");
         assert_eq!(uploaded, row.seq <= 40, "one by one or in a batch, never both");
@@ -257,8 +257,14 @@ async fn an_extra_account_registers_itself_and_anchors_for_its_owner() {
         }
     }
     for row in line.rows(300) {
-        let place =
-            line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
+        let place = line
+            .plant
+            .ledger
+            .records
+            .placed(row.digest)
+            .expect("read")
+            .and_then(|placed| placed.place)
+            .expect("batched");
         assert!(extra.iter().any(|key| place.account == Some(key.address())));
         assert!(line.is_anchored(&row).await, "{}", row.seq);
     }

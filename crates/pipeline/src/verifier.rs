@@ -31,7 +31,7 @@ struct Outcome<'a> {
 /// Errors of the store; then nothing is decided.
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
     let state = Some(RecordState::Confirmed);
-    let page = plant.ledger.list(&RecordQuery { state, limit: ROUND, ..RecordQuery::default() })?;
+    let page = plant.ledger.records.list(&RecordQuery { state, limit: ROUND, ..RecordQuery::default() })?;
     verify_page(plant, network, &page.rows)
 }
 
@@ -104,7 +104,7 @@ fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), 
         return Ok(());
     }
     let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
-    plant.ledger.advance(&digests, RecordState::Confirmed, state)?;
+    plant.ledger.records.advance(&digests, RecordState::Confirmed, state)?;
     if state == RecordState::Verified {
         fault::point("verified");
         plant.observer.verified(&digests);
@@ -123,7 +123,7 @@ fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), 
 fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<(), PipelineError> {
     let Some((_, why)) = passed.first() else { return Ok(()) };
     let digests: Vec<Digest> = passed.iter().map(|(row, _)| row.digest).collect();
-    let moved = plant.ledger.pass_over(&digests)?;
+    let moved = plant.ledger.batches.pass_over(&digests)?;
     plant
         .observer
         .alert(false, format!("{moved} records will be anchored again because their block does not count: {why}"));
@@ -170,7 +170,8 @@ fn is_sound_without(
     row: &RecordRow,
     signer: &PublicKey,
 ) -> Result<bool, PipelineError> {
-    let Some(retained) = plant.ledger.retained(row.digest)?.filter(|retained| retained.deleted_at.is_some()) else {
+    let Some(retained) = plant.ledger.retention.find(row.digest)?.filter(|retained| retained.deleted_at.is_some())
+    else {
         return Ok(false);
     };
     // Where the retention record is elsewhere, its owner's statement takes its place.

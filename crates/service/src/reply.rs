@@ -28,7 +28,8 @@ pub use self::records::{
     Refusal, ShownState, StampView, StampedView,
 };
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
-pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, UnreachedView};
+pub use self::topics::{CaptureSummary, CoverageView, HeldUp, TopicRow, TopicSummary, UnreachedView};
+pub use crate::store::CoveragePart;
 
 use serde::{Deserialize, Serialize};
 

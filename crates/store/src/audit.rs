@@ -9,9 +9,8 @@ use serde::{Deserialize, Serialize};
 use sm3::{Digest as _, Sm3};
 
 use super::StoreError;
-use super::database::whole;
-use crate::database::Statements as _;
-use crate::ledger::Database;
+use crate::database::{Statements as _, capped, whole};
+use crate::ledger::AuditLog;
 use crate::model::{Digest, Timestamp};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
@@ -72,10 +71,6 @@ pub struct AuditFault {
     pub what: String,
 }
 
-/// The audit log of a home.
-#[derive(Debug, Clone)]
-pub struct AuditLog(pub(crate) Database);
-
 impl AuditLog {
     /// Adds a line; it is durable when this returns. No grant and no decryption may proceed without it.
     ///
@@ -85,8 +80,9 @@ impl AuditLog {
         self.0.write(move |session| {
             let (count, head) = head(session.connection)?;
             let hash = chain(head, &entry);
+            let sql = "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
             session.connection.run(
-                "INSERT INTO audit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+                sql,
                 params![
                     whole("line", count + 1)?,
                     whole("time", entry.at.0)?,
@@ -175,7 +171,6 @@ impl AuditLog {
     pub fn list(&self, query: &AuditQuery) -> Result<Vec<AuditLine>, StoreError> {
         let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
-        let limit = i64::try_from(query.limit).unwrap_or(i64::MAX);
         self.0.read(|connection| {
             let sql = format!(
                 "SELECT {COLUMNS} FROM audit WHERE line < ?1 AND at >= ?2 AND (?3 IS NULL OR action = ?3) \
@@ -184,7 +179,7 @@ impl AuditLog {
                  ORDER BY line DESC LIMIT ?5"
             );
             let mut statement = connection.prepare_cached(&sql)?;
-            let values = params![before, since, query.action, query.profile, limit, query.operator];
+            let values = params![before, since, query.action, query.profile, capped(query.limit), query.operator];
             let rows = statement.query_map(values, line_of)?;
             let mut lines = rows.collect::<Result<Vec<_>, _>>()?;
             lines.reverse();

@@ -4,10 +4,11 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use rusqlite::{Connection, ErrorCode, OptionalExtension as _, params};
+use rusqlite::{Connection, ErrorCode, OptionalExtension as _};
 
 use crate::cache::{Cache, CacheSettings, CacheState};
 use crate::database::{self, Statements as _};
+use crate::ledger::Database;
 use crate::model::Digest;
 use crate::{Ledger, StoreError};
 
@@ -26,14 +27,14 @@ pub struct Usage {
 /// The ciphertext of a home, and the cache in front of it, if there is one. Clones share both.
 #[derive(Clone)]
 pub struct Ciphertext {
-    ledger: Ledger,
+    database: Database,
     cache: Option<Arc<Cache>>,
 }
 
 impl Ciphertext {
     /// That of a ledger, with no cache in front of it.
     pub fn of(ledger: &Ledger) -> Self {
-        Self { ledger: ledger.clone(), cache: None }
+        Self { database: ledger.database.clone(), cache: None }
     }
 
     /// That of a ledger, with a cache in front of it, which is not waited for.
@@ -56,7 +57,7 @@ impl Ciphertext {
     /// # Errors
     /// [`StoreError::Database`], [`StoreError::Corrupt`] and the like.
     pub fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
-        self.ledger.read(|connection| Ok(connection.find(GET, [digest.0], |row| row.get(0))?))
+        self.database.find(GET, [digest.0], |row| row.get(0))
     }
 
     /// The stored bytes under several digests, in order.
@@ -64,7 +65,7 @@ impl Ciphertext {
     /// # Errors
     /// See [`Self::get`].
     pub fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
-        self.ledger.read(|connection| {
+        self.database.read(|connection| {
             let mut statement = connection.prepare_cached(GET)?;
             digests.iter().map(|digest| Ok(statement.query_row([digest.0], |row| row.get(0)).optional()?)).collect()
         })
@@ -75,7 +76,7 @@ impl Ciphertext {
     /// # Errors
     /// See [`Self::get`].
     pub fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
-        self.ledger.read(|connection| digests.iter().map(|digest| front(connection, *digest, length)).collect())
+        self.database.read(|connection| digests.iter().map(|digest| front(connection, *digest, length)).collect())
     }
 
     /// The bytes under a digest for a reader: from the cache where it has them right, and from the store otherwise. For
@@ -111,7 +112,7 @@ impl Ciphertext {
             return Ok(());
         }
         let all = digests.to_vec();
-        self.ledger.write_many(all.len(), move |session| delete(session.connection, &all))?;
+        self.database.write_many(all.len(), move |session| delete(session.connection, &all))?;
         self.forget(digests);
         Ok(())
     }
@@ -126,12 +127,12 @@ impl Ciphertext {
             return Ok(());
         }
         let all = digests.to_vec();
-        self.ledger.write_many(all.len(), move |session| {
+        self.database.write_many(all.len(), move |session| {
             database::overwriting(session.connection, |connection| delete(connection, &all))
         })?;
         self.forget(digests);
         // Also when nothing was left to delete: an earlier attempt may have failed at the log.
-        database::empty_log(self.ledger.path())
+        database::empty_log(self.database.path())
     }
 
     fn forget(&self, digests: &[Digest]) {
@@ -145,12 +146,10 @@ impl Ciphertext {
     /// # Errors
     /// See [`Self::get`].
     pub fn usage(&self) -> Result<Usage, StoreError> {
-        self.ledger.read(|connection| {
-            let sql = "SELECT count(*), coalesce(sum(length(bytes)), 0) FROM ciphertext";
-            Ok(connection.one(sql, [], |row| {
-                let number = |column| row.get(column).map(i64::cast_unsigned);
-                Ok(Usage { entries: number(0)?, bytes: number(1)? })
-            })?)
+        let sql = "SELECT count(*), coalesce(sum(length(bytes)), 0) FROM ciphertext";
+        self.database.one(sql, [], |row| {
+            let number = |column| row.get(column).map(i64::cast_unsigned);
+            Ok(Usage { entries: number(0)?, bytes: number(1)? })
         })
     }
 
@@ -173,16 +172,14 @@ impl Ciphertext {
     /// See [`Self::discard`].
     pub fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError> {
         let bytes = bytes.to_vec();
-        self.ledger.write(move |session| {
-            let sql = "UPDATE ciphertext SET bytes = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-            Ok(session.connection.run(sql, params![digest.0, bytes])? > 0)
-        })
+        let sql = "UPDATE ciphertext SET bytes = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+        Ok(self.database.changed(sql, (digest.0, bytes))? > 0)
     }
 }
 
 fn delete(connection: &Connection, digests: &[Digest]) -> Result<(), StoreError> {
-    let mut statement = connection.prepare_cached(DELETE)?;
-    digests.iter().try_for_each(|digest| Ok(statement.execute([digest.0]).map(drop)?))
+    connection.run_each(DELETE, digests.iter().map(|digest| [digest.0]))?;
+    Ok(())
 }
 
 /// Opened as a blob, so that not all pages of a long one are read.

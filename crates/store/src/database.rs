@@ -253,6 +253,16 @@ pub(super) fn whole(field: &'static str, value: u64) -> Result<i64, StoreError> 
     i64::try_from(value).map_err(|_| StoreError::TooBig { field, value })
 }
 
+/// The same of a bound or a limit, where a larger one says no more than the largest.
+pub(super) fn capped(value: impl TryInto<i64>) -> i64 {
+    value.try_into().unwrap_or(i64::MAX)
+}
+
+/// A number of changed rows.
+pub(super) fn count(rows: usize) -> u64 {
+    u64::try_from(rows).unwrap_or(u64::MAX)
+}
+
 /// Statements by their text, prepared once for each connection.
 pub(super) trait Statements {
     /// The prepared statement.
@@ -261,6 +271,45 @@ pub(super) trait Statements {
     /// Executes it, and says how many rows it changed.
     fn run(&self, sql: &str, values: impl Params) -> rusqlite::Result<usize> {
         self.prepared(sql)?.execute(values)
+    }
+
+    /// Executes it for each of these, and says how many rows that changed.
+    fn run_each<P: Params>(&self, sql: &str, each: impl IntoIterator<Item = P>) -> rusqlite::Result<u64> {
+        let mut statement = self.prepared(sql)?;
+        each.into_iter().try_fold(0, |changed, values| Ok(changed + count(statement.execute(values)?)))
+    }
+
+    /// Those of these for which a query has a row, or, with `false`, those for which it has none.
+    fn among<T: Copy, P: Params>(
+        &self,
+        sql: &str,
+        all: &[T],
+        values: impl Fn(T) -> Result<P, StoreError>,
+        has: bool,
+    ) -> Result<Vec<T>, StoreError> {
+        let mut statement = self.prepared(sql)?;
+        let mut found = Vec::new();
+        for one in all {
+            if statement.exists(values(*one)?)? == has {
+                found.push(*one);
+            }
+        }
+        Ok(found)
+    }
+
+    /// Does something with each row of a query, until an error.
+    fn each(
+        &self,
+        sql: &str,
+        values: impl Params,
+        mut work: impl FnMut(&Row<'_>) -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let mut statement = self.prepared(sql)?;
+        let mut rows = statement.query(values)?;
+        while let Some(row) = rows.next()? {
+            work(row)?;
+        }
+        Ok(())
     }
 
     /// The one row of a query.

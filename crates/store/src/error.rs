@@ -127,11 +127,6 @@ impl StoreError {
         }
     }
 
-    /// Whether the same call can succeed later, unchanged.
-    pub fn is_passing(&self) -> bool {
-        matches!(self, Self::DiskFull { .. })
-    }
-
     /// A failure of the file system at `path`.
     pub(super) fn home(path: &Path, error: &std::io::Error) -> Self {
         if error.kind() == std::io::ErrorKind::StorageFull {

@@ -12,7 +12,6 @@ mod counts;
 mod directory;
 mod erasures;
 mod feed;
-mod filters;
 mod forwarding;
 mod incidents;
 mod inspect;
@@ -30,68 +29,95 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use rusqlite::{Connection, OptionalExtension as _};
+use rusqlite::{Connection, OptionalExtension as _, Params, Row};
 
 pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
-pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, Proofs, StampCounts, UnprovenBatch};
+pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, StampCounts, UnprovenBatch};
 pub use self::counts::{Coverage, CoveragePart, CoverageQuery, OwnerUsage, StateCounts, TopicCounts};
-pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, StandingRights, WaitingSigner};
+pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights, WaitingSigner};
 pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
-pub use self::feed::{Feed, FeedFilter, FeedPage, FeedPlace, FeedRow};
-pub use self::filters::FilterChoice;
-pub use self::forwarding::{Bindings, ForwardedPage, KeptBinding, KeptReceipt};
-pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, Incidents, SpanCoverage};
-pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Inspection, Sequence};
-pub use self::quarantine::{
-    AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, Losses, PinRow, Pins, Quarantine,
-};
-pub use self::query::{Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
+pub use self::feed::{FeedFilter, FeedPage, FeedPlace, FeedRow};
+pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
+pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
+pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
+pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};
+pub use self::query::{FilterChoice, Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
 pub use self::retention::{KeptTopic, OldRecord, Retained};
 pub use self::rows::{Foreign, NewRecord, RecordRow, is_legal};
-pub use self::sightings::{KeptStanding, Sighting, Trail};
+pub use self::sightings::{KeptStanding, Sighting};
 pub use self::transactions::{
-    LaneCount, Lanes, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
+    LaneCount, NewTransaction, OpenTransaction, Reissue, TransactionOutcome, TransactionRow, TransactionState,
 };
 pub(super) use self::writer::Session;
 
+use crate::StoreError;
 use crate::database::{self, Schema, Statements as _};
 use crate::model::{RecorderPrefix, Timestamp};
-use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, Notes, RestoredAt};
-use crate::{AuditLog, StoreError};
+use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, RestoredAt};
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
 const READERS_KEPT: usize = 8;
 
-/// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
-#[derive(Debug, Clone)]
-pub struct Ledger {
-    database: Database,
+macro_rules! stores {
+    ($($(#[$doc:meta])* $field:ident: $store:ident;)*) => {
+        $($(#[$doc])* #[derive(Debug, Clone)] pub struct $store(pub(crate) Database);)*
+
+        /// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
+        #[derive(Debug, Clone)]
+        pub struct Ledger {
+            pub(super) database: Database,
+            $($(#[$doc])* pub $field: $store,)*
+        }
+
+        impl From<Database> for Ledger {
+            fn from(database: Database) -> Self {
+                Self { $($field: $store(database.clone()),)* database }
+            }
+        }
+    };
+}
+
+stores! {
+    /// Records, and their states.
+    records: Records;
+    /// The way of records to the chain and back: who may sign, Merkle batches, and what blocks say of them.
+    batches: Batches;
+    /// What is counted: records by state, topic, owner and signer, and their ages.
+    counts: Counts;
+    /// Records whose ciphertext is deleted by a rule.
+    retention: Retention;
+    /// Records that somebody had erased, and what is stated of them.
+    erasures: Erasures;
+    /// What a gateway took over, and what it stated.
+    forwarding: Forwarding;
+    /// What pseudonyms of topics and types mean.
+    names: Names;
     /// Incidents, and what they hold.
-    pub incidents: Incidents,
+    incidents: Incidents;
     /// Transactions, account by account.
-    pub lanes: Lanes,
+    lanes: Lanes;
     /// Who may do what: events of the contract, and envelopes.
-    pub rights: Rights,
+    rights: Rights;
     /// Records that wait for an operator.
-    pub quarantine: Quarantine,
+    quarantine: Quarantine;
     /// Pinned publishers, and alarms about others.
-    pub pins: Pins,
+    pins: Pins;
     /// Messages that were lost.
-    pub losses: Losses,
+    losses: Losses;
     /// What the chain and time authorities prove of batches.
-    pub proofs: Proofs,
+    proofs: Proofs;
     /// The blocks that the watcher has read.
-    pub trail: Trail,
+    trail: Trail;
     /// Keys of signers, and names at this gateway.
-    pub bindings: Bindings,
+    bindings: Bindings;
     /// What readers may be given, in the order in which it came to be so.
-    pub feed: Feed,
+    feed: Feed;
     /// Who did what.
-    pub audit: AuditLog,
+    audit: AuditLog;
     /// What an audit compares.
-    pub inspection: Inspection,
+    inspection: Inspection;
     /// What is noted beside the tables.
-    pub notes: Notes,
+    notes: Notes;
 }
 
 /// The file that all stores of a home share. Clones share its writer thread and its readers.
@@ -143,45 +169,7 @@ impl Ledger {
             held: AtomicUsize::new(0),
             told: AtomicU64::new(0),
         };
-        let database = Database { shared: Arc::new(shared) };
-        Ok(Self {
-            notes: Notes(database.clone()),
-            inspection: Inspection(database.clone()),
-            audit: AuditLog(database.clone()),
-            feed: Feed(database.clone()),
-            bindings: Bindings(database.clone()),
-            trail: Trail(database.clone()),
-            proofs: Proofs(database.clone()),
-            losses: Losses(database.clone()),
-            pins: Pins(database.clone()),
-            quarantine: Quarantine(database.clone()),
-            rights: Rights(database.clone()),
-            lanes: Lanes(database.clone()),
-            incidents: Incidents(database.clone()),
-            database,
-        })
-    }
-
-    /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
-    pub fn recorder(&self) -> RecorderPrefix {
-        self.database.shared.recorder
-    }
-
-    /// Holds new records back until the guard is dropped: the space left on a full disk is needed for something else.
-    pub fn hold_records(&self) -> RecordsHeld {
-        self.database.shared.held.fetch_add(1, Ordering::AcqRel);
-        RecordsHeld(self.clone())
-    }
-
-    /// Whether new records are accepted now.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] while they are held back.
-    pub fn takes_records(&self) -> Result<(), StoreError> {
-        match self.database.shared.held.load(Ordering::Acquire) {
-            0 => Ok(()),
-            _ => Err(StoreError::DiskFull { file: self.path().to_owned() }),
-        }
+        Ok(Self::from(Database { shared: Arc::new(shared) }))
     }
 
     /// The file's path.
@@ -197,27 +185,26 @@ impl Ledger {
     pub fn close(self) -> Result<(), StoreError> {
         self.database.shared.writer.close()
     }
+}
 
-    /// See [`Database::write`].
-    pub(super) fn write<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
-        self.database.write(work)
+impl Records {
+    /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
+    pub fn recorder(&self) -> RecorderPrefix {
+        self.0.shared.recorder
     }
 
-    /// See [`Database::write_many`].
-    pub(super) fn write_many<T: Send + 'static>(
-        &self,
-        records: usize,
-        work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
-        self.database.write_many(records, work)
+    /// Holds new records back until the guard is dropped: the space left on a full disk is needed for something else.
+    pub fn hold(&self) -> RecordsHeld {
+        self.0.shared.held.fetch_add(1, Ordering::AcqRel);
+        RecordsHeld(self.0.clone())
     }
 
-    /// See [`Database::read`].
-    pub(super) fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
-        self.database.read(work)
+    /// Whether new records are accepted now.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] while they are held back.
+    pub fn takes_records(&self) -> Result<(), StoreError> {
+        self.0.takes_records()
     }
 }
 
@@ -225,6 +212,14 @@ impl Database {
     /// The file's path.
     pub fn path(&self) -> &Path {
         &self.shared.path
+    }
+
+    /// See [`Records::takes_records`].
+    pub fn takes_records(&self) -> Result<(), StoreError> {
+        match self.shared.held.load(Ordering::Acquire) {
+            0 => Ok(()),
+            _ => Err(StoreError::DiskFull { file: self.path().to_owned() }),
+        }
     }
 
     /// While this is held, nobody else changes a note by what it said before.
@@ -265,6 +260,56 @@ impl Database {
         result
     }
 
+    /// The one row of a query.
+    pub fn one<T>(
+        &self,
+        sql: &str,
+        values: impl Params,
+        read: impl FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<T, StoreError> {
+        self.read(|connection| Ok(connection.one(sql, values, read)?))
+    }
+
+    /// The first row of a query, if there is one.
+    pub fn find<T>(
+        &self,
+        sql: &str,
+        values: impl Params,
+        read: impl FnOnce(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Option<T>, StoreError> {
+        self.read(|connection| Ok(connection.find(sql, values, read)?))
+    }
+
+    /// All rows of a query.
+    pub fn list<T, All: FromIterator<T>>(
+        &self,
+        sql: &str,
+        values: impl Params,
+        read: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<All, StoreError> {
+        self.read(|connection| Ok(connection.list(sql, values, read)?))
+    }
+
+    /// Whether a query has a row.
+    pub fn has(&self, sql: &str, values: impl Params) -> Result<bool, StoreError> {
+        self.read(|connection| Ok(connection.has(sql, values)?))
+    }
+
+    /// Executes a statement for each of these in one commit, and says how many rows that changed.
+    pub fn run_each<P: Params + Send + 'static>(&self, sql: &'static str, each: Vec<P>) -> Result<u64, StoreError> {
+        self.write_many(each.len(), move |session| Ok(session.connection.run_each(sql, each)?))
+    }
+
+    /// Executes a statement, and says how many rows it changed.
+    pub fn changed(&self, sql: &'static str, values: impl Params + Send + 'static) -> Result<u64, StoreError> {
+        self.run_each(sql, vec![values])
+    }
+
+    /// Executes a statement.
+    pub fn run(&self, sql: &'static str, values: impl Params + Send + 'static) -> Result<(), StoreError> {
+        self.changed(sql, values).map(drop)
+    }
+
     fn reader(&self) -> Result<Connection, StoreError> {
         let kept = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner).pop();
         kept.map_or_else(|| database::open_reader(&self.shared.path), Ok)
@@ -273,11 +318,11 @@ impl Database {
 
 /// New records are held back while this lives.
 #[derive(Debug)]
-pub struct RecordsHeld(Ledger);
+pub struct RecordsHeld(Database);
 
 impl Drop for RecordsHeld {
     fn drop(&mut self) {
-        self.0.database.shared.held.fetch_sub(1, Ordering::AcqRel);
+        self.0.shared.held.fetch_sub(1, Ordering::AcqRel);
     }
 }
 

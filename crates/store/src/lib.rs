@@ -20,12 +20,12 @@ use authros_chain as chain;
 use authros_crypto as crypto;
 use authros_model as model;
 
-pub use crate::audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
+pub use crate::audit::{AuditEntry, AuditFault, AuditLine, AuditQuery};
 pub use crate::cache::{CacheSettings, CacheState};
 pub use crate::ciphertext::{Ciphertext, Usage};
 pub use crate::disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord, note_restored};
 pub use crate::error::StoreError;
 pub use crate::files::{ConsoleLock, SiteLock, atomic_write};
 pub use crate::ledger::*;
-pub use crate::notes::{Note, Notes};
+pub use crate::notes::Note;
 pub use crate::reserve::{RESERVE_BYTES, Reserve, Waiting, WaitingFile};

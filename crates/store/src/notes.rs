@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::StoreError;
 use crate::database::Statements as _;
-use crate::ledger::{Database, Erasure};
+use crate::ledger::{Erasure, Notes};
 use crate::model::{
     Address, ContactName, Digest, Domain, Hash, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp,
     TopicId, TopicName, TypeName, clean,
@@ -428,10 +428,6 @@ pub struct PolicyKept {
     pub refused: Option<String>,
 }
 
-/// The notes of a home.
-#[derive(Debug, Clone)]
-pub struct Notes(pub(crate) Database);
-
 impl Notes {
     /// What is noted; `None` if nothing is.
     ///
@@ -477,11 +473,8 @@ impl Notes {
     /// [`StoreError::DiskFull`] and the like; the note is then unchanged.
     pub fn forget<N: Note>(&self, note: &N, value: &N::Value) -> Result<(), StoreError> {
         let row = row(note, value)?;
-        self.0.write(move |session| {
-            let sql = "DELETE FROM notes WHERE kind = ?1 AND about = ?2 AND value = ?3";
-            session.connection.run(sql, row)?;
-            Ok(())
-        })
+        let sql = "DELETE FROM notes WHERE kind = ?1 AND about = ?2 AND value = ?3";
+        self.0.run(sql, row)
     }
 }
 

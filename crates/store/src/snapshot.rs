@@ -28,6 +28,20 @@ impl Snapshot {
         Ok(Self { path: path.to_owned(), connection })
     }
 
+    /// A moment of the ledger, and the result of `also`, run while nothing is written to the ledger: so a moment of
+    /// another file that is written before the ledger (the chain) holds everything this moment of the ledger
+    /// names.
+    ///
+    /// # Errors
+    /// Errors of the ledger, or of `also`.
+    pub fn of<T: Send + 'static>(
+        ledger: &Ledger,
+        also: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<(Self, T), StoreError> {
+        let path = ledger.path().to_owned();
+        ledger.database.write(move |_| Ok((Self::begin(&path)?, also()?)))
+    }
+
     /// Writes the file as of that moment to a new private file.
     ///
     /// # Errors
@@ -55,22 +69,6 @@ pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
     drop(backup);
     to.close().map_err(|(_, error)| error)?;
     files::open_private(file)?.sync_all().map_err(|error| StoreError::home(file, &error))
-}
-
-impl Ledger {
-    /// A moment of the ledger, and the result of `also`, run while nothing is written to the ledger: so a moment of
-    /// another file that is written before the ledger (the chain) holds everything this moment of the ledger
-    /// names.
-    ///
-    /// # Errors
-    /// Errors of the ledger, or of `also`.
-    pub fn snapshot_with<T: Send + 'static>(
-        &self,
-        also: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<(Snapshot, T), StoreError> {
-        let path = self.path().to_owned();
-        self.write(move |_| Ok((Snapshot::begin(&path)?, also()?)))
-    }
 }
 
 /// Whether a database file is well-formed (SQLite's `quick_check`), and its size in bytes.

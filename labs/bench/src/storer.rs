@@ -47,7 +47,7 @@ impl Storer {
             blob: Some(blob),
         };
         let ledger = self.0.clone();
-        let stored = tokio::task::spawn_blocking(move || ledger.append(vec![record])).await;
+        let stored = tokio::task::spawn_blocking(move || ledger.records.append(vec![record])).await;
         Ok(stored.map_err(|error| internal(error.to_string()))??)
     }
 

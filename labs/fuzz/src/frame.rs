@@ -243,7 +243,6 @@ pub fn samples() -> Vec<Sample> {
         "ping",
         "system_keys",
         "key_allocation",
-        "register",
         "upload",
         "upload_many",
         "feed",
@@ -257,7 +256,7 @@ pub fn samples() -> Vec<Sample> {
         "erase",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
-    let names = ["list", "receipt", "registered", "feed_page", "found", "time", "erasures", "refused"];
+    let names = ["list", "receipt", "feed_page", "found", "time", "erasures", "refused"];
     samples.extend(names.iter().zip(answers()).map(|(name, answer)| sample(name, 2, &gateway_text(&answer))));
     samples
 }

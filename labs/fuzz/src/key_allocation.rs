@@ -2,14 +2,12 @@
 
 use std::sync::LazyLock;
 
-use authros::crypto::{self, ProviderName, prove, signature_der, signature_from_der};
+use authros::crypto::{self, ProviderName, check_identity, prove, signature_der, signature_from_der};
 use authros::gateway::allocation::{AllocationRequest, Applicant, apply, examine};
 use authros::gateway::hello::{Agreed, ListSummary};
-use authros::gateway::identity_check::check_registration;
 use authros::gateway::session::SessionId;
 use authros::gateway::system_keys::{SystemKey, SystemKeyList};
-use authros::gateway::{Command, Registration, Request};
-use authros::model::{Digest, ProfileName, Signature, Timestamp, Token};
+use authros::model::{Address, Digest, Identity, ProfileName, Signature, Timestamp, Token};
 
 use crate::cast::{CAST, DOMAIN, context, provider};
 use crate::{Sample, masked, sample, way};
@@ -91,12 +89,12 @@ fn list(bytes: &[u8]) -> bool {
 }
 
 fn registration(body: &[u8]) -> bool {
-    let Ok(Request::Register(registration)) = Request::parse(Command::Register, body) else { return false };
-    assert_eq!(Request::Register(registration.clone()).encode(), body, "one encoding for one registration");
-    // The transaction after account (20) and identity (224) is for the chain to judge.
-    let proven = body[..244] == genuine(REGISTRATION)[..244];
-    assert_eq!(check_registration(&context(), &registration).is_ok(), proven);
-    proven
+    let Some((account, identity)) = body.split_first_chunk() else { return false };
+    let Ok(parsed) = Identity::parse(identity) else { return false };
+    assert_eq!(parsed.encode(), identity, "one encoding for one identity");
+    let checked = check_identity(provider(), &DOMAIN, &Address(*account), &parsed);
+    assert_eq!(checked.is_ok(), body == genuine(REGISTRATION), "took an identity that is not proven, or refused one");
+    checked.is_ok()
 }
 
 /// Both providers open the same ciphertexts, and both forms of a signature give the same verdict.
@@ -131,8 +129,7 @@ pub fn samples() -> Vec<Sample> {
     let list = SystemKeyList::sign(provider, DOMAIN, &CAST.gateway, 7, dates, vec![system_key()]).expect("signs");
     let token = Token([1; 32]);
     let identity = prove(provider, &DOMAIN, &CAST.address(), &CAST.owner, &CAST.reader.public, token).expect("proves");
-    let registration = Registration { account: CAST.address(), identity, transaction: vec![0xf8; 40] };
-    let registration = Request::Register(Box::new(registration)).encode();
+    let registration = [&CAST.address().0[..], &identity.encode()].concat();
     let parsed = AllocationRequest::parse(&request).expect("ours");
     let plain = provider.decrypt(&CAST.system.secret, &parsed.ciphertext).expect("opens");
     vec![

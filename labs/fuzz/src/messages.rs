@@ -7,11 +7,10 @@ use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
     Answer, Code, Command, DeviceNotice, ErasedRecord, ErasureNotice, ErasureOutcome, Feed, FeedEntry, FeedPage,
-    Fetched, Found, GrantNotice, Notice, Receipt, Registration, RelayCall, Request, RevokeNotice, Upload,
+    Fetched, Found, GrantNotice, Notice, Receipt, RelayCall, Request, RevokeNotice, Upload,
 };
 use authros::model::{
-    Address, Digest, Fact, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp, Token,
-    TopicId,
+    Address, Digest, Fact, Hash, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
 fn erasure() -> ErasureNotice {
@@ -42,12 +41,6 @@ fn allocation() -> AllocationRequest {
     }
 }
 
-fn registration() -> Registration {
-    let (token, signing, envelope) = (Token([1; 32]), PublicKey([2; 64]), PublicKey([3; 64]));
-    let identity = Identity { token, signing, envelope, proof: Signature([4; 64]) };
-    Registration { account: Address([5; 20]), identity, transaction: vec![9; 20] }
-}
-
 /// A client's request.
 pub fn requests() -> Vec<Request> {
     let upload = |length| Upload { signature: Signature([7; 64]), blob: vec![8; length] };
@@ -56,7 +49,6 @@ pub fn requests() -> Vec<Request> {
         Request::Ping,
         Request::SystemKeys,
         Request::KeyAllocation(allocation()),
-        Request::Register(Box::new(registration())),
         Request::Upload(upload(30)),
         Request::UploadMany(vec![upload(0), upload(10), upload(20)]),
         Request::Feed(feed()),
@@ -98,7 +90,6 @@ pub fn answers() -> Vec<Answer> {
     vec![
         Answer::SystemKeys(vec![1; 30]),
         Answer::Receipt(Command::UploadMany, receipt),
-        Answer::Registered(Hash([1; 32])),
         Answer::Feed(Box::new(page())),
         Answer::Records(vec![
             Found::Missing(Code::NotFound),

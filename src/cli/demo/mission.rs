@@ -266,7 +266,7 @@ impl Mission {
         let flipped = self.flipped_bit_is_refused(one).await?;
         let plant = &self.site.plant;
         let take = |record: &RecordView| -> Result<Genuine, Failure> {
-            let row = block_in_place(|| plant.ledger.record(record.digest))?.ok_or_else(gone)?;
+            let row = block_in_place(|| plant.ledger.records.find(record.digest))?.ok_or_else(gone)?;
             Genuine::take(plant, &self.network, &self.cura_a.owner, row)
         };
         // Same topic and epoch, so that one key opens both and only the named check can refuse.
@@ -313,7 +313,7 @@ impl Mission {
     /// A record that claims another's place in its batch. If digests are anchored one by one no record has a place to
     /// claim.
     fn path_of_another_is_refused(&self, one: &Genuine, other: &Genuine) -> Result<bool, Failure> {
-        let placed = block_in_place(|| self.site.plant.ledger.placed(one.row.digest))?;
+        let placed = block_in_place(|| self.site.plant.ledger.records.placed(one.row.digest))?;
         let place = placed.and_then(|placed| placed.place);
         Ok(place.is_none_or(|place| !chain_proofs::is_included(&place, &other.row)))
     }
@@ -341,7 +341,7 @@ impl Mission {
             limit: 10_000,
             ..crate::store::RecordQuery::default()
         };
-        let rows = block_in_place(|| self.site.plant.ledger.list(&query))?.rows;
+        let rows = block_in_place(|| self.site.plant.ledger.records.list(&query))?.rows;
         let provider = self.site.plant.provider;
         let mut opened = 0;
         for row in rows {
@@ -371,7 +371,7 @@ impl Mission {
         let mut anchored = 0;
         let mut query = query;
         loop {
-            let page = block_in_place(|| self.site.plant.ledger.list(&query))?;
+            let page = block_in_place(|| self.site.plant.ledger.records.list(&query))?;
             for row in &page.rows {
                 let in_this_mission = row.block.is_some_and(|block| block >= self.first_block);
                 if in_this_mission && chain_proofs::is_anchored(&self.site.plant, &self.network, row).await? {

@@ -142,7 +142,7 @@ impl Kept {
                 limit: 10_000,
                 ..RecordQuery::default()
             };
-            self.ledger.list(&query).expect("listed").rows
+            self.ledger.records.list(&query).expect("listed").rows
         };
         [RecordKind::Data, RecordKind::Definition].into_iter().flat_map(all).collect()
     }

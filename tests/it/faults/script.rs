@@ -157,16 +157,16 @@ impl Store {
         match operation {
             Operation::Capture(count) => {
                 let numbers = model.records.len()..model.records.len() + count;
-                self.ledger.append(numbers.map(record).collect())
+                self.ledger.records.append(numbers.map(record).collect())
             }
             Operation::Close => {
-                let leaves = self.ledger.stored_leaves(OWNER, 16_384)?;
+                let leaves = self.ledger.batches.stored_leaves(OWNER, 16_384)?;
                 let tree = Tree::new(leaves.iter().map(|leaf| leaf.hash()).collect()).expect("some are stored");
                 let paths = leaves.iter().enumerate().map(|(index, leaf)| (leaf.digest, tree.path(index)));
-                self.ledger.close_batch(NewBatch { owner: OWNER, root: tree.root(), leaves: paths.collect() })
+                self.ledger.batches.close(NewBatch { owner: OWNER, root: tree.root(), leaves: paths.collect() })
             }
             Operation::Submit if model.submitted < model.batches => {
-                let batch = self.ledger.waiting_batches(OWNER, 1)?[0];
+                let batch = self.ledger.batches.waiting(OWNER, 1)?[0];
                 let nonce = model.submitted as u64;
                 let hash = Hash([number(model.submitted); 32]);
                 let (purpose, anchors) = ("anchor".to_owned(), Anchors::Batch(batch.root));
@@ -180,21 +180,26 @@ impl Store {
                 })
             }
             Operation::Mine if model.mined < model.submitted => {
-                let root = self.ledger.open_roots(OWNER)?[model.mined];
+                let root = self.ledger.batches.open_roots(OWNER)?[model.mined];
                 let first = model.records.iter().filter(|(_, batch)| *batch == Some(model.mined)).count() as u64;
                 let transaction = Hash([number(model.mined); 32]);
                 let (block, block_hash) = (model.mined as u64 + 1, Hash([9; 32]));
                 let seen = RootSighting { account: OWNER, root, count: first, transaction, block, block_hash };
-                self.ledger.anchored(&[seen]).map(drop)
+                self.ledger.batches.anchored(&[seen]).map(drop)
             }
-            Operation::Confirm => self.ledger.confirm(u64::from(u32::MAX)).map(drop),
+            Operation::Confirm => self.ledger.batches.confirm(u64::from(u32::MAX)).map(drop),
             Operation::Verify => {
-                let digests: Vec<Digest> =
-                    self.ledger.in_state(None, RecordState::Confirmed, 10_000)?.iter().map(|row| row.digest).collect();
+                let digests: Vec<Digest> = self
+                    .ledger
+                    .records
+                    .in_state(None, RecordState::Confirmed, 10_000)?
+                    .iter()
+                    .map(|row| row.digest)
+                    .collect();
                 for digest in &digests {
                     assert!(self.ciphertext.get(*digest)?.is_some(), "{digest} is in the store");
                 }
-                self.ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified).map(drop)
+                self.ledger.records.advance(&digests, RecordState::Confirmed, RecordState::Verified).map(drop)
             }
             Operation::Tell => self.audit.append(AuditEntry {
                 at: Timestamp(model.lines),
@@ -212,8 +217,11 @@ impl Store {
         let mut states = Vec::new();
         let mut after = None;
         loop {
-            let page =
-                self.ledger.list(&RecordQuery { limit: 10_000, after, ..RecordQuery::default() }).expect("lists");
+            let page = self
+                .ledger
+                .records
+                .list(&RecordQuery { limit: 10_000, after, ..RecordQuery::default() })
+                .expect("lists");
             for row in page.rows {
                 let number = states.len();
                 assert_eq!((row.digest, row.seq), (digest(number), number as u64 + 1), "in order and without a hole");
@@ -229,7 +237,7 @@ impl Store {
                 break;
             }
         }
-        let counts = self.ledger.counts(None).expect("counts");
+        let counts = self.ledger.counts.by_state(None).expect("counts");
         let mut by_state = BTreeMap::new();
         states.iter().for_each(|state| *by_state.entry(*state).or_insert(0u64) += 1);
         for (state, count) in &by_state {

@@ -47,15 +47,8 @@ fn a_transaction_goes_to_the_contract_or_nowhere() {
     let sender = EoaSecret::from_slice(&[0x11; 32]).expect("a key").address();
     for asker in [Asker::Visitor, Asker::Registered] {
         let send = |raw: &Value| ask(asker, "eth_sendRawTransaction", raw);
-        let Ok(Passed::Transaction { sender: found, registers: None, raw }) =
-            send(&signed(Some(CONTRACT), MOST_GAS, 0, 7, &[1, 2, 3, 4]))
-        else {
-            panic!("passes")
-        };
-        assert_eq!(
-            (found, json!([format!("0x{}", hex(&raw))])),
-            (sender, signed(Some(CONTRACT), MOST_GAS, 0, 7, &[1, 2, 3, 4]))
-        );
+        let passed = send(&signed(Some(CONTRACT), MOST_GAS, 0, 7, &[1, 2, 3, 4]));
+        assert_eq!(passed, Ok(Passed::Transaction { sender, registers: None }));
         assert_eq!(code(send(&signed(None, 4_294_967_295, 0, 7, &[0x60, 0]))), -32003, "a creation");
         assert_eq!(code(send(&signed(Some(Address([9; 20])), 100_000, 0, 7, &[]))), -32003, "a precompile");
         assert_eq!(code(send(&signed(Some(CONTRACT), MOST_GAS + 1, 0, 7, &[]))), -32003, "too much gas");

@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use super::perform::not_captured;
+use super::leaving::not_captured;
 use super::screens::{is_active, is_given};
 use super::{State, policies};
 use crate::model::{Address, Timestamp};

@@ -16,6 +16,7 @@ pub mod history;
 pub mod identity_path;
 pub mod incidents;
 pub mod keymap;
+pub mod leaving;
 pub mod opening;
 pub mod palette;
 pub mod perform;

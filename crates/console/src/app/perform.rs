@@ -1,13 +1,12 @@
 //! What each verb does, and how the last act is undone, if it can be: also speaking for another profile of the same home,
-//! playing shared records into the reader's own ROS, and leaving: what stops with this console and what goes on without it;
-//! at once, when all is verified, or after the capture was paused so that it can be.
+//! and playing shared records into the reader's own ROS.
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::available::available;
 use super::choosing::{self, Browse};
 use super::form::{self, Field, Form, Line};
 use super::identity_path::{self, Need};
-use super::keymap::Key;
+use super::leaving::{self, Leaving};
 use super::popup::{self, Confirm, Lookup, Palette, Popup, Purpose};
 use super::screens::{LogLine, other_side};
 use super::update::{self, Feed, start};
@@ -15,7 +14,7 @@ use super::verb::{Contents, Effect, Errand, Tag, Verb};
 use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName};
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::reply::{HeldUp, PlayEnd, PlayedView, TopicRow};
+use crate::service::reply::{PlayEnd, PlayedView, TopicRow};
 use crate::service::{Command, Operation};
 
 /// Performs `verb`, or says why that is not possible now.
@@ -282,7 +281,7 @@ fn revoke(state: &mut State) {
 }
 
 fn quit(state: &mut State) -> Vec<Effect> {
-    if !asks(state) {
+    if !leaving::asks(state) {
         return vec![Effect::Quit];
     }
     state.popups.push(Popup::Quit(Leaving::Asked));
@@ -498,254 +497,4 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     let mut effects = vec![Effect::SpeakFor(profile)];
     effects.extend(start(state));
     effects
-}
-
-/// How far leaving has come.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Leaving {
-    /// The question is on screen.
-    Asked,
-    /// When everything is verified.
-    WhenVerified,
-    /// The capture is paused; when everything is verified.
-    Held,
-}
-
-/// What a console leaves behind.
-struct Behind {
-    /// What is captured, in words.
-    captured: Option<String>,
-    /// Whether the site ends with this console.
-    ends: bool,
-    pending: u64,
-}
-
-impl Behind {
-    fn of(state: &State) -> Self {
-        let ends = !matches!(Standing::of(state), Some(Standing::Joined(_)));
-        Self { captured: captured(state), ends, pending: state.pending_records() }
-    }
-
-    /// The fate of the capture.
-    fn capture(&self, state: &State) -> Vec<String> {
-        let site = match Standing::of(state) {
-            Some(Standing::Joined(0)) | None => "in the site".to_owned(),
-            Some(Standing::Joined(process)) => format!("in the site (process {process})"),
-            Some(Standing::Host) => String::new(),
-        };
-        let mut lines: Vec<String> = match &self.captured {
-            Some(what) if self.ends => vec![
-                format!("Quitting stops {what}."),
-                if state.settings.tour.is_some() {
-                    "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
-                } else if can_leave_site(state) {
-                    "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
-                } else {
-                    "To keep it running without a console, use: authros serve".to_owned()
-                },
-            ],
-            Some(what) => vec![format!("{} continues {site}.", super::sentence(what))],
-            None => Vec::new(),
-        };
-        lines.extend(not_captured(state).map(|what| format!("{} anyway.", super::sentence(&what))));
-        lines
-    }
-
-    fn records(&self, state: &State) -> Vec<String> {
-        let records = match self.pending {
-            0 => return Vec::new(),
-            1 => "1 record is not verified yet".to_owned(),
-            more => format!("{more} records are not verified yet"),
-        };
-        if !self.ends {
-            return vec![format!("{records}; the site continues with them.")];
-        }
-        if state.settings.tour.is_some() {
-            return vec![format!("{records}.")];
-        }
-        vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
-    }
-}
-
-impl Leaving {
-    /// What stops, what goes on, and what is waited for.
-    pub fn lines(self, state: &State) -> Vec<String> {
-        let behind = Behind::of(state);
-        let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
-        lines.extend(behind.records(state));
-        lines
-            .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
-        if lines.is_empty() {
-            lines.push("Nothing is pending any more.".to_owned());
-        }
-        match self {
-            Self::Asked => {}
-            Self::WhenVerified => lines.push("Quitting when everything is verified…".to_owned()),
-            Self::Held => lines.push("Capture is stopped. Quitting when everything is verified…".to_owned()),
-        }
-        lines
-    }
-
-    /// The keys, with a word each.
-    pub fn hints(self, state: &State) -> Vec<(&'static str, &'static str)> {
-        let behind = Behind::of(state);
-        let mut hints = vec![("y", "quit now")];
-        if self == Self::Asked && behind.can_drain() {
-            hints.push(("d", "stop capture, finish, quit"));
-            hints.extend(can_leave_site(state).then_some(("s", "leave it running")));
-        } else if self == Self::Asked && state.has_pending_work() {
-            hints.push(("w", "quit when verified"));
-        }
-        hints.push(("esc", "stay"));
-        hints
-    }
-}
-
-impl Behind {
-    /// Whether all records can be verified only once the capture is paused.
-    fn can_drain(&self) -> bool {
-        self.ends && self.captured.is_some()
-    }
-}
-
-/// Whether a site can go on in this console's place.
-fn can_leave_site(state: &State) -> bool {
-    let is_host = matches!(Standing::of(state), Some(Standing::Host));
-    is_host && state.settings.leaves_site && state.identity.as_ref().is_some_and(|identity| identity.exists)
-}
-
-/// Whether leaving now would stop something, or leave something undone.
-pub fn asks(state: &State) -> bool {
-    state.has_pending_work() || Behind::of(state).can_drain()
-}
-
-/// A key while the question is on screen.
-pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
-    match key {
-        Key::Char('y') | Key::Control('c') => return vec![Effect::Quit],
-        Key::Char('d') if leaving == Leaving::Asked && Behind::of(state).can_drain() => {
-            state.popups.push(Popup::Quit(Leaving::Held));
-            return vec![hold(state, true)];
-        }
-        Key::Char('s') if leaving == Leaving::Asked && Behind::of(state).can_drain() && can_leave_site(state) => {
-            return vec![Effect::LeaveSite];
-        }
-        Key::Char('w') if leaving == Leaving::Asked && !Behind::of(state).can_drain() => {
-            state.popups.push(Popup::Quit(Leaving::WhenVerified));
-        }
-        Key::Char('?') => state.popups.push(Popup::Quit(leaving)),
-        _ if leaving == Leaving::Held => return vec![hold(state, false)],
-        _ => {}
-    }
-    Vec::new()
-}
-
-fn hold(state: &mut State, hold: bool) -> Effect {
-    let command = Command::Operate(Operation::HoldCapture { hold });
-    state.send(Errand { command, tag: Tag::HoldCapture })
-}
-
-/// Whether what was waited for is done.
-pub fn is_over(state: &State) -> bool {
-    let site = state.feeds.slot(Feed::Site);
-    let known = !site.stale && !site.outstanding;
-    match state.popups.last() {
-        Some(Popup::Quit(Leaving::WhenVerified)) => !state.has_pending_work(),
-        Some(Popup::Quit(Leaving::Held)) => known && !state.has_pending_work() && waiting(state) == 0,
-        _ => false,
-    }
-}
-
-/// Messages in memory that are not records yet; those of other profiles do not keep this one.
-fn waiting(state: &State) -> u64 {
-    state.site.as_ref().filter(|site| site.profiles.len() <= 1).map_or(0, |site| site.queue.messages)
-}
-
-/// Where the site runs, seen from this console.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Standing {
-    /// In this process: it ends with the console.
-    Host,
-    /// In another process, which continues; 0 = one that does not report its number.
-    Joined(u32),
-}
-
-impl Standing {
-    /// Where the site of this console runs; `None` = it has not answered yet.
-    pub fn of(state: &State) -> Option<Self> {
-        let process = state.site.as_ref()?.process;
-        Some(if process == state.settings.process { Self::Host } else { Self::Joined(process) })
-    }
-
-    /// The header's text for it.
-    pub fn badge(self) -> String {
-        match self {
-            Self::Host => "HOST".to_owned(),
-            Self::Joined(0) => "JOINED".to_owned(),
-            Self::Joined(process) => format!("JOINED {process}"),
-        }
-    }
-}
-
-/// Whether a topic is captured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Capture {
-    /// Not watched.
-    Unwatched,
-    /// Captured.
-    Watched,
-    /// Not until the keyring is unlocked.
-    WaitsForKey,
-    Paused,
-    /// Waiting for somebody to publish it.
-    NoPublisher,
-}
-
-impl Capture {
-    /// The state of a topic; the worst one wins.
-    pub fn of(row: &TopicRow) -> Self {
-        match row {
-            TopicRow { watched: false, .. } => Self::Unwatched,
-            TopicRow { held_up: Some(HeldUp::WaitsForKey), .. } => Self::WaitsForKey,
-            TopicRow { held_up: Some(HeldUp::Paused), .. } => Self::Paused,
-            TopicRow { publishers, .. } if publishers.is_empty() => Self::NoPublisher,
-            _ => Self::Watched,
-        }
-    }
-
-    /// In a word or two.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Unwatched => "-",
-            Self::Watched => "watched",
-            Self::WaitsForKey => "waits for key",
-            Self::Paused => "paused",
-            Self::NoPublisher => "no publisher",
-        }
-    }
-}
-
-/// How many topics are in this state.
-pub fn count(state: &State, capture: Capture) -> usize {
-    state.topics.rows.iter().filter(|row| Capture::of(row) == capture).count()
-}
-
-/// `the capture of /robot1/odom`, `the capture of 4 topics`; `None` = of none.
-pub fn captured(state: &State) -> Option<String> {
-    let mut rows = state.topics.rows.iter().filter(|row| Capture::of(row) == Capture::Watched);
-    let first = rows.next()?;
-    Some(match rows.count() {
-        0 => format!("the capture of {}", first.topic),
-        more => format!("the capture of {} topics", more + 1),
-    })
-}
-
-/// What is watched but not captured, and why; `None` = there is none.
-pub fn not_captured(state: &State) -> Option<String> {
-    let topics = |count: usize| if count == 1 { "1 topic".to_owned() } else { format!("{count} topics") };
-    match (count(state, Capture::WaitsForKey), count(state, Capture::Paused)) {
-        (0, 0) => None,
-        (0, paused) => Some(format!("capture of {} is paused", topics(paused))),
-        (waiting, _) => Some(format!("capture of {} waits for the key", topics(waiting))),
-    }
 }

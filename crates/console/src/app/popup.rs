@@ -9,8 +9,9 @@ use super::granting::{self, Book, Extension};
 use super::identity_path::{self, Need};
 use super::incidents::{self, IncidentList};
 use super::keymap::{Key, Meaning, chord_label};
+use super::leaving::{self, Leaving};
 use super::opening::{self, Opening};
-use super::perform::{self, Leaving, copy, perform};
+use super::perform::{self, copy, perform};
 use super::screens::{LogLine, day, earlier, end, scope};
 use super::verb::{Effect, Entry, Errand, Tag, VERBS, Verb, kind_word};
 use super::{State, palette, policies};
@@ -361,7 +362,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Palette(palette) => palette::key(state, palette, key),
         Popup::Form(purpose, form) => form_key(state, purpose, form, key),
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
-        Popup::Quit(leaving) => perform::key(state, leaving, key),
+        Popup::Quit(leaving) => leaving::key(state, leaving, key),
         Popup::Chord(begun) => chord_key(state, begun, key),
         Popup::Themes(choice) => choosing::theme_key(state, choice, key),
         Popup::Columns(choice) => choosing::column_key(state, choice, key),

@@ -3,11 +3,11 @@
 
 use super::answer::answered;
 use super::keymap::{Key, Meaning, chord_label};
-use super::perform::{self, perform, wants_grants};
+use super::perform::{perform, wants_grants};
 use super::popup::{Popup, Purpose, popup_key, popup_paste};
 use super::screens::MOST_AUDIT;
 use super::verb::{Action, Effect, Errand, Tag, Verb};
-use super::{Screen, State, alerts, incidents, opening, palette, policies, table, tour, when};
+use super::{Screen, State, alerts, incidents, leaving, opening, palette, policies, table, tour, when};
 use crate::model::{RecordState, Timestamp};
 use crate::service::command::{AuditQuery, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
@@ -37,7 +37,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     policies::forget_if_locked(state);
     alerts::refresh(state);
     tour::follow(state);
-    if perform::is_over(state) {
+    if leaving::is_over(state) {
         effects.push(Effect::Quit);
     }
     effects.extend(opening::follow(state));

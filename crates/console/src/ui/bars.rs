@@ -5,7 +5,7 @@ use ratatui::layout::Rect;
 use super::theme::Role;
 use super::{Canvas, columns, right_of, row, wrap};
 use crate::app::available::available;
-use crate::app::perform::Standing;
+use crate::app::leaving::Standing;
 use crate::app::popup::hints;
 use crate::app::update::{Feed, under_way};
 use crate::app::verb::{Entry, VERBS, Verb};

@@ -4,7 +4,7 @@ use super::bars::notice_level;
 use super::table::{Column, Layout, Sheet, draw as draw_table, order, with_local_time};
 use super::theme::Role;
 use super::{Canvas, below, plot, right_of, row};
-use crate::app::perform::{self, Capture};
+use crate::app::leaving::{self, Capture};
 use crate::app::screens::topics::{SAMPLES, SORTS};
 use crate::app::screens::{
     GRANT_SORTS, LogLine, Records, Source, Wanted, day, is_active, is_given, key, level_word, other_side, scope, soon,
@@ -274,7 +274,7 @@ fn draw_epochs(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
 
 /// What goes on is said only if it is known.
 fn locked(state: &State) -> &'static str {
-    if perform::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
+    if leaving::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
 }
 
 const LOG_COLUMNS: &[Column] =

@@ -132,7 +132,7 @@ fn a_signature_for_another_command_is_refused() {
     let mut signed = transcript.signed_bytes();
     let at = b"AuthROS/allocation/1".len() + 5 * 32;
     assert_eq!(signed[at], Command::KeyAllocation.number());
-    signed[at] = Command::Register.number();
+    signed[at] = Command::Upload.number();
     let signature = context().provider.sign(&case.member.signing.secret, &signed).expect("signs");
     assert_eq!(case.examine(&AllocationRequest { signature, ..request }.encode()), Err(Code::Signature));
 }

@@ -1,7 +1,7 @@
 //! The gateway's answers, by Command.
 
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Hash, PublicKey, Signature, Timestamp};
+use crate::model::{PublicKey, Signature, Timestamp};
 
 use super::relay::Relayed;
 use super::request::MOST_DIGESTS;
@@ -116,8 +116,6 @@ pub enum Answer {
     SystemKeys(Vec<u8>),
     /// A receipt: for an allocation (SM3(CT)), for uploads (their digests), for a notice (SM3(body)).
     Receipt(Command, Receipt),
-    /// The transaction of a registration (32).
-    Registered(Hash),
     /// The gateway's time (8).
     Time(Timestamp),
     /// The chain's answer.
@@ -138,7 +136,6 @@ impl Answer {
         match self {
             Self::SystemKeys(_) => Command::SystemKeys,
             Self::Receipt(command, _) => *command,
-            Self::Registered(_) => Command::Register,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
             Self::Erasures(_) => Command::Erase,
@@ -158,7 +155,6 @@ impl Answer {
         match self {
             Self::SystemKeys(list) => list.clone(),
             Self::Receipt(_, receipt) => receipt.encode(),
-            Self::Registered(transaction) => transaction.0.to_vec(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
             Self::Erasures(outcomes) => ErasureOutcome::encode_all(outcomes),
@@ -185,7 +181,6 @@ impl Answer {
             | Command::GrantNotice
             | Command::RevokeNotice
             | Command::DeviceNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
-            Command::Register => Self::Registered(Hash(reader.array("transaction")?)),
             Command::Erase => Self::Erasures(ErasureOutcome::read_all(&mut reader)?),
             Command::Feed => Self::Feed(Box::new(FeedPage::read(&mut reader)?)),
             Command::Records => Self::Records(Found::read_all(&mut reader)?),

@@ -2,7 +2,7 @@
 
 use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token, TopicId};
+use crate::model::{Address, Digest, Hash, PublicKey, Signature, Token, TopicId};
 
 use super::relay::RelayCall;
 use super::{Command, ErasureNotice, encode_erasures, read_erasures};
@@ -13,8 +13,6 @@ use crate::gateway::allocation::AllocationRequest;
 pub const MOST_UPLOADS: usize = 1024;
 /// The most records asked for at once.
 pub const MOST_DIGESTS: usize = 1024;
-/// The longest signed transaction passed on, bytes.
-pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
 /// A record as uploaded.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,17 +27,6 @@ impl From<&SealedRecord> for Upload {
     fn from(record: &SealedRecord) -> Self {
         Self { signature: record.signature, blob: record.blob.clone() }
     }
-}
-
-/// An identity and the transaction that registers it: account (20) || identity (224) || transaction.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Registration {
-    /// The account.
-    pub account: Address,
-    /// Token, keys and proof.
-    pub identity: Identity,
-    /// The signed transaction, as the chain takes it.
-    pub transaction: Vec<u8>,
 }
 
 /// A grant being sent to the chain: grantee (20) || epoch (8) || expiry (8) || transaction (32).
@@ -105,8 +92,6 @@ pub enum Request {
     SystemKeys,
     /// Key allocation.
     KeyAllocation(AllocationRequest),
-    /// Registration.
-    Register(Box<Registration>),
     /// One record: signature (64) || blob.
     Upload(Upload),
     /// Several: count (2), then length of the blob (4) || signature (64) || blob each.
@@ -131,7 +116,6 @@ impl Request {
         match self {
             Self::SystemKeys => Command::SystemKeys,
             Self::KeyAllocation(_) => Command::KeyAllocation,
-            Self::Register(_) => Command::Register,
             Self::Upload(_) => Command::Upload,
             Self::UploadMany(_) => Command::UploadMany,
             Self::Notice(Notice::Grant(_)) => Command::GrantNotice,
@@ -150,9 +134,6 @@ impl Request {
         match self {
             Self::SystemKeys | Self::Ping => Vec::new(),
             Self::KeyAllocation(request) => request.encode(),
-            Self::Register(registration) => {
-                [&registration.account.0[..], &registration.identity.encode(), &registration.transaction].concat()
-            }
             Self::Upload(upload) => [&upload.signature.0[..], &upload.blob].concat(),
             Self::UploadMany(uploads) => encode_uploads(uploads),
             Self::Notice(Notice::Grant(notice)) => notice.encode(),
@@ -174,7 +155,6 @@ impl Request {
         let request = match command {
             Command::SystemKeys => Self::SystemKeys,
             Command::KeyAllocation => return AllocationRequest::parse(body).map(Self::KeyAllocation),
-            Command::Register => Self::Register(Box::new(read_registration(&mut reader)?)),
             Command::Upload => Self::Upload(Upload {
                 signature: Signature(reader.array("signature")?),
                 blob: reader.take(reader.rest().len(), "record")?.to_vec(),
@@ -233,16 +213,6 @@ impl RevokeNotice {
             transaction: Hash(reader.array("transaction")?),
         })
     }
-}
-
-fn read_registration(reader: &mut Reader<'_>) -> Result<Registration, WireError> {
-    let account = Address(reader.array("account")?);
-    let identity = Identity::parse(reader.take(Identity::LENGTH, "identity")?)?;
-    let transaction = reader.take(reader.rest().len(), "transaction")?;
-    if transaction.is_empty() || transaction.len() > LONGEST_TRANSACTION {
-        return Err(WireError::Value("transaction"));
-    }
-    Ok(Registration { account, identity, transaction: transaction.to_vec() })
 }
 
 fn count(length: usize, most: usize) -> [u8; 2] {

@@ -90,14 +90,11 @@ impl Connection {
     /// # Errors
     /// [`Refusal`] with `Quota`.
     pub(super) fn count_newcomer<C>(&self, message: &Message<C>) -> Result<(), Refusal> {
-        let sends = match message.command {
-            Command::Register => true,
-            Command::Relay => matches!(
+        let sends = message.command == Command::Relay
+            && matches!(
                 Request::parse(Command::Relay, &message.body),
                 Ok(Request::Relay(call)) if call.method == "eth_sendRawTransaction"
-            ),
-            _ => false,
-        };
+            );
         if sends { self.seat.newcomer(std::time::Instant::now()) } else { Ok(()) }
     }
 

@@ -14,9 +14,7 @@ use crate::gateway::command::relay::{LONGEST_FOR_VISITOR, LONGEST_RESULT};
 use crate::gateway::command::{Answer, Command, DeviceNotice, Found, Notice, RelayCall, Relayed, Request, Upload};
 use crate::gateway::desk::{Binding, BoundDevice, Caller, Desk};
 use crate::gateway::hello::Agreed;
-use crate::gateway::identity_check::{
-    allocate, check_account, check_reach, check_records, check_registration, check_signed,
-};
+use crate::gateway::identity_check::{allocate, check_account, check_reach, check_records, check_signed};
 use crate::gateway::limits::Charge;
 use crate::model::{Address, Digest, ProfileName, Timestamp};
 
@@ -36,10 +34,6 @@ impl Shared {
             Request::SystemKeys => Ok(Answer::SystemKeys(self.list().1)),
             Request::Ping => Ok(Answer::Time(Timestamp::now())),
             Request::Relay(call) => relayed(self.desk.as_ref(), None, &call).await,
-            Request::Register(registration) => {
-                check_registration(&self.context, &registration)?;
-                self.desk.register(&registration).await.map(Answer::Registered)
-            }
             Request::KeyAllocation(request) => {
                 let now = Timestamp::now();
                 let secret = self.with_cabinet(|cabinet| cabinet.secret(&request.system_key, now).cloned());

@@ -10,15 +10,15 @@ use authros_crypto::{
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
     Answer, Command, DeviceNotice, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Notice,
-    Registration, RelayCall, Relayed, Request, RevokeNotice, Upload,
+    RelayCall, Relayed, Request, RevokeNotice, Upload,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
 use authros_gateway::{Code, Feed, FeedEntry, FeedPage, Found, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
-    Address, Digest, Domain, Fact, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId,
-    RecorderPrefix, Signature, SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Domain, Fact, Hash, Head, ProfileName, PublicKey, RecordKind, RecorderId, RecorderPrefix,
+    Signature, SignerId, Timestamp, Token, TopicId,
 };
 
 pub(crate) fn context() -> Context {
@@ -123,12 +123,6 @@ fn receipt() -> Receipt {
 /// One request of each Command and shape.
 pub(crate) fn sample_requests() -> Vec<Request> {
     let upload = |length| Upload { signature: Signature([7; 64]), blob: vec![8; length] };
-    let identity = Identity {
-        token: Token([1; 32]),
-        signing: PublicKey([2; 64]),
-        envelope: PublicKey([3; 64]),
-        proof: Signature([4; 64]),
-    };
     let allocation = AllocationRequest {
         system_key: SignerId([1; 32]),
         ciphertext: vec![2; 300],
@@ -139,7 +133,6 @@ pub(crate) fn sample_requests() -> Vec<Request> {
     vec![
         Request::SystemKeys,
         Request::KeyAllocation(allocation),
-        Request::Register(Box::new(Registration { account: grantee, identity, transaction: vec![9; 200] })),
         Request::Upload(upload(300)),
         Request::UploadMany(vec![upload(0), upload(10), upload(200)]),
         Request::Notice(Notice::Grant(GrantNotice { grantee, epoch: 2, expiry: 3, transaction })),
@@ -211,7 +204,6 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Receipt(Command::KeyAllocation, receipt()),
         Answer::Receipt(Command::UploadMany, receipt()),
         Answer::Receipt(Command::DeviceNotice, receipt()),
-        Answer::Registered(Hash([1; 32])),
         Answer::Time(Timestamp(5)),
         Answer::Relayed(Relayed::Result("\"0x7\"".into())),
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),

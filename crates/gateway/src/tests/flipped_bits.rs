@@ -13,7 +13,6 @@ use super::fixtures::{erasure, notice_of};
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
-use crate::crypto::prove;
 use crate::frame::Line;
 use crate::gateway::allocation::apply;
 use crate::gateway::command::{Inner, RelayCall};
@@ -141,10 +140,7 @@ fn accepted_without_key(stage: &Stage, member: &Member) -> Vec<Request> {
     let key = shared.cabinet.lock().expect("not poisoned").list().keys[0];
     let (_, body) = apply(&context(), &agreed(stage), &key, &member.applicant()).expect("applies");
     let allocation = Request::parse(Command::KeyAllocation, &body).expect("parses");
-    let (domain, account, token) = (context().domain, member.account(), member.token);
-    let identity = prove(context().provider, &domain, &account, &member.signing, &member.envelope.public, token);
-    let registration = Registration { account, identity: identity.expect("proves"), transaction: vec![0xf8; 8] };
-    vec![allocation, Request::Register(Box::new(registration)), Request::SystemKeys, Request::Ping]
+    vec![allocation, Request::SystemKeys, Request::Ping]
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -200,6 +196,6 @@ async fn no_bit_of_a_frame_of_any_command_reaches_the_desk_flipped() {
         assert_eq!(inner.command, request.command(), "not refused");
     }
     let state = stage.desk.state();
-    assert_eq!((state.records.len(), state.registrations.len()), (4, 1));
-    assert_eq!((state.grants.len(), state.revokes.len(), state.changes), (1, 1, before + 9));
+    assert_eq!((state.records.len(), state.grants.len(), state.revokes.len()), (4, 1, 1));
+    assert_eq!(state.changes, before + 8);
 }

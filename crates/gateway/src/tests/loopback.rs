@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use super::stage::{Stage, refusal};
 use super::*;
-use crate::crypto::{SmKeyPair, prove};
 use crate::model::{Address, Digest, Hash, Token};
 
 fn alice() -> Member {
@@ -360,27 +359,6 @@ async fn notices_signed_by_another_key_change_nothing() {
     assert_eq!(stage.desk.state().changes, before);
     client.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     assert_eq!(stage.desk.state().changes, before + 1);
-}
-
-#[tokio::test]
-async fn registrations_pass_only_with_a_valid_proof() {
-    let stage = Stage::new().await;
-    let (alice, context) = (alice(), context());
-    let prove = |signing: &SmKeyPair| {
-        let token = Token([1; 32]);
-        prove(context.provider, &context.domain, &alice.account(), signing, &alice.envelope.public, token)
-            .expect("proves")
-    };
-    let register = async |identity| {
-        let registration = Registration { account: alice.account(), identity, transaction: vec![0xf8; 500] };
-        Client::register(&stage.endpoint, &mut stage.trust(), &alice.name, registration).await
-    };
-    let mut forged = prove(&alice.signing);
-    forged.signing = pair(0x44).public;
-    assert_eq!(refusal(register(forged).await), Some(Code::Signature));
-    assert_eq!(stage.desk.state().changes, 0);
-    assert_eq!(register(prove(&alice.signing)).await.expect("passed on"), Hash([0x99; 32]));
-    assert_eq!(stage.desk.state().registrations.len(), 1);
 }
 
 /// Resident memory of this process, KiB.

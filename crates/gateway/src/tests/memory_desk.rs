@@ -12,9 +12,7 @@ use super::fixtures::{Member, network};
 use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
-use authros_gateway::command::{
-    ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Notice, Registration, RevokeNotice,
-};
+use authros_gateway::command::{ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Notice, RevokeNotice};
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::feed::{FeedEntry, MOST_ENTRIES};
 use authros_gateway::{Code, Feed, FeedPage, NetworkName, Refusal};
@@ -36,7 +34,6 @@ pub(crate) struct State {
     pub records: BTreeMap<u64, Received>,
     pub readers: HashSet<(Address, Address)>,
     pub refusals: Vec<Code>,
-    pub registrations: Vec<Registration>,
     pub grants: Vec<GrantNotice>,
     pub revokes: Vec<RevokeNotice>,
     /// Requests passed on to the chain: the caller and the method.
@@ -198,13 +195,6 @@ impl Desk for MemoryDesk {
         state.bindings.insert(name.clone(), binding);
         state.ring();
         Ok(())
-    }
-
-    async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
-        let mut state = self.state();
-        state.registrations.push(registration.clone());
-        state.ring();
-        Ok(Hash([0x99; 32]))
     }
 
     async fn store(&self, _: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {

@@ -82,7 +82,7 @@ impl Robot {
 
     fn rows(&self, kind: RecordKind) -> Vec<RecordRow> {
         let query = RecordQuery { kind: Some(kind), limit: 1000, ..RecordQuery::default() };
-        self.plant.ledger.list(&query).expect("rows").rows
+        self.plant.ledger.records.list(&query).expect("rows").rows
     }
 
     fn body(&self, row: &RecordRow) -> Vec<u8> {

@@ -192,7 +192,7 @@ impl<'a> Line<'a> {
         match client.upload(uploads).await {
             Ok(receipt) => {
                 let kept = KeptReceipt { time: receipt.time, digests: receipt.digests, signature: receipt.signature };
-                block_in_place(|| self.outbox.plant.ledger.accept(kept))?;
+                block_in_place(|| self.outbox.plant.ledger.forwarding.accept(kept))?;
                 self.moved = true;
                 self.outbox.plant.observer.records_changed();
             }
@@ -300,7 +300,7 @@ impl Outbox {
         self.singly = self.singly.saturating_sub(1);
         let limit = most + refused.len();
         let query = RecordQuery { state: Some(RecordState::Stored), limit, ..RecordQuery::default() };
-        let rows = self.plant.ledger.list(&query)?.rows;
+        let rows = self.plant.ledger.records.list(&query)?.rows;
         let (mut window, mut bytes, mut spoilt) = (Vec::new(), 0, Vec::new());
         for row in rows.into_iter().filter(|row| !refused.contains(&row.digest)).take(most) {
             let blob = self.plant.ciphertext.get(row.digest)?;
@@ -315,7 +315,7 @@ impl Outbox {
             window.push((row.digest, Upload { signature: row.signature, blob }));
         }
         if !spoilt.is_empty() {
-            self.plant.ledger.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
+            self.plant.ledger.records.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
             self.plant.observer.tampered(&spoilt);
             let count = spoilt.len();
             self.plant
@@ -339,7 +339,7 @@ impl Outbox {
         let time = u64::try_from(self.keeping.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(Timestamp::now().0.saturating_sub(time));
         loop {
-            let old = self.plant.ledger.proven_before(due, PAGE)?;
+            let old = self.plant.ledger.forwarding.proven_before(due, PAGE)?;
             if old.is_empty() {
                 break;
             }
@@ -348,7 +348,7 @@ impl Outbox {
         // A little more than the reserve, so that records are still accepted.
         let wanted = self.keeping.reserve.saturating_add(self.keeping.reserve / 2);
         if wanted > 0 && free_bytes(&self.home)? < wanted {
-            let oldest = self.plant.ledger.proven_before(Timestamp(i64::MAX.unsigned_abs()), PAGE)?;
+            let oldest = self.plant.ledger.forwarding.proven_before(Timestamp(i64::MAX.unsigned_abs()), PAGE)?;
             if !oldest.is_empty() {
                 self.give_up(&oldest)?;
                 let text = format!("the disk is nearly full: {} proven records were deleted early", oldest.len());
@@ -361,7 +361,7 @@ impl Outbox {
     fn give_up(&self, digests: &[Digest]) -> Result<(), PipelineError> {
         // Deleted first: after an interruption it is deleted again.
         self.plant.ciphertext.discard(digests)?;
-        Ok(self.plant.ledger.proven_gone(digests)?)
+        Ok(self.plant.ledger.forwarding.proven_gone(digests)?)
     }
 }
 

@@ -130,7 +130,7 @@ impl Scene {
             let upload = self.alice.record(&self.device, self.numbers, &vec![7; length]);
             rows.push(self.row(&upload));
         }
-        self.plant.ledger.append(rows).expect("acknowledged");
+        self.plant.ledger.records.append(rows).expect("acknowledged");
         self.stored.notify_waiters();
     }
 
@@ -158,7 +158,7 @@ impl Scene {
     }
 
     fn counts(&self) -> StateCounts {
-        self.plant.ledger.counts(None).expect("counts")
+        self.plant.ledger.counts.by_state(None).expect("counts")
     }
 
     async fn until(&self, what: &str, mut done: impl FnMut(&Self) -> bool) {
@@ -196,8 +196,8 @@ async fn records_are_accepted_then_verified_and_only_then_forgotten() {
     scene.until_state(RecordState::Submitted, 403).await;
     assert_eq!((scene.at_gateway(), scene.kept_here()), (403, 403), "ciphertext stays until it is verified");
     assert_eq!(*work.link.borrow(), Link::Up);
-    let digest = scene.plant.ledger.in_state(None, RecordState::Submitted, 1).expect("rows")[0].digest;
-    let receipt = scene.plant.ledger.receipt_of(digest).expect("reads").expect("kept");
+    let digest = scene.plant.ledger.records.in_state(None, RecordState::Submitted, 1).expect("rows")[0].digest;
+    let receipt = scene.plant.ledger.forwarding.receipt_of(digest).expect("reads").expect("kept");
     let receipt =
         crate::gateway::Receipt { time: receipt.time, digests: receipt.digests, signature: receipt.signature };
     assert!(receipt.digests.contains(&digest));
@@ -206,7 +206,7 @@ async fn records_are_accepted_then_verified_and_only_then_forgotten() {
     scene.verify();
     scene.until_state(RecordState::Verified, 403).await;
     scene.until("forgotten", |scene| scene.kept_here() == 0).await;
-    assert_eq!(scene.plant.ledger.receipt_of(digest), Ok(None));
+    assert_eq!(scene.plant.ledger.forwarding.receipt_of(digest), Ok(None));
     scene.capture(1, 10);
     scene.until_state(RecordState::Verified, 404).await;
 }
@@ -301,9 +301,9 @@ async fn one_bad_record_does_not_hold_up_the_others() {
     let foreign = bob.record(&scene.device, 1, b"not alice's");
     let row = scene.row(&foreign);
     let digest = row.digest;
-    scene.plant.ledger.append(vec![row]).expect("acknowledged");
+    scene.plant.ledger.records.append(vec![row]).expect("acknowledged");
     // Damaged in the store: never sent.
-    let spoilt = scene.plant.ledger.in_state(None, RecordState::Stored, 1).expect("rows")[0].digest;
+    let spoilt = scene.plant.ledger.records.in_state(None, RecordState::Stored, 1).expect("rows")[0].digest;
     scene.plant.ciphertext.replace(spoilt, b"something else").expect("replaced");
     scene.capture(10, 100);
     let work = scene.work();
@@ -329,7 +329,7 @@ async fn a_record_refused_for_itself_is_sent_again_after_its_pause() {
     let bob = Member::new("bob", 0x31);
     let foreign = bob.record(&scene.device, 1, b"not alice's");
     let row = scene.row(&foreign);
-    scene.plant.ledger.append(vec![row]).expect("acknowledged");
+    scene.plant.ledger.records.append(vec![row]).expect("acknowledged");
     let _work = scene.work_at(Pace { retry: Duration::from_millis(20), ..QUICK });
     scene.until("refused again and again", |scene| scene.notes.with("stays in the outbox") >= 3).await;
 }
@@ -370,9 +370,9 @@ async fn what_the_gateway_cannot_prove_stays_unverified_and_here() {
     scene.stage.desk.state().proofless = false;
     scene.until_state(RecordState::Verified, 20).await;
     scene.until("given up", |scene| scene.kept_here() == 0).await;
-    let verified = scene.plant.ledger.in_state(None, RecordState::Verified, 20).expect("rows");
+    let verified = scene.plant.ledger.records.in_state(None, RecordState::Verified, 20).expect("rows");
     for row in verified {
-        let kept = scene.plant.ledger.proven(row.digest).expect("reads").expect("kept");
+        let kept = scene.plant.ledger.forwarding.proven(row.digest).expect("reads").expect("kept");
         let signed = [&b"AuthROS/feed/1"[..], &context().domain.0, &kept.statement].concat();
         context().provider.verify(&pair(0x21).public, &signed, &kept.signature).expect("signed by the gateway");
         assert!(kept.statement.windows(32).any(|bytes| bytes == row.digest.0), "and about this record");

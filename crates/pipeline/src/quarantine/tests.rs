@@ -65,7 +65,7 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
     assert_eq!(report(&plant, &owner.author, 11).expect("once only"), 0);
     assert_eq!(report(&plant, &owner.author, u64::MAX).expect("all"), 1);
 
-    let rows = plant.ledger.in_state(Some(owner.address), RecordState::Stored, 100).expect("rows");
+    let rows = plant.ledger.records.in_state(Some(owner.address), RecordState::Stored, 100).expect("rows");
     assert!(rows.iter().all(|row| row.kind == RecordKind::Quarantine && row.topic == TOPIC));
     let mut found = Vec::new();
     for row in &rows {
@@ -74,7 +74,7 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
         let body = super::super::tests::body_of(plant.provider, &keys, row, &blob);
         found.push((row.digest, QuarantineReport::parse(&body).expect("a report")));
     }
-    let stream = (owner.address, plant.ledger.recorder().of_signer(&owner.sealing().expect("keys").signer));
+    let stream = (owner.address, plant.ledger.records.recorder().of_signer(&owner.sealing().expect("keys").signer));
     for (topic, minute, digests, seqs) in
         [(1, 10, vec![one, two], (1, 2)), (2, 10, vec![other], (1, 1)), (1, 11, vec![later], (3, 3))]
     {
@@ -114,7 +114,7 @@ fn what_is_discarded_is_gone_and_still_counted() {
     assert_eq!(discard(&plant, &digests[..2]).expect("again"), 0);
     assert_eq!(plant.ciphertext.get(digests[0]), Ok(None));
     assert!(plant.ciphertext.get(digests[2]).expect("read").is_some());
-    let counts = plant.ledger.counts(Some(owner.address)).expect("counts");
+    let counts = plant.ledger.counts.by_state(Some(owner.address)).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.dropped, topic.quarantined, topic.pending), (3, 2, 1, 0));
     let all = HeldQuery { decided: true, limit: 9, topic: Some("/t1".to_owned()), messages: true };

@@ -93,7 +93,7 @@ impl Reader<'_> {
     ) -> Result<Option<String>, PipelineError> {
         let wanted = Wanted::of(opened);
         for query in wanted.attempts(row) {
-            let listed = block_in_place(|| self.plant.ledger.list(&query))?.rows;
+            let listed = block_in_place(|| self.plant.ledger.records.list(&query))?.rows;
             let may_open = |candidate: &&RecordRow| by == Opening::Own || candidate.epoch == row.epoch;
             for candidate in listed.iter().filter(may_open).take(MOST_OPENED) {
                 let found = match by {

@@ -14,7 +14,7 @@ use crate::chain_proofs::is_root_in;
 use crate::model::{Address, Digest, Hash, Timestamp};
 use crate::record_audit;
 use crate::store::notes::{CopiedAt, RestoredAt};
-use crate::store::{AuditedBatch, Ledger, StoreError};
+use crate::store::{AuditedBatch, Inspection, Notes, StoreError};
 
 /// Batches requested at once.
 const PAGE: usize = 16;
@@ -33,11 +33,11 @@ pub(super) fn compare(
     runtime: &Handle,
     tally: &mut Tally,
 ) -> Result<(), StoreError> {
-    let ledger = &plant.ledger;
+    let inspection = &plant.ledger.inspection;
     let mut asked = network;
     let mut after = 0;
     loop {
-        let page = ledger.inspection.audit_batches(after, PAGE)?;
+        let page = inspection.audit_batches(after, PAGE)?;
         let Some(last) = page.last() else { break };
         after = last.key;
         tally.batches += u64::try_from(page.len()).unwrap_or(0);
@@ -48,7 +48,7 @@ pub(super) fn compare(
             tally.find(FindingKind::Missing, &name(&batch.root), &text);
         }
         if let Some(network) = asked
-            && let Err(error) = runtime.block_on(compare_page(ledger, network, page, tally))?
+            && let Err(error) = runtime.block_on(compare_page(inspection, network, page, tally))?
         {
             tally.find(FindingKind::Unreachable, "chain", &format!("not all batches were compared: {error}"));
             asked = None;
@@ -67,7 +67,7 @@ fn name(root: &Hash) -> String {
 }
 
 async fn compare_page(
-    ledger: &Ledger,
+    inspection: &Inspection,
     network: &Network,
     page: Vec<AuditedBatch>,
     tally: &mut Tally,
@@ -86,12 +86,7 @@ async fn compare_page(
         }
         // The chain may have been replaced below us, or a node have answered that is behind: what the ledger and the next
         // answer say now counts.
-        let now = ledger
-            .inspection
-            .audit_batches(batch.key - 1, 1)?
-            .pop()
-            .filter(|now| now.key == batch.key)
-            .unwrap_or(batch);
+        let now = inspection.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key).unwrap_or(batch);
         if now.block.is_none() {
             continue;
         }
@@ -142,13 +137,13 @@ async fn walk(
 ) -> Result<Result<(), ChainError>, StoreError> {
     let mut own: HashSet<Address> = scope.accounts.iter().copied().collect();
     own.extend(plant.ledger.inspection.signing_accounts()?);
-    let mut walk = Walk::new(&plant.ledger, own.clone())?;
+    let mut walk = Walk::new(&plant.ledger.notes, own.clone())?;
     if let Err(error) = walk.all(plant, network, Some(tally)).await? {
         return Ok(Err(error));
     }
     if !walk.found.findings().is_empty() {
         // Blocks may have been replaced, or a node have answered that is behind, while they were read one after the other.
-        walk = Walk::new(&plant.ledger, own)?;
+        walk = Walk::new(&plant.ledger.notes, own)?;
         if let Err(error) = walk.all(plant, network, None).await? {
             return Ok(Err(error));
         }
@@ -179,9 +174,9 @@ struct Walk {
 }
 
 impl Walk {
-    fn new(ledger: &Ledger, own: HashSet<Address>) -> Result<Self, StoreError> {
-        let (previous, copied_at) = (HashMap::new(), ledger.notes.read(&CopiedAt {})?);
-        let restored_at = ledger.notes.read(&RestoredAt {})?.unwrap_or(Timestamp(u64::MAX));
+    fn new(notes: &Notes, own: HashSet<Address>) -> Result<Self, StoreError> {
+        let (previous, copied_at) = (HashMap::new(), notes.read(&CopiedAt {})?);
+        let restored_at = notes.read(&RestoredAt {})?.unwrap_or(Timestamp(u64::MAX));
         Ok(Self { own, previous, copied_at, restored_at, later: Vec::new(), elsewhere: 0, found: Tally::default() })
     }
 
@@ -203,7 +198,7 @@ impl Walk {
                 Ok(events) => events,
                 Err(error) => return Ok(Err(error)),
             };
-            self.take(&plant.ledger, &events)?;
+            self.take(&plant.ledger.inspection, &events)?;
             if let Some(tally) = watched.as_deref_mut()
                 && let Err(error) = record_audit::compare(plant, network, (from, to), &events, tally).await?
             {
@@ -233,7 +228,7 @@ impl Walk {
         Ok(Ok(()))
     }
 
-    fn take(&mut self, ledger: &Ledger, events: &[EventAt]) -> Result<(), StoreError> {
+    fn take(&mut self, inspection: &Inspection, events: &[EventAt]) -> Result<(), StoreError> {
         let (mut roots, mut digests): (Vec<Hash>, Vec<Digest>) = (Vec::new(), Vec::new());
         let mut blocks = HashMap::new();
         for at in events {
@@ -254,10 +249,10 @@ impl Walk {
                 _ => {}
             }
         }
-        for root in ledger.inspection.unknown_roots(&roots)? {
+        for root in inspection.unknown_roots(&roots)? {
             self.unknown(&name(&root), blocks.get(&root.0).copied());
         }
-        for digest in ledger.inspection.unknown_digests(&digests)? {
+        for digest in inspection.unknown_digests(&digests)? {
             self.unknown(&format!("record {digest}"), blocks.get(&digest.0).copied());
         }
         Ok(())

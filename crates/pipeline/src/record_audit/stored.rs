@@ -19,7 +19,12 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
         match blob {
             Some(blob) => found.push((record, blob, signer_of(bench, &record.row)?)),
             None => {
-                match bench.plant.ledger.retained(record.row.digest)?.and_then(|kept| Header::parse(&kept.header).ok())
+                match bench
+                    .plant
+                    .ledger
+                    .retention
+                    .find(record.row.digest)?
+                    .and_then(|kept| Header::parse(&kept.header).ok())
                 {
                     Some((header, _)) => compare_tags(bench, record, &header, tally)?,
                     None => tally.unread += 1,
@@ -53,11 +58,11 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
 /// Nothing is stored under a digest: whether that is as it should be.
 fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(), StoreError> {
     // It may have been deleted since its row was read.
-    let Some(now) = bench.plant.ledger.record(record.row.digest)? else { return Ok(()) };
+    let Some(now) = bench.plant.ledger.records.find(record.row.digest)? else { return Ok(()) };
     let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
     if now.state == RecordState::Dropped || handed_over {
         tally.given_up += 1;
-    } else if let Some(retained) = bench.plant.ledger.retained(now.digest)? {
+    } else if let Some(retained) = bench.plant.ledger.retention.find(now.digest)? {
         match retention_fault(bench, &now, &retained)? {
             None => tally.given_up += 1,
             Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
@@ -71,7 +76,7 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
 /// Inconsistencies after retention deleted a record: a retention record on the chain must name it, and what was kept of
 /// it (header, signature) must still be its owner's.
 fn retention_fault(bench: Bench<'_>, row: &RecordRow, retained: &Retained) -> Result<Option<String>, StoreError> {
-    let told = bench.plant.ledger.record(retained.report)?.filter(|told| told.kind == RecordKind::Retention);
+    let told = bench.plant.ledger.records.find(retained.report)?.filter(|told| told.kind == RecordKind::Retention);
     let anchored = told.is_some_and(|told| told.block.is_some() || bench.network.is_none());
     if !anchored && !is_stated(bench.plant, bench.network, row.digest, retained) {
         return Ok(Some("its bytes were deleted, but no retention record on the chain covers it".to_owned()));
@@ -146,7 +151,7 @@ pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Ta
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
     for ((record, _), front) in piece.iter().zip(bench.plant.ciphertext.fronts(&digests, columns::FRONT)?) {
         let front = match front {
-            None => bench.plant.ledger.retained(record.row.digest)?.map(|retained| retained.header),
+            None => bench.plant.ledger.retention.find(record.row.digest)?.map(|retained| retained.header),
             front => front,
         };
         let Some(front) = front else {
@@ -192,7 +197,7 @@ fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, front: &[u8
         tally.find(FindingKind::Tampered, &subject(), &format!("its row and its header differ in their {field}"));
     }
     // What this ledger sealed has the names that it was captured under.
-    if bench.plant.ledger.recorder().has(&row.recorder) {
+    if bench.plant.ledger.records.recorder().has(&row.recorder) {
         return;
     }
     let Some(opening) = keys.opening(header) else {

@@ -40,7 +40,7 @@ impl Home {
     /// Types and bodies of the recorder's statements, oldest first.
     fn told(&self) -> Vec<(String, Vec<u8>, Digest)> {
         let query = RecordQuery { topic: Some(TOPIC.to_owned()), ..RecordQuery::default() };
-        let rows = self.plant.ledger.list(&query).expect("listed").rows;
+        let rows = self.plant.ledger.records.list(&query).expect("listed").rows;
         let read = |row: &crate::store::RecordRow| {
             let blob = self.plant.ciphertext.get(row.digest).expect("read").expect("stored");
             (row.type_name.clone(), body_of(self.plant.provider, &self.keys(), row, &blob), row.digest)
@@ -110,7 +110,7 @@ fn what_was_just_looked_at_waits_and_a_note_from_the_future_does_not() {
 fn a_restored_ledger_has_a_recorder_that_names_the_one_it_follows() {
     let folder = tempfile::tempdir().expect("a folder");
     let home = Home::at(folder.path());
-    let before = home.plant.ledger.recorder().of_signer(&home.keys().signer);
+    let before = home.plant.ledger.records.recorder().of_signer(&home.keys().signer);
     home.say("/odom");
     home.state(NOW);
     home.state(NOW).expect("stated");
@@ -118,7 +118,7 @@ fn a_restored_ledger_has_a_recorder_that_names_the_one_it_follows() {
     copied.ledger.close().expect("closed");
     crate::store::snapshot::renew_ledger(&folder.path().join("ledger.db")).expect("a copy's ledger");
     let home = Home { plant: plant(folder.path()), owner };
-    assert_ne!(home.plant.ledger.recorder().of_signer(&home.keys().signer), before);
+    assert_ne!(home.plant.ledger.records.recorder().of_signer(&home.keys().signer), before);
     assert_eq!(home.state(NOW), None, "it recorded nothing yet");
     home.say("/odom");
     home.state(NOW);

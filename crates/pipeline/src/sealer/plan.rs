@@ -109,7 +109,7 @@ impl Planner {
     /// Errors of the ledger.
     pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
         let mut plan = Plan::default();
-        let recorder = plant.ledger.recorder();
+        let recorder = plant.ledger.records.recorder();
         for item in items.iter().filter(|item| !item.ring) {
             let keys = item.author.sealing();
             let Some((topic, keys)) = keys.and_then(|keys| Some((keys.topic(&item.message.topic)?, keys))) else {
@@ -193,7 +193,7 @@ impl Planner {
     fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
         let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
             Some(last) => last + 1,
-            None => plant.ledger.next_seq(stream.0, stream.1, stream.2)?,
+            None => plant.ledger.records.next_seq(stream.0, stream.1, stream.2)?,
         };
         plan.seqs.insert(stream, seq);
         Ok(seq)

@@ -154,7 +154,7 @@ impl Sealer {
     /// One round; either all of its messages that have a key are in the ring, or none.
     fn ring_round(&mut self, ring: &SharedRing, items: &[&CapturedMessage]) -> Result<(), PipelineError> {
         let mut ring = lock(ring);
-        if let Err(full) = self.plant.ledger.takes_records() {
+        if let Err(full) = self.plant.ledger.records.takes_records() {
             // The disk belongs to what is acknowledged.
             ring.shrink()?;
             return Err(full.into());

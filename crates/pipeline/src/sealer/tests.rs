@@ -118,6 +118,7 @@ impl Line {
         let query = RecordQuery { topic: Some(topic.to_owned()), limit: 10_000, ..RecordQuery::default() };
         let mut records: Vec<_> = plant
             .ledger
+            .records
             .list(&query)
             .expect("a page")
             .rows

@@ -377,7 +377,8 @@ async fn what_blocks_pass_by_is_raised_until_it_is_taken_and_the_rest_follows() 
         .await;
     expect_all_once(&process, 3).await;
     for row in 0..3 {
-        let record = process.plant.ledger.record(crate::pipeline::fixture::digest(row)).expect("read").expect("kept");
+        let record =
+            process.plant.ledger.records.find(crate::pipeline::fixture::digest(row)).expect("read").expect("kept");
         let raw =
             process.plant.ledger.lanes.raw_transaction(record.transaction.expect("one")).expect("read").expect("kept");
         let price = crate::chain::offered(&raw).expect("offer").price;

@@ -59,7 +59,12 @@ async fn two_processes_with_one_account_interleave() {
     while one.count(RecordState::Confirmed) + two.count(RecordState::Confirmed) < 120 {
         tokio::join!(one.anchor(7), two.anchor(5));
         tokio::join!(one.round(), two.round());
-        assert!(Instant::now() < deadline, "{:?} {:?}", one.plant.ledger.counts(None), two.plant.ledger.counts(None));
+        assert!(
+            Instant::now() < deadline,
+            "{:?} {:?}",
+            one.plant.ledger.counts.by_state(None),
+            two.plant.ledger.counts.by_state(None)
+        );
     }
     assert!(one.anchored(0..60).await.into_iter().chain(one.anchored(100..160).await).all(|times| times == 1));
 }
@@ -115,13 +120,13 @@ async fn a_replaced_transaction_that_was_mined_after_all_is_recognised() {
     let reissue = Reissue { hash: dearer.hash, nonce, raw: dearer.raw };
     process.plant.ledger.lanes.reissue(old, reissue.clone()).expect("replaced");
     assert!(process.plant.ledger.lanes.reissue(old, reissue).is_err(), "only an open one is replaced");
-    let row = process.plant.ledger.record(crate::pipeline::fixture::digest(0)).expect("read").expect("kept");
+    let row = process.plant.ledger.records.find(crate::pipeline::fixture::digest(0)).expect("read").expect("kept");
     assert_eq!((row.state, row.transaction), (RecordState::Submitted, Some(dearer.hash)));
     process.network.chain.broadcast(&raw).await.expect("sent");
     process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
     process.rounds_until("the nonce is decided", |process| states(process, old) == TransactionState::Mined).await;
     assert_eq!(states(&process, dearer.hash), TransactionState::Replaced);
-    let row = process.plant.ledger.record(crate::pipeline::fixture::digest(0)).expect("read").expect("kept");
+    let row = process.plant.ledger.records.find(crate::pipeline::fixture::digest(0)).expect("read").expect("kept");
     assert_eq!((row.transaction, process.anchored(0..1).await), (Some(old), vec![1]));
 }
 

@@ -34,14 +34,14 @@ async fn the_first_of_many_definitions_is_found() {
         for sealed in pair(&line, number) {
             let digest = sealed.digest;
             let row = NewRecord::foreign(sealed, Address([8; 20]));
-            line.plant.keep([row], |row| line.plant.ledger.append(row.into())).expect("taken");
+            line.plant.keep([row], |row| line.plant.ledger.records.append(row.into())).expect("taken");
             messages.push(digest);
         }
     }
     let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
     for number in [0, 1, MANY / 2, MANY - 1] {
         let place = usize::try_from(2 * number + 1).expect("small");
-        let row = line.plant.ledger.record(messages[place]).expect("read").expect("there");
+        let row = line.plant.ledger.records.find(messages[place]).expect("read").expect("there");
         let opened = reader.own_contents(&row).expect("read").expect("opens");
         for by in [Opening::Own, Opening::Anchored] {
             assert_eq!(reader.definition_text(&row, &opened, by).await.expect("read"), Some(text(number)), "{by:?}");
@@ -77,11 +77,11 @@ async fn a_definition_that_comes_later_serves_the_messages_before_it() {
     let messages = [&before, &foreign, &after].map(|[_, message]| message.digest);
     for sealed in [before, foreign, after].into_iter().flatten() {
         let row = NewRecord::foreign(sealed, Address([8; 20]));
-        line.plant.keep([row], |row| line.plant.ledger.append(row.into())).expect("taken");
+        line.plant.keep([row], |row| line.plant.ledger.records.append(row.into())).expect("taken");
     }
     let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
     for (digest, expected) in messages.into_iter().zip([FORCE, "", FORCE]) {
-        let row = line.plant.ledger.record(digest).expect("read").expect("there");
+        let row = line.plant.ledger.records.find(digest).expect("read").expect("there");
         let opened = reader.own_contents(&row).expect("read").expect("opens");
         for by in [Opening::Own, Opening::Anchored] {
             let found = reader.definition_text(&row, &opened, by).await.expect("read");

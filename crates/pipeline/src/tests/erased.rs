@@ -63,32 +63,32 @@ async fn what_an_owner_states_to_be_erased_is_listed_with_its_proof() {
     let erased = left(&line, &sealed).await;
     assert!(is_held(&take(&line, owner, digest, erased.clone()).await, true));
     assert!(is_held(&take(&line, owner, digest, erased).await, false), "twice is once");
-    let noted = line.plant.ledger.record(digest).expect("read").expect("noted");
+    let noted = line.plant.ledger.records.find(digest).expect("read").expect("noted");
     let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
     assert_eq!(reader.check(&noted).await.expect("checked"), (Verdict::Unanchored, digest), "not confirmed here yet");
     for _ in 0..20 {
         line.watch().await;
         verify_round(&line.plant, &line.network).expect("a round");
-        if ledger.record(digest).expect("read").is_some_and(|row| row.state == RecordState::Verified) {
+        if ledger.records.find(digest).expect("read").is_some_and(|row| row.state == RecordState::Verified) {
             break;
         }
     }
-    let row = ledger.record(digest).expect("read").expect("noted");
+    let row = ledger.records.find(digest).expect("read").expect("noted");
     assert_eq!((row.state, row.deleted_at), (RecordState::Verified, Some(AT)), "{row:?}");
     assert_eq!((row.seq, row.captured_at, row.bytes), (1, Timestamp(1), 6), "as its header says");
-    let retained = ledger.retained(digest).expect("read").expect("accounted for");
+    let retained = ledger.retention.find(digest).expect("read").expect("accounted for");
     let words = retained.erased.expect("by somebody").to_string();
     assert_eq!(words, "erased 2023-11-14T22:13:20Z by its owner, its proof remains");
     assert_eq!(reader.check(&row).await.expect("checked"), (Verdict::Deleted, digest));
     let opened = reader.open(&row).await;
     assert!(matches!(opened, Err(PipelineError::Erased { .. })), "{opened:?}");
-    assert_eq!(ledger.given_up(owner), Ok(1));
+    assert_eq!(ledger.retention.given_up(owner), Ok(1));
 
     // Whoever alters the ledger makes no erasure of a hole: the statement is checked each time.
     let thief = SmKeyPair::generate(line.plant.provider).expect("a pair");
     let forged = stated(&line, &thief, &digest, header_of(&sealed)).encode();
     let forged = StatedErasure { digest, statement: forged, account: None };
-    ledger.keep_erasures(vec![forged]).expect("written");
+    ledger.erasures.keep(vec![forged]).expect("written");
     assert_eq!(reader.check(&row).await.expect("checked"), (Verdict::Missing, digest));
 }
 
@@ -118,7 +118,7 @@ async fn what_a_gateway_says_was_erased_is_not_believed() {
     for (what, lie) in lies {
         let told = take(&line, owner, digest, lie).await;
         assert!(matches!(told, Ok(Accepted::Refused(_))), "{what}: {told:?}");
-        assert_eq!(line.plant.ledger.record(digest).expect("read"), None, "{what}");
+        assert_eq!(line.plant.ledger.records.find(digest).expect("read"), None, "{what}");
     }
     let told = take(&line, Address([1; 20]), digest, honest.clone()).await;
     assert!(matches!(told, Ok(Accepted::Refused(_))), "another owner's: {told:?}");
@@ -127,12 +127,12 @@ async fn what_a_gateway_says_was_erased_is_not_believed() {
     let proof = left(&line, &second).await.record.proof;
     let told = take(&line, owner, digest, with(Fetched { proof, ..honest.record.clone() })).await;
     assert!(matches!(told, Ok(Accepted::Refused(_))), "{told:?}");
-    assert_eq!(line.plant.ledger.record(digest).expect("read"), None);
+    assert_eq!(line.plant.ledger.records.find(digest).expect("read"), None);
 
     // Who has the bytes keeps them.
     assert!(is_held(&taken_with(&line, sealed.clone(), honest.record.proof.clone()).await, true));
     assert!(is_held(&take(&line, owner, digest, honest).await, false), "nothing to do");
-    let row = line.plant.ledger.record(digest).expect("read").expect("here");
+    let row = line.plant.ledger.records.find(digest).expect("read").expect("here");
     assert_eq!(row.deleted_at, None);
     assert_eq!(line.plant.ciphertext.get(digest).expect("read"), Some(sealed.blob));
 }
@@ -153,12 +153,12 @@ async fn bytes_that_arrive_while_they_are_erased_do_not_stay() {
     let listed = NewRecord { blob: None, ..brought.clone() };
     let taken = crate::pipeline::intake::taken_erased(record.blob, &statement);
     let kept = plant.keep([brought], |rows| {
-        let told = ledger.take_told(listed, (taken, vec![1; 65]), (inclusion, anchor))?;
+        let told = ledger.erasures.take_told(listed, (taken, vec![1; 65]), (inclusion, anchor))?;
         assert_eq!(told, ToldErased::Listed);
-        ledger.append(rows.into())
+        ledger.records.append(rows.into())
     });
     kept.expect("acknowledged");
     assert_eq!(plant.ciphertext.get(digest), Ok(None));
-    let row = ledger.record(digest).expect("read").expect("listed");
+    let row = ledger.records.find(digest).expect("read").expect("listed");
     assert_eq!(row.deleted_at, Some(AT));
 }

@@ -21,7 +21,7 @@ impl Line {
             signer: &self.owner.signing(),
             epoch: 1,
             topic_key: &TopicKey::new([6; 32]),
-            recorder: self.plant.ledger.recorder(),
+            recorder: self.plant.ledger.records.recorder(),
             seq,
             topic_id: TopicId([1; 16]),
             kind: RecordKind::Data,
@@ -34,7 +34,7 @@ impl Line {
         if let Some(bit) = flipped {
             record.signature.0[bit / 8] ^= 0x80 >> (bit % 8);
         }
-        self.plant.keep(vec![record], |records| self.plant.ledger.append(records)).expect("kept");
+        self.plant.keep(vec![record], |records| self.plant.ledger.records.append(records)).expect("kept");
     }
 
     async fn verify(&self, all: u64) {
@@ -43,7 +43,7 @@ impl Line {
     }
 
     fn in_state(&self, state: RecordState) -> Vec<u64> {
-        let rows = self.plant.ledger.in_state(None, state, 100).expect("rows");
+        let rows = self.plant.ledger.records.in_state(None, state, 100).expect("rows");
         rows.iter().map(|row| row.seq).collect()
     }
 }

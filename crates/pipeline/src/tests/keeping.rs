@@ -7,10 +7,11 @@ use crate::chain::merkle::{Inclusion, Leaf};
 use crate::chain::{AnchorProof, Call};
 use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
 use crate::gateway::Fetched;
+use crate::gateway::desk::Received;
 use crate::model::head::Compression;
 use crate::model::{Address, FilterId, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
-use crate::pipeline::intake::{Accepted, Anchors, Intake, Reason, Refused};
+use crate::pipeline::intake::{Accepted, Anchors, Intake, Reason, Refused, accept_uploads};
 use crate::store::StoreError;
 
 pub(super) fn head(body: &[u8]) -> Head {
@@ -117,7 +118,7 @@ async fn what_a_mirror_does_not_take_in_leaves_no_bytes() {
         Line { plant: Plant { observer: Arc::new(super::super::fixture::Notes::default()), ..line.plant }, ..line };
     line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
     line.owner.seal_under(line.network.domain, 1).expect("seals");
-    let held = line.plant.ledger.hold_records();
+    let held = line.plant.ledger.records.hold();
     let refused = taken(&line, elsewhere(&line.owner, 1, b"one", None)).await;
     assert!(matches!(refused, Err(PipelineError::Store(StoreError::DiskFull { .. }))), "{refused:?}");
     assert_eq!(entries(&line.plant), 0, "the disk takes no more");
@@ -137,7 +138,7 @@ async fn what_a_mirror_does_not_take_in_leaves_no_bytes() {
     line.plant.ledger.trail.set_cursor(block, hash).expect("set");
     let held = taken_with(&line, first, proof).await.expect("taken in");
     assert!(matches!(held, Accepted::Held(true)), "{held:?}");
-    let row = line.plant.ledger.record(digest).expect("read").expect("acknowledged");
+    let row = line.plant.ledger.records.find(digest).expect("read").expect("acknowledged");
     assert_eq!((row.topic.as_str(), row.bytes, row.state), ("/robot1/odom", 3, RecordState::Mined));
     let twin = taken(&line, elsewhere(&line.owner, 1, b"two", None)).await;
     assert!(matches!(twin, Ok(Accepted::Refused(Refused { reason: Reason::Number, .. }))), "{twin:?}");
@@ -149,7 +150,7 @@ fn what_a_gateway_refuses_leaves_no_bytes() {
     let home = tempfile::tempdir().expect("folder");
     let plant = plant(home.path());
     let (owner, _) = owner_with_keys(plant.provider, home.path());
-    let keep = |records: Vec<NewRecord>| plant.keep(records, |records| plant.ledger.append(records));
+    let keep = |records: Vec<NewRecord>| plant.keep(records, |records| plant.ledger.records.append(records));
     let known = upload(&owner, 1, b"one");
     keep(vec![known.clone()]).expect("kept");
     keep(vec![known.clone()]).expect("sent twice, it is kept once");
@@ -168,20 +169,37 @@ fn what_a_gateway_refuses_leaves_no_bytes() {
 }
 
 #[test]
+fn an_upload_with_the_number_of_another_is_refused_for_a_readers_reason_and_told() {
+    let home = tempfile::tempdir().expect("folder");
+    let notes = Arc::new(super::super::fixture::Notes::default());
+    let plant = Plant { observer: Arc::clone(&notes) as _, ..plant(home.path()) };
+    let (owner, _) = owner_with_keys(plant.provider, home.path());
+    let received = |seq, body: &[u8]| {
+        let SealedRecord { header, blob, digest, signature } = elsewhere(&owner, seq, body, None);
+        Received { header, digest, signature, signer: owner.signing().public, blob }
+    };
+    let take = |uploads| accept_uploads(&plant, Address([8; 20]), uploads).expect("asked");
+    assert!(take(vec![received(1, b"one")]).is_ok());
+    let refused = take(vec![received(2, b"two"), received(1, b"another one")]);
+    assert!(matches!(refused, Err(Reason::Number)), "{refused:?}");
+    assert_eq!((entries(&plant), notes.with("equivocation")), (1, 1), "none of them is kept, and both signatures are");
+}
+
+#[test]
 fn what_was_deleted_does_not_come_back_when_it_is_sent_again() {
     let home = tempfile::tempdir().expect("folder");
     let plant = plant(home.path());
     let (owner, _) = owner_with_keys(plant.provider, home.path());
-    let keep = |records: Vec<NewRecord>| plant.keep(records, |records| plant.ledger.append(records));
+    let keep = |records: Vec<NewRecord>| plant.keep(records, |records| plant.ledger.records.append(records));
     let (face, other) = (upload(&owner, 1, b"a face"), upload(&owner, 2, b"a wall"));
     keep(vec![face.clone()]).expect("kept");
     plant.ciphertext.scour(&[face.digest]).expect("overwritten");
-    plant.ledger.deleted(&[face.digest]).expect("noted");
+    plant.ledger.retention.deleted(&[face.digest]).expect("noted");
     keep(vec![face.clone(), other.clone()]).expect("acknowledged again, as known");
     assert_eq!(plant.ciphertext.get(face.digest), Ok(None));
     assert_eq!(plant.ciphertext.get(other.digest).expect("read"), other.blob, "what came with it is stored");
     let read = |record: &NewRecord| {
-        let row = plant.ledger.record(record.digest).expect("reads").expect("known");
+        let row = plant.ledger.records.find(record.digest).expect("reads").expect("known");
         plant.stored_bytes(&row).expect("read")
     };
     assert_eq!((read(&face), read(&other)), (None, other.blob.clone()));

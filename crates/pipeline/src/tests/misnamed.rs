@@ -28,7 +28,7 @@ impl Line {
     /// As a gateway's desk takes it.
     fn receive(&self, sealed: &SealedRecord) {
         let row = NewRecord::foreign(sealed.clone(), Address([8; 20]));
-        self.plant.keep([row], |row| self.plant.ledger.append(row.into())).expect("taken");
+        self.plant.keep([row], |row| self.plant.ledger.records.append(row.into())).expect("taken");
     }
 
     fn opener(&self) -> Reader<'_> {
@@ -36,7 +36,7 @@ impl Line {
     }
 
     fn row(&self, sealed: &SealedRecord) -> RecordRow {
-        self.plant.ledger.record(sealed.digest).expect("read").expect("there")
+        self.plant.ledger.records.find(sealed.digest).expect("read").expect("there")
     }
 
     /// The row as it is shown to its owner.
@@ -92,7 +92,7 @@ async fn a_mirror_names_the_record_that_it_does_not_take_for_its_name() {
     let Accepted::Refused(refused) = taken(&line, forged).await.expect("judged") else { panic!("taken in") };
     assert_eq!(refused.digest, digest, "{refused}");
     assert!(refused.to_string().contains("false topic"), "{refused}");
-    assert!(line.plant.ledger.record(digest).expect("read").is_none());
+    assert!(line.plant.ledger.records.find(digest).expect("read").is_none());
     let honest = taken(&line, elsewhere(&line.owner, 1, BODY, None)).await.expect("judged");
     assert!(matches!(honest, Accepted::Held(true)), "{honest:?}");
 }

@@ -17,8 +17,8 @@ async fn a_record_that_another_line_proved_meanwhile_is_not_called_altered() {
     let sealed = elsewhere(&line.owner, 1, b"where it is", None);
     let digest = sealed.digest;
     let row = NewRecord::foreign(sealed.clone(), Address([8; 20]));
-    line.plant.keep([row], |row| line.plant.ledger.append(row.into())).expect("taken");
-    let before = line.plant.ledger.record(digest).expect("read").expect("there");
+    line.plant.keep([row], |row| line.plant.ledger.records.append(row.into())).expect("taken");
+    let before = line.plant.ledger.records.find(digest).expect("read").expect("there");
 
     // The line to another gateway brings its proof.
     let head = line.network.chain.head().await.expect("a head");
@@ -26,7 +26,7 @@ async fn a_record_that_another_line_proved_meanwhile_is_not_called_altered() {
     let inclusion = Inclusion { index: 0, count: 1, path: Vec::new(), root };
     let (account, transaction) = (Address([8; 20]), Hash([9; 32]));
     let anchor = RootSighting { account, root, count: 1, transaction, block: head.number, block_hash: head.hash };
-    assert_eq!(line.plant.ledger.take_in(digest, inclusion, anchor), Ok(true));
+    assert_eq!(line.plant.ledger.batches.take_in(digest, inclusion, anchor), Ok(true));
 
     // As the first line asks for it: by its own proof's block, and with the row of before.
     let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };

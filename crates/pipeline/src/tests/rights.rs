@@ -56,9 +56,9 @@ impl Line {
     }
 
     fn is_whole(&self) {
-        let counts = self.plant.ledger.counts(None).expect("counts");
+        let counts = self.plant.ledger.counts.by_state(None).expect("counts");
         assert!(counts.is_conserved(), "{counts:?}");
-        assert_eq!(self.plant.ledger.contradictions(), Ok(Vec::new()));
+        assert_eq!(self.plant.ledger.inspection.contradictions(), Ok(Vec::new()));
         for batch in self.plant.ledger.inspection.audit_batches(0, 100).expect("batches") {
             assert_eq!(batch.held, batch.count, "each place of a batch is accounted for");
         }
@@ -109,8 +109,14 @@ async fn a_batch_that_was_passed_over_is_anchored_again_under_another_root() {
     line.watch().await;
     line.until_confirmed(7, true, &lanes).await;
     for (old, row) in before.iter().zip(line.rows(7)) {
-        let place =
-            line.plant.ledger.placed(row.digest).expect("read").and_then(|placed| placed.place).expect("batched");
+        let place = line
+            .plant
+            .ledger
+            .records
+            .placed(row.digest)
+            .expect("read")
+            .and_then(|placed| placed.place)
+            .expect("batched");
         assert!(row.block > old.block && place.block == row.block, "{row:?}");
         let other = RecordRow { seq: row.seq + 1, ..row.clone() };
         assert!(line.is_anchored(&row).await && !line.is_anchored(&other).await);
@@ -131,8 +137,8 @@ async fn records_of_a_recalled_device_wait_and_go_on_when_it_is_lent_again() {
     line.watch().await;
     // In a closed batch with others, not sent yet.
     line.append(1, 1, 4);
-    line.plant.ledger.append((1..=6).map(of_device).collect()).expect("acknowledged");
-    let leaves = line.plant.ledger.stored_leaves(line.owner.address, 100).expect("leaves");
+    line.plant.ledger.records.append((1..=6).map(of_device).collect()).expect("acknowledged");
+    let leaves = line.plant.ledger.batches.stored_leaves(line.owner.address, 100).expect("leaves");
     crate::pipeline::anchorer::close_batch(&line.plant, line.owner.address, leaves).expect("closed");
     line.call(Call::Recall { device }).await;
     line.watch().await;
@@ -156,14 +162,15 @@ async fn a_digest_whose_own_upload_was_passed_over_goes_in_a_batch() {
     line.append(1, 1, 3);
     line.drain(AnchorMode::Each, 3, || false).await;
     let digests: Vec<Digest> = line.rows(3).iter().map(|row| row.digest).collect();
-    assert_eq!(line.plant.ledger.pass_over(&digests[..2]), Ok(2));
-    assert_eq!(line.plant.ledger.pass_over(&digests[..2]), Ok(0), "once");
-    let left = line.plant.ledger.passed_over_leaves(line.owner.address, 9).expect("read");
+    assert_eq!(line.plant.ledger.batches.pass_over(&digests[..2]), Ok(2));
+    assert_eq!(line.plant.ledger.batches.pass_over(&digests[..2]), Ok(0), "once");
+    let left = line.plant.ledger.batches.passed_over_leaves(line.owner.address, 9).expect("read");
     assert!(left.len() == 2 && left.iter().all(|leaf| leaf.digest != digests[2]), "{left:?}");
     line.append(1, 4, 2);
     line.drain(AnchorMode::Each, 5, || false).await;
     for row in line.rows(5) {
-        let batched = line.plant.ledger.placed(row.digest).expect("read").is_some_and(|placed| placed.place.is_some());
+        let batched =
+            line.plant.ledger.records.placed(row.digest).expect("read").is_some_and(|placed| placed.place.is_some());
         assert_eq!(batched, digests[..2].contains(&row.digest), "the contract takes a digest once");
         assert!(line.is_anchored(&row).await, "{row:?}");
     }

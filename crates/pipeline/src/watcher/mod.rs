@@ -113,7 +113,7 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
 
 fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
     let deep = (head + 1).saturating_sub(network.confirmations);
-    let confirmed = block_in_place(|| plant.ledger.confirm(deep))?;
+    let confirmed = block_in_place(|| plant.ledger.batches.confirm(deep))?;
     if !confirmed.is_empty() {
         if let Some(stages) = plant.observer.stages() {
             stages.reached(Milestone::Confirmed, confirmed);
@@ -211,8 +211,8 @@ fn write(
     if !sightings.is_empty() || !roots.is_empty() {
         fault::point("events-read");
     }
-    let mut changed = !sightings.is_empty() && plant.ledger.mined(&sightings)? > 0;
-    changed |= !roots.is_empty() && plant.ledger.anchored(&roots)? > 0;
+    let mut changed = !sightings.is_empty() && plant.ledger.batches.mined(&sightings)? > 0;
+    changed |= !roots.is_empty() && plant.ledger.batches.anchored(&roots)? > 0;
     if changed {
         fault::point("mined");
     }
@@ -272,8 +272,8 @@ pub(crate) fn of<'a>(ledger: &Ledger, events: &'a [EventAt]) -> Result<Vec<&'a E
     let is_anchor = |event: &EventAt| sighting(event).is_some() || root_sighting(event).is_some();
     let rights: Vec<(u64, u64)> =
         events.iter().filter(|event| !is_anchor(event)).map(|event| (event.block, event.log_index)).collect();
-    let digests: HashSet<_> = ledger.waiting_digests(&sightings)?.into_iter().collect();
-    let waiting: HashSet<_> = ledger.waiting_roots(&roots)?.into_iter().collect();
+    let digests: HashSet<_> = ledger.batches.waiting_digests(&sightings)?.into_iter().collect();
+    let waiting: HashSet<_> = ledger.batches.waiting_roots(&roots)?.into_iter().collect();
     let unknown: HashSet<_> = ledger.rights.unknown_rights(&rights)?.into_iter().collect();
     let is_unread = |event: &&EventAt| match (sighting(event), root_sighting(event)) {
         (Some(sighting), _) => digests.contains(&sighting.digest),

@@ -115,9 +115,7 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
 async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
     let from = common.0 + 1;
     network.times.forget_from(from);
-    let deep = block_in_place(|| plant.ledger.verified_from(from))?;
-    // Confirmed ones first: those the verifier advances meanwhile are then among the verified ones.
-    let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;
+    let (moved, deep) = block_in_place(|| plant.ledger.batches.take_back(from))?;
     block_in_place(|| plant.ledger.trail.walk_back(common))?;
     let depth = was_at.saturating_sub(common.0);
     let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");

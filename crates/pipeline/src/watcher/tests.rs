@@ -64,7 +64,7 @@ async fn reorg_of(depth: u64) {
         .rounds_until("the lane is empty", |process| process.sender.room(process.eoa.address()).ok() == Some(1024))
         .await;
     let verified = digests(0..2 + depth / 2);
-    process.plant.ledger.advance(&verified, RecordState::Confirmed, RecordState::Verified).expect("verified");
+    process.plant.ledger.records.advance(&verified, RecordState::Confirmed, RecordState::Verified).expect("verified");
     assert!(process.network.directory.identity(newcomer.address()).is_ok());
 
     process.network.chain = other_way(&process, home.path(), depth + 2).await;

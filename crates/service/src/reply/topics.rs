@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::model::{Timestamp, TopicName};
+use crate::store::CoveragePart;
 
 /// Why a watched topic is not captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -79,21 +80,6 @@ impl std::fmt::Display for UnreachedView {
     }
 }
 
-/// The records in one part of a span of time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct CoveragePart {
-    /// Its beginning.
-    pub at: Timestamp,
-    /// Whether there are records that are neither quarantined nor altered.
-    pub data: bool,
-    /// Whether there are records in quarantine, or discarded from it.
-    pub quarantined: bool,
-    /// Whether there are records whose stored bytes are wrong.
-    pub tampered: bool,
-    /// Messages noticed as lost in it.
-    pub lost: u64,
-}
-
 /// When there are records of a topic.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoverageView {
@@ -116,19 +102,6 @@ pub struct CoverageView {
     pub last: Option<Timestamp>,
     /// The parts of the span, oldest first, all of the same length.
     pub parts: Vec<CoveragePart>,
-}
-
-impl CoveragePart {
-    /// The sign of a part: the worst of its findings.
-    pub fn sign(&self) -> char {
-        match self {
-            Self { tampered: true, .. } => 'T',
-            Self { quarantined: true, .. } => 'Q',
-            Self { lost: 1.., .. } => 'L',
-            Self { data: true, .. } => '█',
-            _ => '·',
-        }
-    }
 }
 
 impl CoverageView {

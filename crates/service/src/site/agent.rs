@@ -136,10 +136,10 @@ impl Agent {
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept, keeper);
         let mut ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
         policy.has_ring.store(ring.is_some(), Ordering::Release);
-        let notices = notices.with_ring_while(site.plant.ledger.clone(), &policy.has_ring);
+        let notices = notices.with_ring_while(site.plant.ledger.notes.clone(), &policy.has_ring);
         let named = notices.gateway();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(named);
-        let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
+        let before = block_in_place(|| site.plant.ledger.counts.by_state(None))?.acknowledged;
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
         for topic in &topics {
             site.recorder.join(topic, &author, None, &session);
@@ -201,7 +201,7 @@ impl Agent {
                 }
                 () = tokio::time::sleep(LOOK) => {}
             }
-            let counts = block_in_place(|| self.site.plant.ledger.counts(None))?;
+            let counts = block_in_place(|| self.site.plant.ledger.counts.by_state(None))?;
             let figures = self.figures_of(&counts);
             if looks.is_multiple_of(5) && shown.as_ref() != Some(&figures) {
                 progress(&figures);
@@ -282,7 +282,7 @@ impl Agent {
     /// # Errors
     /// Errors of the ledger.
     pub fn figures(&self) -> Result<AgentFigures, Failure> {
-        Ok(self.figures_of(&block_in_place(|| self.site.plant.ledger.counts(None))?))
+        Ok(self.figures_of(&block_in_place(|| self.site.plant.ledger.counts.by_state(None))?))
     }
 
     fn figures_of(&self, counts: &StateCounts) -> AgentFigures {
@@ -315,7 +315,7 @@ impl Agent {
     /// # Errors
     /// Errors of the ledger.
     pub fn topics(&self) -> Result<Vec<TopicCounts>, Failure> {
-        Ok(block_in_place(|| self.site.plant.ledger.counts(None))?.topics)
+        Ok(block_in_place(|| self.site.plant.ledger.counts.by_state(None))?.topics)
     }
 
     /// Ends: capture stops, everything captured is fsynced. Its figures can still be read.

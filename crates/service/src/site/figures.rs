@@ -140,7 +140,7 @@ impl Site {
             grants: self.grant_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             cache: self.plant.ciphertext.cache(),
-            untold_gaps: ledger.untold_gaps()?,
+            untold_gaps: ledger.losses.untold()?,
             audit_lines,
             audit_unanchored,
             audit_locked: self.parts.owners.all().is_empty(),
@@ -155,7 +155,7 @@ impl Site {
 
     fn owner_figures(&self) -> Result<Vec<OwnerFigures>, Failure> {
         let mut owners: Vec<Address> = self.parts.owners.all().iter().map(|owner| owner.address).collect();
-        owners.extend(self.plant.ledger.owners(MOST_OWNERS)?);
+        owners.extend(self.plant.ledger.counts.owners(MOST_OWNERS)?);
         let mut known = std::collections::HashSet::new();
         owners.retain(|owner| known.insert(*owner));
         owners.truncate(MOST_OWNERS);
@@ -167,14 +167,15 @@ impl Site {
         Ok(OwnerFigures {
             owner: short(&owner.to_string()),
             life: self.life_line_of(owner, &counts)?,
-            oldest_unanchored: self.plant.ledger.oldest_unanchored(owner)?,
+            oldest_unanchored: self.plant.ledger.counts.oldest_unanchored(owner)?,
             topics: if self.config().metrics.topics { topics(&counts) } else { Vec::new() },
         })
     }
 
     fn robot_figures(&self) -> Result<Vec<RobotFigures>, Failure> {
         let own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
-        let seen = self.plant.ledger.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
+        let seen =
+            self.plant.ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
     }
 

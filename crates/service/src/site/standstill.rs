@@ -176,7 +176,7 @@ impl Standstill {
     }
 
     fn work(&self, network: Option<&Network>) -> Result<BTreeMap<Stage, Option<Work>>, Failure> {
-        let states = self.plant.ledger.in_each_state()?;
+        let states = self.plant.ledger.counts.in_each_state()?;
         let of = |state: RecordState| states.get(&state).copied().unwrap_or(0);
         let beyond = |last: RecordState| -> u64 {
             states.iter().filter(|(state, _)| **state > last && **state <= RecordState::Verified).map(|(_, n)| n).sum()
@@ -200,7 +200,7 @@ impl Standstill {
         let owners = self.owners.all();
         let open =
             owners.iter().filter(|owner| !owner.is_locked() && network.directory.identity(owner.address).is_ok());
-        open.map(|owner| Ok(self.plant.ledger.unbatched(owner.address)?.0)).sum()
+        open.map(|owner| Ok(self.plant.ledger.batches.unbatched(owner.address)?.0)).sum()
     }
 
     fn judge_one(&self, stage: Stage, work: Option<Work>) {

@@ -199,7 +199,7 @@ impl Site {
             tampered,
             lost_in_transport: counts.lost_in_transport,
             waiting: waiting as u64,
-            deleted: self.plant.ledger.given_up(owner)?,
+            deleted: self.plant.ledger.retention.given_up(owner)?,
             conserved: counts.is_conserved(),
         })
     }

@@ -36,7 +36,7 @@ impl Store {
         let bytes: Vec<u8> = self.numbers.to_be_bytes().into_iter().cycle().take(length).collect();
         let digest = Digest(sm3(&[&bytes]));
         let record = NewRecord { digest, blob: Some(bytes.clone()), ..record(1, 1, self.numbers) };
-        self.ledger.append(vec![record]).expect("acknowledged");
+        self.ledger.records.append(vec![record]).expect("acknowledged");
         self.behind.written([digest]);
         (digest, bytes)
     }

@@ -6,7 +6,7 @@ use std::collections::{HashMap, HashSet};
 use rusqlite::{Connection, params};
 
 use super::rows::{By, may};
-use super::{Foreign, Ledger, NewRecord, Session, own_prefix};
+use super::{Foreign, NewRecord, Records, Session, own_prefix};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
 use crate::model::header::LARGEST_SEQ;
@@ -17,13 +17,13 @@ type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 
 /// Keys of the names seen so far; only a cache of the tables.
 #[derive(Default)]
-pub(crate) struct Names {
+pub(crate) struct KnownNames {
     topics: HashMap<TopicKey, (i64, String)>,
     streams: HashMap<StreamKey, i64>,
     filters: HashSet<(FilterId, i64)>,
 }
 
-impl Names {
+impl KnownNames {
     /// Clears it: a rollback may have removed some of them.
     pub(super) fn clear(&mut self) {
         self.topics.clear();
@@ -32,18 +32,18 @@ impl Names {
     }
 }
 
-impl Ledger {
+impl Records {
     /// The highest acknowledged sequence number of a topic that `signer` gave in this ledger, plus 1. Records from
     /// elsewhere never count.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn next_seq(&self, owner: Address, signer: SignerId, topic: TopicId) -> Result<u64, StoreError> {
-        let recorder = self.recorder().of_signer(&signer);
-        self.read(|connection| {
+        let recorder = self.0.shared.recorder.of_signer(&signer);
+        self.0.read(|connection| {
             let sql = "SELECT max(seq) FROM records WHERE topic =
-                     (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
-                      AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
+                (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
+                 AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))";
             let highest: Option<i64> =
                 connection.one(sql, params![owner.0, topic.0, recorder.0, signer.0], |row| row.get(0))?;
             Ok(highest.map_or(1, |seq| seq.cast_unsigned() + 1))
@@ -59,8 +59,8 @@ impl Ledger {
     /// [`StoreError::IllegalEdge`] if a record cannot begin in its state, [`StoreError::DiskFull`] and the like; then
     /// nothing is acknowledged.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
-        self.takes_records()?;
-        self.write_many(records.len(), move |session| {
+        self.0.takes_records()?;
+        self.0.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             records.iter().try_for_each(|record| add(session, record, now))
         })
@@ -74,20 +74,9 @@ impl Ledger {
         if !may(By::Worker, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
-        let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
-            let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
-            let mut statement = session.connection.prepare_cached(sql)?;
-            digests.iter().try_fold(0, |moved, digest| {
-                Ok(moved + count(statement.execute(params![digest.0, from.code(), to.code()])?))
-            })
-        })
+        let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
+        self.0.run_each(sql, digests.iter().map(|digest| (digest.0, from.code(), to.code())).collect())
     }
-}
-
-/// A number of changed rows.
-pub(super) fn count(rows: usize) -> u64 {
-    u64::try_from(rows).unwrap_or(u64::MAX)
 }
 
 /// Whether a record may have its number: within bounds, and of this ledger's own recorders only if it was recorded here.
@@ -121,9 +110,10 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
         return store_again(session.connection, record);
     }
     let stream = stream_key(session, record, topic)?;
+    let sql = "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
+        acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
     session.connection.run(
-        "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
-             acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        sql,
         params![
             record.digest.0,
             topic,
@@ -171,20 +161,16 @@ fn store(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), St
 fn store_again(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
     let Some(blob) = &record.blob else { return Ok(()) };
     let sql = "INSERT INTO ciphertext SELECT n, ?2 FROM records WHERE digest = ?1 AND deleted_at IS NULL
-             AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
-             ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
+        AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n)
+        ON CONFLICT DO UPDATE SET bytes = excluded.bytes WHERE bytes <> excluded.bytes";
     connection.run(sql, params![record.digest.0, blob.as_slice()])?;
     Ok(())
 }
 
 fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -> Result<bool, StoreError> {
-    let found = connection
-        .prepare_cached(
-            "SELECT digest = ?1, topic = ?2 AND seq = ?3 FROM records
-             WHERE digest = ?1 OR (topic = ?2 AND seq = ?3)",
-        )?
-        .query_map(params![record.digest.0, topic, seq], |row| Ok((row.get(0)?, row.get(1)?)))?
-        .collect::<Result<Vec<(bool, bool)>, _>>()?;
+    let sql = "SELECT digest = ?1, topic = ?2 AND seq = ?3 FROM records WHERE digest = ?1 OR (topic = ?2 AND seq = ?3)";
+    let found: Vec<(bool, bool)> =
+        connection.list(sql, params![record.digest.0, topic, seq], |row| Ok((row.get(0)?, row.get(1)?)))?;
     match found.as_slice() {
         [] => Ok(false),
         [(true, true)] => Ok(true),
@@ -221,7 +207,7 @@ fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, Strin
     let recorder = recorder_key(connection, record)?;
     let keeper = record.foreign.map(|foreign| foreign.keeper.0);
     let sql = "INSERT INTO topics (owner, recorder, topic_id, name, keeper) VALUES (?1, ?2, ?3, ?4, ?5)
-             ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
+        ON CONFLICT DO UPDATE SET name = CASE name WHEN '' THEN excluded.name ELSE name END";
     connection.run(sql, params![record.owner.0, recorder, record.topic_id.0, record.topic, keeper])?;
     let sql = "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND recorder = ?3";
     Ok(connection

@@ -5,12 +5,11 @@ use std::collections::BTreeMap;
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::append::count;
 use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, unsigned};
-use super::{Ledger, RecordRow, branches, directory, sightings};
+use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
 use crate::chain::merkle::{Inclusion, Leaf};
-use crate::database::{Statements as _, whole};
+use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
 /// A batch to be closed.
@@ -88,33 +87,27 @@ pub enum Anchors {
     Batch(Hash),
 }
 
-impl Ledger {
+impl Batches {
     /// Closes a batch: stores its root and every record's path, and moves its records from stored to batched, in one
     /// commit. Closing the same batch again changes nothing, unless its records have left it: then it waits to be
     /// anchored again.
     ///
     /// # Errors
     /// [`StoreError::NotReady`] if a record is not stored; then nothing is written.
-    pub fn close_batch(&self, batch: NewBatch) -> Result<(), StoreError> {
-        self.write_many(batch.leaves.len(), move |session| close(session.connection, &batch))
+    pub fn close(&self, batch: NewBatch) -> Result<(), StoreError> {
+        self.0.write_many(batch.leaves.len(), move |session| close(session.connection, &batch))
     }
 
     /// Closed batches of an owner that no transaction anchors, oldest first.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn waiting_batches(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT root, count FROM batches INDEXED BY batches_waiting
-                 WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
-                 ORDER BY key LIMIT ?2",
-            )?;
-            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            let rows = statement.query_map(params![owner.0, limit], |row| {
-                Ok(WaitingBatch { root: Hash(row.get(0)?), count: unsigned(row, 1)? })
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
+    pub fn waiting(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
+        let sql = "SELECT root, count FROM batches INDEXED BY batches_waiting
+            WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
+            ORDER BY key LIMIT ?2";
+        self.0.list(sql, params![owner.0, capped(limit)], |row| {
+            Ok(WaitingBatch { root: Hash(row.get(0)?), count: unsigned(row, 1)? })
         })
     }
 
@@ -123,11 +116,9 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
-        self.read(|connection| {
-            let sql =
-                "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
-            Ok(connection.list(sql, [account.0], |row| row.get(0).map(Hash))?)
-        })
+        let sql =
+            "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
+        self.0.list(sql, [account.0], |row| row.get(0).map(Hash))
     }
 
     /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and
@@ -136,19 +127,20 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             // Usually none waits. Then no stream is looked at: a gateway may have ten thousand, and this is asked at each block.
-            let any = connection.has("SELECT 1 FROM records INDEXED BY records_by_state WHERE state = ?1 LIMIT 1", [RecordState::Stored.code()])?;
-            if !any {
+            let stored = RecordState::Stored.code();
+            let sql = "SELECT 1 FROM records INDEXED BY records_by_state WHERE state = ?1 LIMIT 1";
+            if !connection.has(sql, [stored])? {
                 return Ok((0, None));
             }
-            let found = connection.one("SELECT coalesce(sum(coalesce((SELECT records FROM counters WHERE stream = streams.key AND state = ?2), 0)), 0),
-                     min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
-                          WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
-                     FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1", params![keeper.0, RecordState::Stored.code()], |row| {
-                    Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
-                })?;
-            Ok(found)
+            let sql = "SELECT coalesce(sum(coalesce((SELECT records FROM counters WHERE stream = streams.key AND state = ?2), 0)), 0),
+                min((SELECT acknowledged_at FROM records INDEXED BY records_by_state
+                     WHERE state = ?2 AND stream = streams.key ORDER BY captured_at LIMIT 1))
+                FROM streams JOIN topics ON topics.key = topic WHERE coalesce(keeper, owner) = ?1";
+            Ok(connection.one(sql, params![keeper.0, stored], |row| {
+                Ok((unsigned(row, 0)?, row.get::<_, Option<i64>>(1)?.map(|at| Timestamp(at.cast_unsigned()))))
+            })?)
         })
     }
 
@@ -158,21 +150,11 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
-                 JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
-                 JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
-                 WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
-            )?;
-            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            let rows = statement.query_map(params![keeper.0, RecordState::Stored.code(), limit], |row| {
-                let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
-                let (owner, signer) = (Address(row.get(4)?), SignerId(row.get(5)?));
-                Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
-        })
+        let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
+            JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
+            JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
+            WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3";
+        self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], leaf)
     }
 
     /// Takes in roots found on the chain: pending records of the batch are now mined, with this transaction and block;
@@ -184,7 +166,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then nothing is recorded.
     pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
-        self.write(move |session| {
+        self.0.write(move |session| {
             sightings.iter().try_fold(0, |changed, sighting| Ok(changed + see(session.connection, sighting)?))
         })
     }
@@ -194,23 +176,20 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn waiting_roots(&self, sightings: &[RootSighting]) -> Result<Vec<Hash>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
             let sql = "SELECT 1 FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL
-                       AND NOT EXISTS (SELECT 1 FROM leaves JOIN passed_over ON passed_over.record = leaves.record
-                                       WHERE leaves.batch = batches.key AND passed_over.block = ?3)";
-            let mut find = connection.prepare_cached(sql)?;
-            let mut waiting = Vec::new();
-            for sighting in sightings {
-                let (count, block) = (whole("count", sighting.count)?, whole("block", sighting.block)?);
-                if find.exists(params![sighting.root.0, count, block])? {
-                    waiting.push(sighting.root);
-                }
-            }
-            Ok(waiting)
+                AND NOT EXISTS (SELECT 1 FROM leaves JOIN passed_over ON passed_over.record = leaves.record
+                                WHERE leaves.batch = batches.key AND passed_over.block = ?3)";
+            let values = |one: RootSighting| {
+                Ok::<_, StoreError>((one.root.0, whole("count", one.count)?, whole("block", one.block)?))
+            };
+            Ok(connection.among(sql, sightings, values, true)?.into_iter().map(|one| one.root).collect())
         })
     }
+}
 
+impl Records {
     /// A record and its place in its batch, of one moment; `None` if the record is not here.
     ///
     /// # Errors
@@ -224,17 +203,24 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
-        self.read(|connection| placed_in(connection, digests))
+        self.0.read(|connection| placed_in(connection, digests))
     }
 }
 
-/// See [`Ledger::placed_all`].
+/// A leaf from recorder, topic, number, digest, owner and signer.
+pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
+    let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
+    let (owner, signer) = (Address(row.get(4)?), SignerId(row.get(5)?));
+    Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
+}
+
+/// See [`Records::placed_all`].
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
     let mut find = connection.prepare_cached(&format!(
         "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
-         batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
-         WHERE digest = ?1",
+            batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
+            WHERE digest = ?1",
         branches::JOINED
     ))?;
     let mut with_place = |row: RecordRow| -> Result<PlacedRecord, StoreError> {
@@ -262,7 +248,7 @@ fn close(connection: &Connection, batch: &NewBatch) -> Result<(), StoreError> {
         Some(known) if directory::begin_again(connection, known)? => known,
         Some(_) => return Ok(()),
         None => {
-            let leaves = i64::try_from(batch.leaves.len()).unwrap_or(i64::MAX);
+            let leaves = capped(batch.leaves.len());
             let sql = "INSERT INTO batches (root, owner, count, closed_at, closed_here) VALUES (?1, ?2, ?3, ?4, 1)";
             connection.run(sql, params![batch.root.0, batch.owner.0, leaves, whole("time", Timestamp::now().0)?])?;
             connection.last_insert_rowid()
@@ -296,10 +282,11 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let Some(key) = found else { return Ok(0) };
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
+    let sql = "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
+        state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
+        WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let changed = connection.run(
-        "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
-             state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
-             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)",
+        sql,
         params![
             key,
             sighting.transaction.0,
@@ -325,7 +312,7 @@ pub(super) fn see_record(
         return Ok(());
     }
     let sql = "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block, block_hash FROM batches WHERE key = ?2),
-             state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
+        state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
     connection.run(sql, params![record, batch, RecordState::Mined.code()])?;
     Ok(())
 }
@@ -345,7 +332,7 @@ pub(super) fn submit(
         return Err(detail("anchors a batch that another transaction anchors"));
     }
     let sql = "UPDATE records SET tx = ?2, state = CASE state WHEN ?3 THEN ?4 ELSE state END
-             WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+        WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![key, transaction.0, RecordState::Batched.code(), RecordState::Submitted.code()])?;
     Ok(())
 }
@@ -359,7 +346,7 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
         return Ok(());
     }
     let sql = "UPDATE records SET tx = NULL, state = CASE state WHEN ?3 THEN ?4 ELSE state END
-             WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+        WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![key, transaction.0, RecordState::Submitted.code(), RecordState::Batched.code()])?;
     Ok(())
 }
@@ -368,16 +355,16 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
 /// transactions that does so continues.
 pub(super) fn take_back(connection: &Connection, block: i64) -> Result<(), StoreError> {
     let sql = "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
-             (SELECT hash, transactions.account FROM transactions
-              WHERE transactions.batch = root AND state = 0 ORDER BY nonce, transactions.key LIMIT 1)
-             WHERE block >= ?1";
+        (SELECT hash, transactions.account FROM transactions
+         WHERE transactions.batch = root AND state = 0 ORDER BY nonce, transactions.key LIMIT 1)
+        WHERE block >= ?1";
     connection.run(sql, [block])?;
     Ok(())
 }
 
 // Anchors made elsewhere: a record that is here gets the one that another ledger made.
 
-impl Ledger {
+impl Batches {
     /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
     /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
     ///
@@ -385,7 +372,7 @@ impl Ledger {
     /// [`StoreError::NotReady`] if the record is unknown here, [`StoreError::Replaced`] if the watcher did not read that
     /// block, [`StoreError::DiskFull`] and the like.
     pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
-        self.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
+        self.0.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
     }
 }
 
@@ -422,9 +409,10 @@ fn batch_of(
     if !is_read(connection, anchor)? {
         return Err(StoreError::Replaced { digest, block: anchor.block });
     }
+    let sql = "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
+        VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING";
     connection.run(
-        "INSERT INTO batches (root, owner, count, closed_at, account, tx, closed_here)
-             VALUES (?1, ?2, ?3, ?4, ?2, ?5, 0) ON CONFLICT DO NOTHING",
+        sql,
         params![
             inclusion.root.0,
             anchor.account.0,
@@ -439,7 +427,7 @@ fn batch_of(
 /// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.
 fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
     let sql = "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
-                 OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
+        OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)";
     Ok(connection.one(
         sql,
         params![whole("block", anchor.block)?, anchor.block_hash.0, whole("block", sightings::DENSE)?],
@@ -460,26 +448,26 @@ pub struct SignerTopic {
     pub records: BTreeMap<RecordState, u64>,
 }
 
-impl Ledger {
+impl Counts {
     /// What keys other than `own` recorded for an owner.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(&format!(
+        self.0.read(|connection| {
+            let sql = format!(
                 "SELECT r.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
-                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-                     JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                     WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
-                     GROUP BY r.signer, {TOPIC_NAME}, c.state"
-            ))?;
+                    JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                    JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                    WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
+                    GROUP BY r.signer, {TOPIC_NAME}, c.state"
+            );
             let mut found: BTreeMap<(SignerId, String), BTreeMap<RecordState, u64>> = BTreeMap::new();
-            let mut rows = statement.query(params![owner.0, RecordKind::Data.code(), own.0])?;
-            while let Some(row) = rows.next()? {
+            connection.each(&sql, params![owner.0, RecordKind::Data.code(), own.0], |row| {
                 let place = (SignerId(row.get(0)?), row.get(1)?);
                 found.entry(place).or_default().insert(rows::state(row, 2)?, unsigned(row, 3)?);
-            }
+                Ok(())
+            })?;
             let topics = found.into_iter().map(|((signer, topic), records)| SignerTopic { signer, topic, records });
             Ok(topics.collect())
         })

@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, params};
 
-use super::Database;
-use super::database::whole;
+use super::Proofs;
 use super::rows::unsigned;
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Hash, SignerId, Timestamp};
 
 /// The values of `batches.proof`.
@@ -53,29 +52,22 @@ pub struct ProofCounts {
     pub missed: u64,
 }
 
-/// What the chain and time authorities prove of batches.
-#[derive(Debug, Clone)]
-pub struct Proofs(pub(super) Database);
-
 impl Proofs {
     /// Anchored batches in blocks up to this one that lack their proof, newest block first.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn unproven_batches(&self, up_to_block: u64, limit: usize) -> Result<Vec<UnprovenBatch>, StoreError> {
-        let (up_to, limit) = (whole("block", up_to_block)?, i64::try_from(limit).unwrap_or(i64::MAX));
+        let (up_to, limit) = (whole("block", up_to_block)?, capped(limit));
         self.0.read(|connection| {
-            let mut batches: Vec<UnprovenBatch> = connection.list(
-                "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
-                 WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
-                 AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2",
-                params![up_to, limit],
-                |row| {
-                    let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
-                    let (key, block) = (unsigned(row, 0)?, unsigned(row, 3)?);
-                    Ok(UnprovenBatch { key, account, root, block, block_hash, signers: Vec::new() })
-                },
-            )?;
+            let sql = "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
+                WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
+                AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2";
+            let mut batches: Vec<UnprovenBatch> = connection.list(sql, params![up_to, limit], |row| {
+                let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
+                let (key, block) = (unsigned(row, 0)?, unsigned(row, 3)?);
+                Ok(UnprovenBatch { key, account, root, block, block_hash, signers: Vec::new() })
+            })?;
             for batch in &mut batches {
                 batch.signers = signers(connection, whole("batch", batch.key)?)?;
             }
@@ -110,11 +102,8 @@ impl Proofs {
             let sql = "REPLACE INTO chain_proofs (block, hash, nodes) VALUES (?1, ?2, ?3)";
             connection.run(sql, params![block, hash.0, keys])?;
             keep_header(connection, block, &header)?;
-            let mut mark = connection
-                .prepare_cached("UPDATE batches SET proof = ?2 WHERE key = ?1 AND block = ?3 AND block_hash = ?4")?;
-            for batch in &batches {
-                mark.execute(params![whole("batch", *batch)?, KEPT, block, hash.0])?;
-            }
+            let sql = "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block = ?3 AND block_hash = ?4";
+            connection.run_each(sql, batches.iter().map(|batch| (capped(*batch), KEPT, block, hash.0)))?;
             Ok(())
         })
     }
@@ -134,9 +123,7 @@ impl Proofs {
     /// [`StoreError::Database`] and its kin.
     pub fn chain_header(&self, block: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let block = whole("block", block)?;
-        self.0.read(|connection| {
-            Ok(connection.find("SELECT header FROM chain_headers WHERE block = ?1", [block], |row| row.get(0))?)
-        })
+        self.0.find("SELECT header FROM chain_headers WHERE block = ?1", [block], |row| row.get(0))
     }
 
     /// The proofs of these batches could not be had: they are counted, and not requested again.
@@ -144,15 +131,8 @@ impl Proofs {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then none is counted.
     pub fn miss_chain_proof(&self, batches: Vec<u64>) -> Result<(), StoreError> {
-        self.0.write(move |session| {
-            let mut mark = session.connection.prepare_cached(
-                "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block IS NOT NULL AND proof IS NULL",
-            )?;
-            for batch in &batches {
-                mark.execute(params![whole("batch", *batch)?, MISSED])?;
-            }
-            Ok(())
-        })
+        let sql = "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block IS NOT NULL AND proof IS NULL";
+        self.0.run_each(sql, batches.into_iter().map(|batch| (capped(batch), MISSED)).collect()).map(drop)
     }
 
     /// What is kept of the state after a block.
@@ -184,24 +164,19 @@ impl Proofs {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.one(
-                "SELECT (SELECT max(block) FROM chain_proofs),
-                 (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)",
-                [],
-                |row| {
-                    let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
-                    Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
-                },
-            )?)
+        let sql = "SELECT (SELECT max(block) FROM chain_proofs),
+            (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)";
+        self.0.one(sql, [], |row| {
+            let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
+            Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
         })
     }
 }
 
 fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId)>, StoreError> {
     let sql = "SELECT DISTINCT topics.owner, recorders.signer FROM leaves JOIN records ON records.n = leaves.record
-         JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic
-         JOIN recorders ON recorders.key = topics.recorder WHERE leaves.batch = ?1";
+        JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic
+        JOIN recorders ON recorders.key = topics.recorder WHERE leaves.batch = ?1";
     Ok(connection.list(sql, [batch], |row| Ok((Address(row.get(0)?), SignerId(row.get(1)?))))?)
 }
 
@@ -256,25 +231,20 @@ impl Proofs {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then nothing is begun.
     pub fn begin_stamp(&self, most: usize, at: Timestamp) -> Result<u64, StoreError> {
-        let (most, at) = (i64::try_from(most).unwrap_or(i64::MAX), whole("time", at.0)?);
+        let (most, at) = (capped(most), whole("time", at.0)?);
         self.0.write(move |session| {
             let connection = session.connection;
             let sql = "SELECT key, root FROM batches WHERE key > coalesce((SELECT max(upto) FROM stamps), 0)
-                       ORDER BY key LIMIT ?1";
-            let found: Vec<(i64, [u8; 32])> = connection
-                .prepare_cached(sql)?
-                .query_map([most], |row| Ok((row.get(0)?, row.get(1)?)))?
-                .collect::<Result<_, _>>()?;
+                ORDER BY key LIMIT ?1";
+            let found: Vec<(i64, [u8; 32])> = connection.list(sql, [most], |row| Ok((row.get(0)?, row.get(1)?)))?;
             let Some((upto, _)) = found.last() else { return Ok(0) };
             let roots: Vec<u8> = found.iter().flat_map(|(_, root)| *root).collect();
             connection
                 .run("INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)", params![at, upto, roots])?;
             let key = connection.last_insert_rowid();
-            let mut add = connection.prepare_cached("INSERT OR IGNORE INTO stamped_roots VALUES (?1, ?2)")?;
-            for (_, root) in &found {
-                add.execute(params![root, key])?;
-            }
-            Ok(u64::try_from(found.len()).unwrap_or(u64::MAX))
+            let sql = "INSERT OR IGNORE INTO stamped_roots VALUES (?1, ?2)";
+            connection.run_each(sql, found.iter().map(|(_, root)| (root, key)))?;
+            Ok(count(found.len()))
         })
     }
 
@@ -284,16 +254,13 @@ impl Proofs {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn waiting_stamps(&self, authority: Hash, limit: usize) -> Result<Vec<KeptStamp>, StoreError> {
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.0.read(|connection| {
-            let sql = "SELECT key, roots FROM stamps
-                       WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
-                       AND (key > (SELECT max(key) FROM stamps) - ?2
-                            OR NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key))
-                       ORDER BY key LIMIT ?3";
-            Ok(connection.list(sql, params![authority.0, NEWEST, limit], |row| {
-                Ok(KeptStamp { key: unsigned(row, 0)?, roots: hashes(&row.get::<_, Vec<u8>>(1)?), tokens: Vec::new() })
-            })?)
+        let sql = "SELECT key, roots FROM stamps
+            WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
+            AND (key > (SELECT max(key) FROM stamps) - ?2
+                 OR NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key))
+            ORDER BY key LIMIT ?3";
+        self.0.list(sql, params![authority.0, NEWEST, capped(limit)], |row| {
+            Ok(KeptStamp { key: unsigned(row, 0)?, roots: hashes(&row.get::<_, Vec<u8>>(1)?), tokens: Vec::new() })
         })
     }
 
@@ -303,11 +270,8 @@ impl Proofs {
     /// [`StoreError::DiskFull`] and the like: then it is requested again.
     pub fn keep_token(&self, stamp: u64, authority: Hash, before: Timestamp, token: Vec<u8>) -> Result<(), StoreError> {
         let (stamp, before) = (whole("stamp", stamp)?, whole("time", before.0)?);
-        self.0.write(move |session| {
-            let sql = "INSERT OR IGNORE INTO stamp_tokens VALUES (?1, ?2, ?3, ?4)";
-            session.connection.run(sql, params![stamp, authority.0, before, token])?;
-            Ok(())
-        })
+        let sql = "INSERT OR IGNORE INTO stamp_tokens VALUES (?1, ?2, ?3, ?4)";
+        self.0.run(sql, (stamp, authority.0, before, token))
     }
 
     /// The number of the stamp that a root is under.
@@ -315,9 +279,7 @@ impl Proofs {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn stamp_of(&self, root: Hash) -> Result<Option<u64>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.find("SELECT stamp FROM stamped_roots WHERE root = ?1", [root.0], |row| unsigned(row, 0))?)
-        })
+        self.0.find("SELECT stamp FROM stamped_roots WHERE root = ?1", [root.0], |row| unsigned(row, 0))
     }
 
     /// A stamp with its tokens.
@@ -327,12 +289,10 @@ impl Proofs {
     pub fn stamp(&self, key: u64) -> Result<Option<KeptStamp>, StoreError> {
         let number = whole("stamp", key)?;
         self.0.read(|connection| {
-            let mut statement = connection.prepare_cached("SELECT roots FROM stamps WHERE key = ?1")?;
-            let roots = statement.query_row([number], |row| row.get::<_, Vec<u8>>(0)).optional()?;
-            let Some(roots) = roots else { return Ok(None) };
-            let mut statement =
-                connection.prepare_cached("SELECT token FROM stamp_tokens WHERE stamp = ?1 ORDER BY authority")?;
-            let tokens = statement.query_map([number], |row| row.get(0))?.collect::<Result<_, _>>()?;
+            let sql = "SELECT roots FROM stamps WHERE key = ?1";
+            let Some(roots) = connection.find(sql, [number], |row| row.get::<_, Vec<u8>>(0))? else { return Ok(None) };
+            let sql = "SELECT token FROM stamp_tokens WHERE stamp = ?1 ORDER BY authority";
+            let tokens = connection.list(sql, [number], |row| row.get(0))?;
             Ok(Some(KeptStamp { key, roots: hashes(&roots), tokens }))
         })
     }
@@ -342,16 +302,13 @@ impl Proofs {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn stamp_counts(&self) -> Result<StampCounts, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
-                       (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
-            Ok(connection.one(sql, [], |row| {
-                let time = |at| {
-                    Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(at)?.map(|at| Timestamp(at.cast_unsigned())))
-                };
-                let (all, stamped) = (unsigned(row, 0)?, unsigned(row, 1)?);
-                Ok(StampCounts { stamped, waiting: all.saturating_sub(stamped), newest: time(2)?, before: time(3)? })
-            })?)
+        let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
+            (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";
+        self.0.one(sql, [], |row| {
+            let time =
+                |at| Ok::<_, rusqlite::Error>(row.get::<_, Option<i64>>(at)?.map(|at| Timestamp(at.cast_unsigned())));
+            let (all, stamped) = (unsigned(row, 0)?, unsigned(row, 1)?);
+            Ok(StampCounts { stamped, waiting: all.saturating_sub(stamped), newest: time(2)?, before: time(3)? })
         })
     }
 }
@@ -371,10 +328,10 @@ mod tests {
     const ACCOUNT: Address = Address([1; 20]);
 
     fn anchored(ledger: &Ledger, number: u8, block: u64) {
-        ledger.append(vec![record(number)]).expect("acknowledged");
+        ledger.records.append(vec![record(number)]).expect("acknowledged");
         let root = Hash([number; 32]);
         let leaves = vec![(Digest([number; 32]), Vec::new())];
-        ledger.close_batch(NewBatch { owner: ACCOUNT, root, leaves }).expect("closed");
+        ledger.batches.close(NewBatch { owner: ACCOUNT, root, leaves }).expect("closed");
         see(ledger, number, block);
     }
 
@@ -382,7 +339,7 @@ mod tests {
         let (root, transaction) = (Hash([number; 32]), Hash([0xcc; 32]));
         let block_hash = Hash([u8::try_from(block).expect("small"); 32]);
         let sighting = RootSighting { account: ACCOUNT, root, count: 1, transaction, block, block_hash };
-        ledger.anchored(&[sighting]).expect("seen");
+        ledger.batches.anchored(&[sighting]).expect("seen");
     }
 
     fn blocks(ledger: &Ledger, up_to: u64) -> Vec<u64> {
@@ -428,6 +385,7 @@ mod tests {
         let headers = [6, 7, 8, 9].map(|block| ledger.proofs.chain_header(block).expect("read"));
         assert_eq!(headers, [None, Some(vec![7]), Some(vec![8]), Some(vec![9])]);
         let nodes: i64 = ledger
+            .database
             .read(|connection| Ok(connection.query_row("SELECT count(*) FROM chain_nodes", [], |row| row.get(0))?))
             .expect("read");
         assert_eq!(nodes, 4);
@@ -443,7 +401,7 @@ mod tests {
             .proofs
             .keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])])
             .expect("kept");
-        ledger.unmine(7).expect("unwound");
+        ledger.batches.take_back(7).expect("unwound");
         assert_eq!(blocks(&ledger, 9), Vec::<u64>::new(), "it is in no block");
         see(&ledger, 1, 8);
         assert_eq!(blocks(&ledger, 9), [8]);
@@ -465,9 +423,9 @@ mod stamps_tests {
     use crate::model::{Address, Digest};
 
     fn close(ledger: &Ledger, number: u8) {
-        ledger.append(vec![record(number)]).expect("acknowledged");
+        ledger.records.append(vec![record(number)]).expect("acknowledged");
         let leaves = vec![(Digest([number; 32]), Vec::new())];
-        ledger.close_batch(NewBatch { owner: Address([1; 20]), root: Hash([number; 32]), leaves }).expect("closed");
+        ledger.batches.close(NewBatch { owner: Address([1; 20]), root: Hash([number; 32]), leaves }).expect("closed");
     }
 
     #[test]

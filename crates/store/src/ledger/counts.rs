@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use rusqlite::{Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
 
-use super::Ledger;
+use super::Counts;
 use super::rows::{self, Stream, Which, unsigned};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
@@ -49,7 +49,7 @@ pub struct TopicCounts {
 /// The counts of an owner's records, or of all, by state.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct StateCounts {
-    /// Data records per state; `dropped` includes the messages counted by [`Ledger::count_losses`].
+    /// Data records per state; `dropped` includes the messages counted by [`super::Losses::count`].
     pub data: BTreeMap<RecordState, u64>,
     /// All data records ever acknowledged; counted independently, not summed.
     pub acknowledged: u64,
@@ -101,15 +101,14 @@ impl StateCounts {
     }
 }
 
-impl Ledger {
+impl Counts {
     /// Counts per state and topic; costs the same whatever the number of records.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn counts(&self, owner: Option<Address>) -> Result<StateCounts, StoreError> {
-        self.read(|connection| {
-            let streams =
-                rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
+    pub fn by_state(&self, owner: Option<Address>) -> Result<StateCounts, StoreError> {
+        self.0.read(|connection| {
+            let streams = rows::all_streams(connection)?;
             let mut tally = Tally::default();
             tally.add_records(connection, owner, &streams)?;
             tally.add_intake(connection, owner, &streams)?;
@@ -129,27 +128,15 @@ impl Ledger {
         epoch: u64,
         topics: Option<&[TopicId]>,
     ) -> Result<(u64, Option<Timestamp>), StoreError> {
-        let epoch = whole("epoch", epoch)?;
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT topics.topic_id, epoch_records.records, first_at FROM epoch_records
-                 JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
-                 WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3",
-            )?;
-            let values = params![owner.0, epoch, RecordKind::Data.code()];
-            let found = statement.query_map(values, |row| {
-                Ok((TopicId(row.get(0)?), rows::unsigned(row, 1)?, Timestamp(rows::unsigned(row, 2)?)))
-            })?;
-            let (mut records, mut first) = (0, None::<Timestamp>);
-            for row in found {
-                let (topic, count, at) = row?;
-                if topics.is_none_or(|topics| topics.contains(&topic)) {
-                    records += count;
-                    first = Some(first.map_or(at, |first| first.min(at)));
-                }
-            }
-            Ok((records, first))
-        })
+        let sql = "SELECT topics.topic_id, epoch_records.records, first_at FROM epoch_records
+            JOIN streams ON streams.key = epoch_records.stream JOIN topics ON topics.key = streams.topic
+            WHERE topics.owner = ?1 AND epoch = ?2 AND kind = ?3";
+        let values = params![owner.0, whole("epoch", epoch)?, RecordKind::Data.code()];
+        let mut found: Vec<(TopicId, u64, Timestamp)> = self
+            .0
+            .list(sql, values, |row| Ok((TopicId(row.get(0)?), unsigned(row, 1)?, Timestamp(unsigned(row, 2)?))))?;
+        found.retain(|(topic, ..)| topics.is_none_or(|topics| topics.contains(topic)));
+        Ok((found.iter().map(|(_, records, _)| records).sum(), found.iter().map(|(.., first)| *first).min()))
     }
 
     /// Records of all owners and kinds in each state.
@@ -157,10 +144,8 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn in_each_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
-            Ok(connection.list(sql, [], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))?)
-        })
+        let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
+        self.0.list(sql, [], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))
     }
 }
 
@@ -177,17 +162,15 @@ impl Tally {
         owner: Option<Address>,
         streams: &HashMap<i64, Stream>,
     ) -> Result<(), StoreError> {
-        let mut statement =
-            connection.prepare_cached("SELECT stream, state, records, bytes FROM counters ORDER BY stream")?;
-        let mut rows = statement.query([])?;
-        while let Some(row) = rows.next()? {
+        let sql = "SELECT stream, state, records, bytes FROM counters ORDER BY stream";
+        connection.each(sql, [], |row| {
             let stream = streams.get(&row.get(0)?).ok_or_else(|| rows::out_of_range(0))?;
-            let (state, records, bytes) = (rows::state(row, 1)?, rows::unsigned(row, 2)?, rows::unsigned(row, 3)?);
+            let (state, records, bytes) = (rows::state(row, 1)?, unsigned(row, 2)?, unsigned(row, 3)?);
             if records > 0 && owner.is_none_or(|owner| owner == stream.owner) {
                 self.add(stream, state, records, bytes);
             }
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     fn add_intake(
@@ -196,17 +179,15 @@ impl Tally {
         owner: Option<Address>,
         streams: &HashMap<i64, Stream>,
     ) -> Result<(), StoreError> {
-        let mut statement = connection.prepare_cached("SELECT stream, records FROM intake")?;
-        let mut rows = statement.query([])?;
-        while let Some(row) = rows.next()? {
+        connection.each("SELECT stream, records FROM intake", [], |row| {
             let stream = streams.get(&row.get(0)?).ok_or_else(|| rows::out_of_range(0))?;
             if stream.kind == RecordKind::Data && owner.is_none_or(|owner| owner == stream.owner) {
-                let records = rows::unsigned(row, 1)?;
+                let records = unsigned(row, 1)?;
                 self.counts.acknowledged += records;
                 self.topic(stream.owner, &stream.topic).captured += records;
             }
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     fn add(&mut self, stream: &Stream, state: RecordState, records: u64, bytes: u64) {
@@ -305,7 +286,7 @@ pub struct CoverageQuery {
 }
 
 /// The records in a part of the span.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoveragePart {
     /// Its beginning.
     pub at: Timestamp,
@@ -317,6 +298,19 @@ pub struct CoveragePart {
     pub tampered: bool,
     /// Messages that were lost, as far as noticed in this part; what is spread over several counts in each.
     pub lost: u64,
+}
+
+impl CoveragePart {
+    /// The sign of a part: the worst of its findings.
+    pub fn sign(&self) -> char {
+        match self {
+            Self { tampered: true, .. } => 'T',
+            Self { quarantined: true, .. } => 'Q',
+            Self { lost: 1.., .. } => 'L',
+            Self { data: true, .. } => '█',
+            _ => '·',
+        }
+    }
 }
 
 /// When there are records of a topic.
@@ -336,13 +330,13 @@ pub struct Coverage {
     pub parts: Vec<CoveragePart>,
 }
 
-impl Ledger {
+impl Counts {
     /// When there are data records of a topic: one lookup for each part and each of its streams and states.
     ///
     /// # Errors
     /// [`StoreError::TooBig`] if a time is not valid, [`StoreError::Database`] and its kin.
     pub fn coverage(&self, query: &CoverageQuery) -> Result<Coverage, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut lanes = lanes(connection, query)?;
             let signers = lanes.iter().map(|lane| lane.signer).collect();
             if let Some(wanted) = &query.signers {
@@ -372,13 +366,11 @@ struct Lane {
 fn lanes(connection: &Connection, query: &CoverageQuery) -> Result<Vec<Lane>, StoreError> {
     let mut streams = rows::streams(connection, &Which::Of(query.owner))?;
     streams.retain(|stream| stream.topic == query.topic && stream.kind == RecordKind::Data);
-    let mut statement = connection.prepare_cached("SELECT state FROM counters WHERE stream = ?1 AND records > 0")?;
+    let sql = "SELECT state FROM counters WHERE stream = ?1 AND records > 0";
     let mut lanes = Vec::new();
-    for stream in streams {
-        let states = statement.query_map([stream.key], |row| rows::state(row, 0))?;
-        for state in states {
-            lanes.push(Lane { stream: stream.key, signer: stream.signer, state: state? });
-        }
+    for Stream { key, signer, .. } in streams {
+        let states: Vec<_> = connection.list(sql, [key], |row| rows::state(row, 0))?;
+        lanes.extend(states.into_iter().map(|state| Lane { stream: key, signer, state }));
     }
     Ok(lanes)
 }
@@ -420,7 +412,7 @@ impl Lane {
     fn walk(&self, connection: &Connection, until: Timestamp, parts: &mut [CoveragePart]) -> Result<(), StoreError> {
         let mut statement = connection.prepare_cached(
             "SELECT captured_at FROM records INDEXED BY records_by_state
-             WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1",
+                WHERE state = ?1 AND stream = ?2 AND captured_at >= ?3 AND captured_at < ?4 ORDER BY captured_at LIMIT 1",
         )?;
         let mut from = parts.first().map(|part| part.at);
         while let Some(at) = from {
@@ -457,7 +449,7 @@ fn add_losses(connection: &Connection, query: &CoverageQuery, parts: &mut [Cover
     let Some(since) = parts.first().map(|part| part.at) else { return Ok(()) };
     let mut statement = connection.prepare_cached(
         "SELECT count, first_at, last_at FROM gaps WHERE owner = ?1 AND topic = ?2 AND last_at >= ?3 AND first_at < ?4
-         ORDER BY key DESC LIMIT ?5",
+            ORDER BY key DESC LIMIT ?5",
     )?;
     let (since, until) = (whole("time", since.0)?, whole("time", query.until.0)?);
     let mut found = statement.query(params![query.owner.0, query.topic, since, until, MOST_LOSSES])?;
@@ -483,25 +475,16 @@ pub struct OwnerUsage {
     pub streams: u64,
 }
 
-impl Ledger {
+impl Counts {
     /// An owner's usage here. The cost is proportional to its streams.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn owner_usage(&self, owner: Address) -> Result<OwnerUsage, StoreError> {
-        self.read(|connection| {
-            let usage = connection.one(
-                "SELECT count(DISTINCT s.key), coalesce(sum(c.bytes), 0)
-                     FROM topics t JOIN streams s ON s.topic = t.key LEFT JOIN counters c ON c.stream = s.key
-                     WHERE t.owner = ?1",
-                [owner.0],
-                |row| {
-                    let (streams, bytes): (i64, i64) = (row.get(0)?, row.get(1)?);
-                    Ok(OwnerUsage { bytes: bytes.cast_unsigned(), streams: streams.cast_unsigned() })
-                },
-            )?;
-            Ok(usage)
-        })
+    pub fn usage(&self, owner: Address) -> Result<OwnerUsage, StoreError> {
+        let sql = "SELECT count(DISTINCT s.key), coalesce(sum(c.bytes), 0)
+            FROM topics t JOIN streams s ON s.topic = t.key LEFT JOIN counters c ON c.stream = s.key
+            WHERE t.owner = ?1";
+        self.0.one(sql, [owner.0], |row| Ok(OwnerUsage { streams: unsigned(row, 0)?, bytes: unsigned(row, 1)? }))
     }
 
     /// Whether an owner already has such a stream.
@@ -514,13 +497,10 @@ impl Ledger {
         (recorder, topic): (RecorderId, TopicId),
         (kind, type_name, signer): (RecordKind, &str, SignerId),
     ) -> Result<bool, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT EXISTS (SELECT 1 FROM topics t JOIN streams s ON s.topic = t.key
-                     WHERE t.owner = ?1 AND t.topic_id = ?2
-                     AND t.recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?6)
-                     AND s.kind = ?4 AND s.type_name = ?5)";
-            Ok(connection
-                .one(sql, params![owner.0, topic.0, recorder.0, kind.code(), type_name, signer.0], |row| row.get(0))?)
-        })
+        let sql = "SELECT EXISTS (SELECT 1 FROM topics t JOIN streams s ON s.topic = t.key
+            WHERE t.owner = ?1 AND t.topic_id = ?2
+            AND t.recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?6)
+            AND s.kind = ?4 AND s.type_name = ?5)";
+        self.0.one(sql, params![owner.0, topic.0, recorder.0, kind.code(), type_name, signer.0], |row| row.get(0))
     }
 }

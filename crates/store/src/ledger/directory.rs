@@ -4,17 +4,16 @@
 
 use std::path::Path;
 
-use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use rusqlite::{Connection, Row, params};
 
-use super::append::count;
 use super::query::Glance;
-use super::rows::{self, By, may, unsigned};
+use super::rows::{By, may, unsigned};
 use super::writer::Session;
-use super::{Database, Ledger};
+use super::{Batches, Rights, batches};
 use crate::StoreError;
 use crate::chain::merkle::Leaf;
-use crate::database::{Statements as _, whole};
-use crate::model::{Address, Digest, Domain, RecordState, RecorderId, SignerId, Token, TopicId};
+use crate::database::{Statements as _, capped, count, whole};
+use crate::model::{Address, Digest, Domain, RecordState, SignerId, Token};
 
 /// The subject of an event, as far as it matters here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,12 +92,12 @@ pub struct KeptEnvelope {
 /// grant.
 pub(super) const ENDING: [&str; 3] = [
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?3
-     WHERE owner = ?1 AND kind = 3 AND grantee = ?2 AND replaced IS NULL AND revoked IS NULL",
+        WHERE owner = ?1 AND kind = 3 AND grantee = ?2 AND replaced IS NULL AND revoked IS NULL",
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?2
-     WHERE owner = ?1 AND kind = 4 AND replaced IS NULL AND revoked IS NULL",
+        WHERE owner = ?1 AND kind = 4 AND replaced IS NULL AND revoked IS NULL",
     "UPDATE rights INDEXED BY rights_standing SET revoked = ?4, revoked_at = ?3
-     WHERE owner = ?1 AND kind IN (1, 2, 3) AND grantee = ?2
-     AND replaced IS NULL AND revoked IS NULL",
+        WHERE owner = ?1 AND kind IN (1, 2, 3) AND grantee = ?2
+        AND replaced IS NULL AND revoked IS NULL",
 ];
 /// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
@@ -106,10 +105,6 @@ const WHOLE_BLOCK: i64 = i64::MAX;
 pub(super) const PIN: &str = "SELECT pin FROM contract";
 /// Notes the last event.
 const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
-
-/// Who may do what: events of the contract, and envelopes.
-#[derive(Debug, Clone)]
-pub struct Rights(pub(super) Database);
 
 impl Rights {
     /// The file in which they are.
@@ -138,7 +133,7 @@ impl Rights {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
-        self.0.read(|connection| Ok(connection.find(PIN, [], |row| row.get(0))?))
+        self.0.find(PIN, [], |row| row.get(0))
     }
 
     /// The same of a ledger that is not opened, because it may be in use or damaged; nothing is written.
@@ -168,9 +163,8 @@ impl Rights {
         self.0.read(|connection| {
             let (block, place) = last_event(connection)?;
             let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
-                       WHERE replaced IS NULL AND revoked IS NULL ORDER BY block, place";
-            let mut statement = connection.prepare_cached(sql)?;
-            let events = statement.query_map([], kept)?.collect::<Result<_, _>>()?;
+                WHERE replaced IS NULL AND revoked IS NULL ORDER BY block, place";
+            let events = connection.list(sql, [], kept)?;
             let last = (place >= 0).then_some((block.cast_unsigned(), place.cast_unsigned()));
             Ok(StandingRights { last, events })
         })
@@ -181,12 +175,9 @@ impl Rights {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
-                       WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
-            let mut statement = connection.prepare_cached(sql)?;
-            Ok(statement.query_map([account.0], kept)?.collect::<Result<_, _>>()?)
-        })
+        let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
+            WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
+        self.0.list(sql, [account.0], kept)
     }
 
     /// Undoes the events of all blocks from `from` on, and what they superseded, in one commit.
@@ -219,12 +210,8 @@ impl Rights {
     /// [`StoreError::Database`] and the like.
     pub fn rights_in(&self, from: u64, to: u64) -> Result<Vec<KeptRight>, StoreError> {
         let (from, to) = (whole("block", from)?, whole("block", to)?);
-        self.0.read(|connection| {
-            let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2
-                       ORDER BY block, place";
-            let mut statement = connection.prepare_cached(sql)?;
-            Ok(statement.query_map([from, to], kept)?.collect::<Result<_, _>>()?)
-        })
+        let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2 ORDER BY block, place";
+        self.0.list(sql, [from, to], kept)
     }
 
     /// Which of these events, by block and index, are not stored.
@@ -233,14 +220,8 @@ impl Rights {
     /// [`StoreError::Database`] and the like.
     pub fn unknown_rights(&self, places: &[(u64, u64)]) -> Result<Vec<(u64, u64)>, StoreError> {
         self.0.read(|connection| {
-            let mut find = connection.prepare_cached("SELECT 1 FROM rights WHERE block = ?1 AND place = ?2")?;
-            let mut unknown = Vec::new();
-            for (block, place) in places {
-                if !find.exists([whole("block", *block)?, whole("place", *place)?])? {
-                    unknown.push((*block, *place));
-                }
-            }
-            Ok(unknown)
+            let sql = "SELECT 1 FROM rights WHERE block = ?1 AND place = ?2";
+            connection.among(sql, places, |(block, place)| Ok([whole("block", block)?, whole("place", place)?]), false)
         })
     }
 
@@ -266,12 +247,10 @@ impl Rights {
             for (side, index) in [("owner", "rights_given"), ("grantee", "rights_received")] {
                 let sql = format!(
                     "SELECT block, place, event, revoked FROM rights INDEXED BY {index}
-                     WHERE {side} = ?1 AND revoked IS NOT NULL AND replaced IS NULL AND kind IN (1, 3)"
+                        WHERE {side} = ?1 AND revoked IS NOT NULL AND replaced IS NULL AND kind IN (1, 3)"
                 );
-                let mut statement = connection.prepare_cached(&sql)?;
-                for row in statement.query_map([account.0], kept)? {
-                    found.push(row?);
-                }
+                let one: Vec<_> = connection.list(&sql, [account.0], kept)?;
+                found.extend(one);
             }
             found.sort_by_key(|row| (row.block, row.place));
             found.dedup();
@@ -291,20 +270,18 @@ impl Rights {
         revoked: Option<u64>,
     ) -> Result<Vec<KeptEnvelope>, StoreError> {
         let asked = whole("epoch", revoked.unwrap_or(0))?;
-        self.0.read(|connection| {
-            let (index, which) = match revoked {
-                None => ("rights_standing", "replaced IS NULL AND revoked IS NULL AND ?3 = 0"),
-                Some(_) => ("rights_given", "revoked IS NOT NULL AND revoked = ?3"),
-            };
-            let sql = format!(
-                "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY {index}
-                 JOIN envelopes e ON e.block = r.block AND e.place = r.place
-                 WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
-                 ORDER BY r.block, r.place"
-            );
-            Ok(connection.list(&sql, params![owner.0, grantee.0, asked], |row| {
-                Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-            })?)
+        let (index, which) = match revoked {
+            None => ("rights_standing", "replaced IS NULL AND revoked IS NULL AND ?3 = 0"),
+            Some(_) => ("rights_given", "revoked IS NOT NULL AND revoked = ?3"),
+        };
+        let sql = format!(
+            "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY {index}
+                JOIN envelopes e ON e.block = r.block AND e.place = r.place
+                WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
+                ORDER BY r.block, r.place"
+        );
+        self.0.list(&sql, params![owner.0, grantee.0, asked], |row| {
+            Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
         })
     }
 
@@ -314,13 +291,11 @@ impl Rights {
     /// [`StoreError::Database`] and the like.
     pub fn own_envelopes(&self, owner: Address, from: u64, to: u64) -> Result<Vec<KeptEnvelope>, StoreError> {
         let (from, to) = (whole("epoch", from)?, whole("epoch", to)?);
-        self.0.read(|connection| {
-            let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
-                       JOIN envelopes e ON e.block = r.block AND e.place = r.place
-                       WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
-            Ok(connection.list(sql, params![owner.0, from, to], |row| {
-                Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
-            })?)
+        let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
+            JOIN envelopes e ON e.block = r.block AND e.place = r.place
+            WHERE owner = ?1 AND epoch BETWEEN ?2 AND ?3 AND kind = 6 ORDER BY r.block, r.place";
+        self.0.list(sql, params![owner.0, from, to], |row| {
+            Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
         })
     }
 
@@ -330,10 +305,8 @@ impl Rights {
     /// [`StoreError::Database`] and the like.
     pub fn envelope_at(&self, block: u64, place: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let at = (whole("block", block)?, whole("place", place)?);
-        self.0.read(|connection| {
-            let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
-            Ok(connection.find(sql, [at.0, at.1], |row| row.get(0))?)
-        })
+        let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
+        self.0.find(sql, [at.0, at.1], |row| row.get(0))
     }
 
     /// The token that an owner registered for an epoch.
@@ -342,12 +315,10 @@ impl Rights {
     /// [`StoreError::Database`] and the like.
     pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
-        self.0.read(|connection| {
-            let sql = "SELECT token FROM rights INDEXED BY rights_tokens
-                       WHERE owner = ?1 AND epoch = ?2 AND token IS NOT NULL
-                       ORDER BY block, place LIMIT 1";
-            Ok(connection.find(sql, params![owner.0, epoch], |row| row.get(0).map(Token))?)
-        })
+        let sql = "SELECT token FROM rights INDEXED BY rights_tokens
+            WHERE owner = ?1 AND epoch = ?2 AND token IS NOT NULL
+            ORDER BY block, place LIMIT 1";
+        self.0.find(sql, params![owner.0, epoch], |row| row.get(0).map(Token))
     }
 
     /// Whether an owner ever registered this token.
@@ -355,11 +326,8 @@ impl Rights {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn ever_had_token(&self, owner: Address, token: Token) -> Result<bool, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens
-                       WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
-            Ok(connection.has(sql, params![owner.0, token.0])?)
-        })
+        let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
+        self.0.has(sql, params![owner.0, token.0])
     }
 }
 
@@ -370,8 +338,8 @@ fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
 
 /// Block and index of the last event stored; (0, -1) before the first.
 fn last_event(connection: &Connection) -> Result<(i64, i64), StoreError> {
-    let found = connection.one("SELECT block, place FROM contract", [], |row| Ok((row.get(0)?, row.get(1)?)));
-    Ok(found.optional()?.unwrap_or((0, -1)))
+    let found = connection.find("SELECT block, place FROM contract", [], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    Ok(found.unwrap_or((0, -1)))
 }
 
 fn keep_all(session: &Session<'_>, events: &[RightEvent]) -> Result<(), StoreError> {
@@ -413,9 +381,10 @@ fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreEr
 fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
     let (block, place) = (whole("block", event.block)?, whole("place", event.place)?);
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
+    let sql = "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
     connection.run(
-        "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event, replaced)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+        sql,
         params![
             block,
             place,
@@ -456,29 +425,24 @@ pub struct WaitingSigner {
 /// The streams of one signer and owner that an account anchors.
 const STREAMS: &str =
     "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-     WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
+        WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
 
-impl Ledger {
+impl Batches {
     /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
-                 FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-                 JOIN counters c ON c.stream = s.key
-                 WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
-                 GROUP BY t.owner, r.signer",
-            )?;
-            let [held, stored, batched] =
-                [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
-            let found = statement.query_map(params![keeper.0, held, stored, batched], |row| {
-                let (owner, signer) = (Address(row.get(0)?), SignerId(row.get(1)?));
-                Ok(WaitingSigner { owner, signer, held: row.get(2)?, ready: row.get(3)? })
-            })?;
-            Ok(found.collect::<Result<_, _>>()?)
+        let [held, stored, batched] =
+            [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
+        let sql = "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
+            FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+            JOIN counters c ON c.stream = s.key
+            WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
+            GROUP BY t.owner, r.signer";
+        self.0.list(sql, params![keeper.0, held, stored, batched], |row| {
+            let (owner, signer) = (Address(row.get(0)?), SignerId(row.get(1)?));
+            Ok(WaitingSigner { owner, signer, held: row.get(2)?, ready: row.get(3)? })
         })
     }
 
@@ -489,7 +453,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn hold_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
-        self.write_many(MOST, move |session| {
+        self.0.write_many(MOST, move |session| {
             for batch in unsent_batches(session.connection, keeper, owner, signer)? {
                 dissolve(session.connection, batch)?;
             }
@@ -503,7 +467,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn free_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
-        self.write_many(MOST, move |session| {
+        self.0.write_many(MOST, move |session| {
             shift(session.connection, (keeper, owner, signer), RecordState::RightEnded, RecordState::Stored)
         })
     }
@@ -515,7 +479,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn pass_over(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
+        self.0.write_many(digests.len(), move |session| {
             digests.iter().try_fold(0, |moved, digest| Ok(moved + pass_over_one(session.connection, *digest)?))
         })
     }
@@ -525,22 +489,11 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
-                 JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
-                 JOIN recorders ON recorders.key = topics.recorder
-                 WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3",
-            )?;
-            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            let found = statement.query_map(params![keeper.0, RecordState::Stored.code(), limit], |row| {
-                let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
-                let (seq, digest, owner) = (rows::unsigned(row, 2)?, Digest(row.get(3)?), Address(row.get(4)?));
-                let signer = SignerId(row.get(5)?);
-                Ok(Leaf { owner, signer, recorder, topic_id, seq, digest })
-            })?;
-            Ok(found.collect::<Result<_, _>>()?)
-        })
+        let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
+            JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
+            JOIN recorders ON recorders.key = topics.recorder
+            WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3";
+        self.0.list(sql, params![keeper.0, RecordState::Stored.code(), capped(limit)], batches::leaf)
     }
 }
 
@@ -556,7 +509,7 @@ fn shift(
     }
     let sql = format!(
         "UPDATE records SET state = ?5 WHERE n IN (SELECT n FROM records INDEXED BY records_by_state
-         WHERE state = ?4 AND stream IN ({STREAMS}) LIMIT {MOST})"
+            WHERE state = ?4 AND stream IN ({STREAMS}) LIMIT {MOST})"
     );
     let values = params![keeper.0, owner.0, signer.0, from.code(), to.code()];
     Ok(count(connection.run(&sql, values)?))
@@ -571,13 +524,11 @@ fn unsent_batches(
 ) -> Result<Vec<i64>, StoreError> {
     let sql = format!(
         "SELECT DISTINCT batch FROM records INDEXED BY records_by_state JOIN leaves ON record = n
-         JOIN batches ON key = batch WHERE state = ?4 AND stream IN ({STREAMS})
-         AND batches.tx IS NULL AND batches.block IS NULL"
+            JOIN batches ON key = batch WHERE state = ?4 AND stream IN ({STREAMS})
+            AND batches.tx IS NULL AND batches.block IS NULL"
     );
-    let mut statement = connection.prepare_cached(&sql)?;
     let values = params![keeper.0, owner.0, signer.0, RecordState::Batched.code()];
-    let found = statement.query_map(values, |row| row.get(0))?;
-    Ok(found.collect::<Result<_, _>>()?)
+    Ok(connection.list(&sql, values, |row| row.get(0))?)
 }
 
 /// An unsent batch is dissolved; its root stays known as this ledger's.
@@ -621,7 +572,7 @@ pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, S
     }
     connection.run("DELETE FROM left_places WHERE batch = ?1", [batch])?;
     let sql = "UPDATE batches SET tx = NULL, account = NULL, block = NULL, block_hash = NULL, closed_here = 1
-             WHERE key = ?1";
+        WHERE key = ?1";
     connection.run(sql, [batch])?;
     Ok(true)
 }

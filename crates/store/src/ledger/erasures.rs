@@ -9,14 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use super::append::add;
 use super::batches::take_in;
-use super::database::whole;
 use super::retention::{is_held, name};
 use super::rows::{LEARNED_NAME, state, unsigned};
-use super::{Ledger, NewRecord, RootSighting};
+use super::{Erasures, NewRecord, RootSighting};
 use crate::StoreError;
 use crate::chain::merkle::Inclusion;
 use crate::crypto::ErasedStatement;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, PublicKey, RecordState, Timestamp, clean};
 use crate::notes::{self, Erased};
 
@@ -79,31 +78,26 @@ pub enum ToldErased {
     Unchanged,
 }
 
-impl Ledger {
+impl Erasures {
     /// Notes what owners of this home state of records that they had erased; what was noted before is replaced.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none is noted.
-    pub fn keep_erasures(&self, stated: Vec<StatedErasure>) -> Result<(), StoreError> {
-        self.write_many(stated.len(), move |session| {
-            let mut put = session.connection.prepare_cached(
-                "REPLACE INTO erasures (record, statement, account, taken)
-                 SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
-                 FROM records WHERE digest = ?1",
-            )?;
-            for StatedErasure { digest, statement, account } in &stated {
-                put.execute(params![digest.0, statement, account])?;
-            }
-            Ok(())
-        })
+    pub fn keep(&self, stated: Vec<StatedErasure>) -> Result<(), StoreError> {
+        let sql = "REPLACE INTO erasures (record, statement, account, taken)
+            SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
+            FROM records WHERE digest = ?1";
+        self.0
+            .run_each(sql, stated.into_iter().map(|one| (one.digest.0, one.statement, one.account)).collect())
+            .map(drop)
     }
 
     /// What is stated of an erased record.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn kept_erasure(&self, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
-        self.read(|connection| kept(connection, digest))
+    pub fn kept(&self, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
+        self.0.read(|connection| kept(connection, digest))
     }
 
     /// What was erased here and may be told to the gateway after a number, in order: what its owner's account has signed for, and
@@ -111,15 +105,13 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn erasures(&self, after: u64, limit: usize) -> Result<ErasurePage, StoreError> {
-        let after = i64::try_from(after).unwrap_or(i64::MAX);
-        self.read(|connection| {
+    pub fn list(&self, after: u64, limit: usize) -> Result<ErasurePage, StoreError> {
+        self.0.read(|connection| {
             let sql = "SELECT erasures.n, digest, statement, account FROM erasures JOIN records one ON one.n = record
-                 WHERE erasures.n > ?1 AND account IS NOT NULL AND deleted_at IS NOT NULL ORDER BY erasures.n LIMIT ?2";
-            let rows: Vec<_> =
-                connection.list(sql, params![after, i64::try_from(limit).unwrap_or(i64::MAX)], |row| {
-                    Ok((unsigned(row, 0)?, (Digest(row.get(1)?), row.get(2)?, row.get(3)?)))
-                })?;
+                WHERE erasures.n > ?1 AND account IS NOT NULL AND deleted_at IS NOT NULL ORDER BY erasures.n LIMIT ?2";
+            let rows: Vec<_> = connection.list(sql, params![capped(after), capped(limit)], |row| {
+                Ok((unsigned(row, 0)?, (Digest(row.get(1)?), row.get(2)?, row.get(3)?)))
+            })?;
             let (last, more) = (rows.last().map(|(number, _)| *number), rows.len() >= limit);
             Ok(ErasurePage { erasures: rows.into_iter().map(|(_, erasure)| erasure).collect(), last, more })
         })
@@ -131,23 +123,19 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn unstated(&self, owner: Address, key: &PublicKey, limit: usize) -> Result<Vec<Unstated>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             // P_C is behind the retention record (32) and the time (8) of a statement.
-            let mut statement = connection.prepare_cached(
-                "SELECT one.digest, report, header FROM retained JOIN records one ON one.n = retained.record
-                 JOIN topics t ON t.key = one.topic
-                 JOIN notes ON notes.kind = 'erased' AND about = lower(hex(report))
-                 LEFT JOIN erasures ON erasures.record = retained.record
-                 WHERE t.owner = ?1 AND retained.deleted_at IS NOT NULL
-                 AND (account IS NULL OR substr(statement, 41, 64) <> ?2) LIMIT ?3",
-            )?;
-            let most = i64::try_from(limit).unwrap_or(i64::MAX);
-            let rows = statement.query_map(params![owner.0, key.0, most], |row| {
+            let sql = "SELECT one.digest, report, header FROM retained JOIN records one ON one.n = retained.record
+                JOIN topics t ON t.key = one.topic
+                JOIN notes ON notes.kind = 'erased' AND about = lower(hex(report))
+                LEFT JOIN erasures ON erasures.record = retained.record
+                WHERE t.owner = ?1 AND retained.deleted_at IS NOT NULL
+                AND (account IS NULL OR substr(statement, 41, 64) <> ?2) LIMIT ?3";
+            let rows: Vec<_> = connection.list(sql, params![owner.0, key.0, capped(limit)], |row| {
                 Ok((Digest(row.get(0)?), Digest(row.get(1)?), row.get(2)?))
             })?;
             let mut found = Vec::new();
-            for row in rows {
-                let (digest, report, header) = row?;
+            for (digest, report, header) in rows {
                 let erasure = notes::read_in(connection, &Erased { report })?;
                 found.extend(erasure.map(|erasure| Unstated { digest, report, header, erasure }));
             }
@@ -159,15 +147,15 @@ impl Ledger {
     /// was never here, otherwise its bytes are named to be overwritten; the statement with it, in one commit.
     ///
     /// # Errors
-    /// See [`Ledger::append`] and [`Ledger::take_in`]; then nothing changes.
+    /// See [`Records::append`] and [`Batches::take_in`]; then nothing changes.
     pub fn take_told(
         &self,
         record: NewRecord,
         (taken, account): (TakenErased, Vec<u8>),
         (inclusion, anchor): (Inclusion, RootSighting),
     ) -> Result<ToldErased, StoreError> {
-        self.takes_records()?;
-        let told = self.write(move |session| {
+        self.0.takes_records()?;
+        let told = self.0.write(move |session| {
             let (digest, now) = (record.digest, whole("time", Timestamp::now().0)?);
             let before = found(session.connection, digest)?;
             add(session, &record, now)?;
@@ -182,19 +170,19 @@ impl Ledger {
                 return Ok(told);
             }
             let sql = "REPLACE INTO erasures (record, statement, account, taken)
-                     SELECT n, ?2, ?3, 1 FROM records WHERE digest = ?1";
+                SELECT n, ?2, ?3, 1 FROM records WHERE digest = ?1";
             connection.run(sql, params![digest.0, taken.statement, account])?;
             take_in(connection, digest, &inclusion, &anchor)?;
             Ok(told)
         })?;
-        self.database.shared.told.fetch_add(u64::from(told == ToldErased::Named), Ordering::AcqRel);
+        self.0.shared.told.fetch_add(u64::from(told == ToldErased::Named), Ordering::AcqRel);
         Ok(told)
     }
 
     /// How often a record was named at the word of an owner elsewhere since this file was opened: what overwrites such records
     /// sees that there is something to do.
     pub fn named_elsewhere(&self) -> u64 {
-        self.database.shared.told.load(Ordering::Acquire)
+        self.0.shared.told.load(Ordering::Acquire)
     }
 
     /// Records whose owners told that they were erased, whose bytes are still here, and that no incident holds. What is not
@@ -203,17 +191,14 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn told_to_delete(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(&format!(
-                "SELECT one.digest FROM {} AND one.state IN (?1, ?2) AND NOT {} ORDER BY retained.record LIMIT ?3",
-                told(),
-                is_held()
-            ))?;
-            let (verified, tampered) = (RecordState::Verified.code(), RecordState::Tampered.code());
-            let values = params![verified, tampered, i64::try_from(limit).unwrap_or(i64::MAX)];
-            let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
-            Ok(rows.collect::<Result<_, _>>()?)
-        })
+        let (verified, tampered) = (RecordState::Verified.code(), RecordState::Tampered.code());
+        let values = params![verified, tampered, capped(limit)];
+        let sql = format!(
+            "SELECT one.digest FROM {} AND one.state IN (?1, ?2) AND NOT {} ORDER BY retained.record LIMIT ?3",
+            told(),
+            is_held()
+        );
+        self.0.list(&sql, values, |row| row.get(0).map(Digest))
     }
 
     /// How many records whose owners told that they were erased stay here, because an incident of their owner holds them.
@@ -221,10 +206,8 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn held_although_erased(&self) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let sql = format!("SELECT count(*) FROM {} AND {}", told(), is_held());
-            Ok(connection.one(&sql, [], |row| unsigned(row, 0))?)
-        })
+        let sql = format!("SELECT count(*) FROM {} AND {}", told(), is_held());
+        self.0.one(&sql, [], |row| unsigned(row, 0))
     }
 }
 
@@ -285,8 +268,8 @@ fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Resu
     let is_named = "SELECT 1 FROM retained WHERE record = (SELECT n FROM records WHERE digest = ?1)";
     let is_named = connection.has(is_named, [digest.0])?;
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records WHERE digest = ?1
-             ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
-             WHERE NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(retained.report)))";
+        ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
+        WHERE NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(retained.report)))";
     let named = connection.run(sql, params![digest.0, taken.report.0, taken.header])?;
     if named == 0 {
         return Ok(ToldErased::Unchanged);
@@ -341,8 +324,8 @@ impl Erasure {
 /// Makes a record that a rule has named, and whose bytes are still here, this erasure's; `false` if it is not such a one.
 fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Result<bool, StoreError> {
     let sql = "UPDATE retained SET report = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)
-             AND deleted_at IS NULL
-             AND NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))";
+        AND deleted_at IS NULL
+        AND NOT EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))";
     let taken = connection.run(sql, params![digest.0, report.0])?;
     Ok(taken > 0)
 }
@@ -350,17 +333,17 @@ fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Re
 /// Counts a record among those of its topic whose ciphertext is given up.
 pub(super) fn count_given_up(connection: &Connection, digest: Digest) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
-             ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
+        ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
     connection.run(sql, [digest.0])?;
     Ok(())
 }
 
-impl Ledger {
+impl Erasures {
     /// Acknowledges the retention record of an erasure, notes who and why, and names the records with their public
     /// headers, in one commit. What a rule has named and is not deleted yet is the erasure's from then on.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of them is not verified, already deleted, or another
+    /// See [`Records::append`]; [`StoreError::NotReady`] if one of them is not verified, already deleted, or another
     /// erasure's.
     pub fn erase(
         &self,
@@ -369,7 +352,7 @@ impl Ledger {
         records: Vec<(Digest, Vec<u8>)>,
     ) -> Result<(), StoreError> {
         let erasure = erasure.clone();
-        self.write_many(records.len(), move |session| {
+        self.0.write_many(records.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             add(session, &report, now)?;
             notes::write_in(connection, &Erased { report: report.digest }, &erasure)?;
@@ -388,10 +371,10 @@ impl Ledger {
     /// statement, in one commit. `false` if it is here with its bytes: then nothing changes.
     ///
     /// # Errors
-    /// See [`Ledger::append`].
-    pub fn take_erased(&self, record: NewRecord, taken: TakenErased) -> Result<bool, StoreError> {
-        self.takes_records()?;
-        self.write(move |session| {
+    /// See [`Records::append`].
+    pub fn take(&self, record: NewRecord, taken: TakenErased) -> Result<bool, StoreError> {
+        self.0.takes_records()?;
+        self.0.write(move |session| {
             let digest = record.digest.0;
             let here = "SELECT 1 FROM records WHERE digest = ?1 AND deleted_at IS NULL";
             if session.connection.has(here, [digest])? {
@@ -400,7 +383,7 @@ impl Ledger {
             add(session, &record, whole("time", Timestamp::now().0)?)?;
             let (connection, at) = (session.connection, whole("time", taken.at.0)?);
             let sql = "INSERT INTO retained (record, report, header, deleted_at) SELECT n, ?2, ?3, ?4 FROM records
-                     WHERE digest = ?1 ON CONFLICT DO NOTHING";
+                WHERE digest = ?1 ON CONFLICT DO NOTHING";
             let named = connection.run(sql, params![digest, taken.report.0, taken.header, at])?;
             if named > 0 {
                 count_given_up(connection, record.digest)?;
@@ -408,7 +391,7 @@ impl Ledger {
             let sql = "UPDATE records SET deleted_at = ?2 WHERE digest = ?1 AND deleted_at IS NULL";
             connection.run(sql, params![digest, at])?;
             let sql = "INSERT INTO erasures (record, statement, taken) SELECT n, ?2, 1 FROM records WHERE digest = ?1
-                     ON CONFLICT DO NOTHING";
+                ON CONFLICT DO NOTHING";
             connection.run(sql, params![digest, taken.statement])?;
             Ok(true)
         })
@@ -419,19 +402,11 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn erased_among(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT 1 FROM retained JOIN records ON records.n = retained.record WHERE digest = ?1
-                 AND (EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))
-                     OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = records.n AND taken = 1))",
-            )?;
-            let mut erased = Vec::new();
-            for digest in digests {
-                if statement.exists(params![digest.0])? {
-                    erased.push(*digest);
-                }
-            }
-            Ok(erased)
+        self.0.read(|connection| {
+            let sql = "SELECT 1 FROM retained JOIN records ON records.n = retained.record WHERE digest = ?1
+                AND (EXISTS (SELECT 1 FROM notes WHERE kind = 'erased' AND about = lower(hex(report)))
+                    OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = records.n AND taken = 1))";
+            connection.among(sql, digests, |digest| Ok([digest.0]), true)
         })
     }
 
@@ -440,9 +415,6 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn has_named(&self) -> Result<bool, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT record FROM retained WHERE deleted_at IS NULL LIMIT 1";
-            Ok(connection.find(sql, [], |_| Ok(()))?.is_some())
-        })
+        self.0.has("SELECT record FROM retained WHERE deleted_at IS NULL LIMIT 1", [])
     }
 }

@@ -7,7 +7,7 @@ use rusqlite::{Connection, params};
 
 use super::batches::placed_in;
 use super::rows::{out_of_range, unsigned};
-use super::{Database, PlacedRecord};
+use super::{Feed, PlacedRecord};
 use crate::StoreError;
 use crate::database::Statements as _;
 use crate::model::{Address, Digest, Fact, RecordKind, RecorderId, TopicId};
@@ -60,10 +60,6 @@ pub struct FeedPage {
     /// The rows, by number.
     pub rows: Vec<FeedRow>,
 }
-
-/// What readers may be given, in the order in which it came to be so.
-#[derive(Debug, Clone)]
-pub struct Feed(pub(super) Database);
 
 impl Feed {
     /// The next rows, at most `limit`. Places of another feed than `id`, and those beyond the head, count as its beginning.

@@ -4,11 +4,10 @@ use std::collections::BTreeSet;
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
-use super::append::count;
 use super::rows::{self, By, RecordRow, may};
-use super::{Database, Ledger, Session};
+use super::{Bindings, Forwarding, Names, Session};
 use crate::StoreError;
-use crate::database::{Statements as _, whole};
+use crate::database::{Statements as _, capped, whole};
 use crate::model::bytes::hex;
 use crate::model::{
     Address, Digest, ProfileName, PublicKey, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId,
@@ -37,27 +36,23 @@ pub struct ForwardedPage {
 /// Records of no transaction and no block of this ledger.
 const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL AND block IS NULL";
 
-impl Ledger {
+impl Forwarding {
     /// The gateway took records over: its receipt is stored, and those in state stored become submitted. Returns how many
     /// changed.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing changes, and they are passed on again.
     pub fn accept(&self, receipt: KeptReceipt) -> Result<u64, StoreError> {
-        self.write(move |session| {
+        self.0.write(move |session| {
             let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
             let sql = "INSERT INTO receipts (at, digests, signature) VALUES (?1, ?2, ?3)";
             session.connection.run(sql, params![whole("time", receipt.time.0)?, digests, receipt.signature.0])?;
             let key = session.connection.last_insert_rowid();
             let moved = shift(session, &receipt.digests, RecordState::Stored, RecordState::Submitted)?;
             let before = held(session, &receipt.digests)?;
-            let mut bind = session.connection.prepare_cached(
-                "INSERT INTO receipted SELECT n, ?2 FROM records WHERE digest = ?1
-                 ON CONFLICT DO UPDATE SET receipt = excluded.receipt",
-            )?;
-            for digest in &receipt.digests {
-                bind.execute(params![digest.0, key])?;
-            }
+            let sql = "INSERT INTO receipted SELECT n, ?2 FROM records WHERE digest = ?1
+                ON CONFLICT DO UPDATE SET receipt = excluded.receipt";
+            session.connection.run_each(sql, receipt.digests.iter().map(|digest| (digest.0, key)))?;
             sweep(session, before)?;
             Ok(moved)
         })
@@ -67,23 +62,19 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn forwarded(&self, after: Option<i64>, limit: usize) -> Result<ForwardedPage, StoreError> {
+    pub fn undecided(&self, after: Option<i64>, limit: usize) -> Result<ForwardedPage, StoreError> {
         let limit = limit.max(1);
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = format!(
                 "SELECT {}, n FROM receipted JOIN records ON n = record WHERE record > ?1 AND state = ?2
-                 ORDER BY record LIMIT ?3",
+                    ORDER BY record LIMIT ?3",
                 rows::COLUMNS
             );
-            let most = i64::try_from(limit).unwrap_or(i64::MAX);
-            let values = params![after.unwrap_or(0), RecordState::Submitted.code(), most];
-            let mut statement = connection.prepare_cached(&sql)?;
-            let streams: Vec<i64> =
-                statement.query_map(values, |row| row.get(0))?.collect::<Result<_, rusqlite::Error>>()?;
+            let values = params![after.unwrap_or(0), RecordState::Submitted.code(), capped(limit)];
+            let streams: Vec<i64> = connection.list(&sql, values, |row| row.get(0))?;
             let streams = rows::keyed_streams(connection, streams)?;
-            let found =
-                statement.query_map(values, |row| Ok((rows::record(row, &streams)?, row.get::<_, i64>(14)?)))?;
-            let found: Vec<(RecordRow, i64)> = found.collect::<Result<_, _>>()?;
+            let found: Vec<(RecordRow, i64)> =
+                connection.list(&sql, values, |row| Ok((rows::record(row, &streams)?, row.get(14)?)))?;
             let next = found.last().map(|(_, key)| *key).filter(|_| found.len() >= limit);
             Ok(ForwardedPage { rows: found.into_iter().map(|(row, _)| row).collect(), next })
         })
@@ -94,11 +85,8 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn recorders(&self, limit: usize) -> Result<Vec<RecorderId>, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT id FROM recorders ORDER BY key DESC LIMIT ?1";
-            let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-            Ok(connection.list(sql, [limit], |row| row.get(0).map(RecorderId))?)
-        })
+        let sql = "SELECT id FROM recorders ORDER BY key DESC LIMIT ?1";
+        self.0.list(sql, [capped(limit)], |row| row.get(0).map(RecorderId))
     }
 
     /// A gateway's standings of records it took over: verified, tampered, or, if it no longer knows them, stored again.
@@ -106,22 +94,18 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::IllegalEdge`] if no gateway may cause this transition, [`StoreError::DiskFull`] and the like.
-    pub fn settle_forwarded(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
+    pub fn settle(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Submitted;
         if !may(By::Gateway, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
         let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
+        self.0.write_many(digests.len(), move |session| {
             let moved = shift(session, &digests, from, to)?;
             if to == RecordState::Verified {
                 let before = held(session, &digests)?;
-                let mut release = session
-                    .connection
-                    .prepare_cached("DELETE FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)")?;
-                for digest in &digests {
-                    release.execute(params![digest.0])?;
-                }
+                let sql = "DELETE FROM receipted WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+                session.connection.run_each(sql, digests.iter().map(|digest| [digest.0]))?;
                 sweep(session, before)?;
             }
             Ok(moved)
@@ -133,9 +117,9 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
-                     WHERE record = (SELECT n FROM records WHERE digest = ?1))";
+                WHERE record = (SELECT n FROM records WHERE digest = ?1))";
             let row: Option<(i64, Vec<u8>, [u8; 64])> =
                 connection.find(sql, params![digest.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
             Ok(row.map(|(at, digests, signature)| KeptReceipt {
@@ -148,10 +132,7 @@ impl Ledger {
 }
 
 fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
-    let mut statement = session.connection.prepare_cached(MOVE)?;
-    digests
-        .iter()
-        .try_fold(0, |moved, digest| Ok(moved + count(statement.execute(params![digest.0, from.code(), to.code()])?)))
+    Ok(session.connection.run_each(MOVE, digests.iter().map(|digest| (digest.0, from.code(), to.code())))?)
 }
 
 /// The receipts that cover these records.
@@ -165,12 +146,8 @@ fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, Stor
 
 /// Deletes receipts that no longer cover any record.
 fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreError> {
-    let mut forget = session.connection.prepare_cached(
-        "DELETE FROM receipts WHERE key = ?1 AND NOT EXISTS (SELECT 1 FROM receipted WHERE receipt = ?1)",
-    )?;
-    for receipt in receipts {
-        forget.execute([receipt])?;
-    }
+    let sql = "DELETE FROM receipts WHERE key = ?1 AND NOT EXISTS (SELECT 1 FROM receipted WHERE receipt = ?1)";
+    session.connection.run_each(sql, receipts.into_iter().map(|receipt| [receipt]))?;
     Ok(())
 }
 
@@ -192,10 +169,6 @@ pub struct KeptBinding {
     pub device: Option<(SignerId, TopicId)>,
 }
 
-/// Keys of signers, and names at this gateway.
-#[derive(Debug, Clone)]
-pub struct Bindings(pub(super) Database);
-
 impl Bindings {
     /// Stores a device's public key under its id.
     ///
@@ -214,9 +187,7 @@ impl Bindings {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signer(&self, id: SignerId) -> Result<Option<PublicKey>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.find("SELECT key FROM signers WHERE id = ?1", [id.0], |row| row.get(0).map(PublicKey))?)
-        })
+        self.0.find("SELECT key FROM signers WHERE id = ?1", [id.0], |row| row.get(0).map(PublicKey))
     }
 
     /// Binds a name, replacing its previous binding.
@@ -225,21 +196,19 @@ impl Bindings {
     /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let name = name.to_string();
-        self.0.write(move |session| {
-            session.connection.run(
-                "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-                params![
-                    name,
-                    binding.account.0,
-                    binding.signing.0,
-                    binding.envelope.0,
-                    binding.sealed_key,
-                    binding.device.map(|(device, _)| device.0),
-                    binding.device.map(|(_, notices)| notices.0)
-                ],
-            )?;
-            Ok(())
-        })
+        let sql = "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+        self.0.run(
+            sql,
+            (
+                name,
+                binding.account.0,
+                binding.signing.0,
+                binding.envelope.0,
+                binding.sealed_key,
+                binding.device.map(|(device, _)| device.0),
+                binding.device.map(|(_, notices)| notices.0),
+            ),
+        )
     }
 
     /// Replaces the sealed form of a name's transport key; does nothing if another key has been bound meanwhile.
@@ -248,11 +217,8 @@ impl Bindings {
     /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn reseal_binding(&self, name: &str, before: Vec<u8>, after: Vec<u8>) -> Result<(), StoreError> {
         let name = name.to_owned();
-        self.0.write(move |session| {
-            let sql = "UPDATE bindings SET sealed_key = ?3 WHERE name = ?1 AND sealed_key = ?2";
-            session.connection.run(sql, params![name, before, after])?;
-            Ok(())
-        })
+        let sql = "UPDATE bindings SET sealed_key = ?3 WHERE name = ?1 AND sealed_key = ?2";
+        self.0.run(sql, (name, before, after))
     }
 
     /// From now on a name of `account` belongs to a device, whose notices are filed under `notices`; its transport key
@@ -268,11 +234,8 @@ impl Bindings {
         notices: TopicId,
     ) -> Result<bool, StoreError> {
         let name = name.to_owned();
-        self.0.write(move |session| {
-            let sql = "UPDATE bindings SET device = ?3, notices = ?4 WHERE name = ?1 AND account = ?2";
-            let changed = session.connection.run(sql, params![name, account.0, device.0, notices.0])?;
-            Ok(changed > 0)
-        })
+        let sql = "UPDATE bindings SET device = ?3, notices = ?4 WHERE name = ?1 AND account = ?2";
+        Ok(self.0.changed(sql, (name, account.0, device.0, notices.0))? > 0)
     }
 
     /// The binding of a name.
@@ -281,22 +244,19 @@ impl Bindings {
     /// [`StoreError::Database`] and the like.
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
         self.0.read(|connection| {
-            let binding = connection.find(
-                "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1",
-                [name.as_str()],
-                |row| {
-                    Ok(KeptBinding {
-                        account: Address(row.get(0)?),
-                        signing: PublicKey(row.get(1)?),
-                        envelope: PublicKey(row.get(2)?),
-                        sealed_key: row.get(3)?,
-                        device: match row.get::<_, Option<_>>(4)? {
-                            Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
-                            None => None,
-                        },
-                    })
-                },
-            )?;
+            let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
+            let binding = connection.find(sql, [name.as_str()], |row| {
+                Ok(KeptBinding {
+                    account: Address(row.get(0)?),
+                    signing: PublicKey(row.get(1)?),
+                    envelope: PublicKey(row.get(2)?),
+                    sealed_key: row.get(3)?,
+                    device: match row.get::<_, Option<_>>(4)? {
+                        Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
+                        None => None,
+                    },
+                })
+            })?;
             Ok(binding)
         })
     }
@@ -306,52 +266,42 @@ impl Bindings {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.list("SELECT name, account FROM bindings ORDER BY name", [], |row| {
-                Ok((row.get(0)?, Address(row.get(1)?)))
-            })?)
-        })
+        self.0
+            .list("SELECT name, account FROM bindings ORDER BY name", [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
     }
 }
 
-impl Ledger {
+impl Names {
     /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id); the caller must have
     /// derived one from the other.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
-    pub fn name(&self, owner: Address, id: String, name: String) -> Result<(), StoreError> {
-        self.write(move |session| {
-            session
-                .connection
-                .run("INSERT INTO names VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", params![owner.0, id, name])?;
-            Ok(())
-        })
+    pub fn keep(&self, owner: Address, id: String, name: String) -> Result<(), StoreError> {
+        self.0.run("INSERT INTO names VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", (owner.0, id, name))
     }
 
     /// The name of a topic of an owner, derived by who asks; nothing happens if the topic is not here, or has a name.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn name_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
-        let is_here = self.read(|connection| {
+    pub fn keep_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
+        let is_here = self.0.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
-                 AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))";
+                AND NOT EXISTS (SELECT 1 FROM names WHERE owner = ?1 AND id = lower(hex(?2)))";
             Ok(connection.one(sql, params![owner.0, topic.0], |row| row.get::<_, bool>(0))?)
         })?;
-        if is_here { self.name(owner, hex(&topic.0), name) } else { Ok(()) }
+        if is_here { self.keep(owner, hex(&topic.0), name) } else { Ok(()) }
     }
 
     /// Every name that a topic of an owner ever had here: captured, learnt or given; none of them is proven.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn topic_names(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
-        self.read(|connection| {
-            let sql = "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
-                 UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
-            Ok(connection.list(sql, params![owner.0, topic.0], |row| row.get(0))?)
-        })
+    pub fn of_topic(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
+        let sql = "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
+            UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
+        self.0.list(sql, params![owner.0, topic.0], |row| row.get(0))
     }
 
     /// Up to `most` records of each of an owner's streams whose topic or type is known only by its pseudonym.
@@ -359,24 +309,17 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn unnamed(&self, owner: Address, most: usize) -> Result<Vec<Vec<Digest>>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic
-                 WHERE t.owner = ?1 AND t.name = ''
-                 AND NOT EXISTS (SELECT 1 FROM names WHERE names.owner = ?1 AND id = lower(hex(t.topic_id))
-                     AND (s.type_name = ''
-                         OR EXISTS (SELECT 1 FROM names type WHERE type.owner = ?1 AND type.id = s.type_name)))",
-            )?;
-            let streams: Vec<i64> = statement.query_map([owner.0], |row| row.get(0))?.collect::<Result<_, _>>()?;
-            let mut records = connection.prepare_cached(
-                "SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
-                 WHERE c.stream = ?1 AND c.records > 0 LIMIT ?2",
-            )?;
-            let most = i64::try_from(most).unwrap_or(i64::MAX);
-            let of = |stream: i64| {
-                let rows = records.query_map(params![stream, most], |row| row.get(0).map(Digest))?;
-                Ok(rows.collect::<Result<_, _>>()?)
-            };
+        self.0.read(|connection| {
+            let sql = "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic
+                WHERE t.owner = ?1 AND t.name = ''
+                AND NOT EXISTS (SELECT 1 FROM names WHERE names.owner = ?1 AND id = lower(hex(t.topic_id))
+                    AND (s.type_name = ''
+                        OR EXISTS (SELECT 1 FROM names type WHERE type.owner = ?1 AND type.id = s.type_name)))";
+            let streams: Vec<i64> = connection.list(sql, [owner.0], |row| row.get(0))?;
+            let sql = "SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
+                WHERE c.stream = ?1 AND c.records > 0 LIMIT ?2";
+            let of =
+                |stream: i64| Ok(connection.list(sql, params![stream, capped(most)], |row| row.get(0).map(Digest))?);
             streams.into_iter().map(of).collect()
         })
     }
@@ -391,6 +334,7 @@ pub(super) fn add_signer(connection: &Connection, id: SignerId, key: PublicKey) 
 mod tests {
     use super::super::tests::numbered as record;
     use super::*;
+    use crate::Ledger;
 
     fn receipt(numbers: &[u8]) -> KeptReceipt {
         let digests = numbers.iter().map(|number| Digest([*number; 32])).collect();
@@ -405,23 +349,24 @@ mod tests {
     fn a_receipt_moves_its_records_and_is_kept_until_all_are_verified() {
         let home = tempfile::tempdir().expect("folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-        ledger.append((1..=4).map(record).collect()).expect("acknowledged");
-        assert_eq!(ledger.accept(receipt(&[1, 2, 9])), Ok(2), "one is not of this ledger");
-        assert_eq!(ledger.accept(receipt(&[2, 3])), Ok(1), "acknowledged again");
-        let state = |number: u8| ledger.record(Digest([number; 32])).expect("reads").map(|row| row.state);
+        ledger.records.append((1..=4).map(record).collect()).expect("acknowledged");
+        assert_eq!(ledger.forwarding.accept(receipt(&[1, 2, 9])), Ok(2), "one is not of this ledger");
+        assert_eq!(ledger.forwarding.accept(receipt(&[2, 3])), Ok(1), "acknowledged again");
+        let state = |number: u8| ledger.records.find(Digest([number; 32])).expect("reads").map(|row| row.state);
         assert_eq!(
             [1, 2, 3, 4].map(state),
             [RecordState::Submitted, RecordState::Submitted, RecordState::Submitted, RecordState::Stored].map(Some)
         );
-        assert_eq!(ledger.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "the newest");
-        assert_eq!(ledger.settle_forwarded(&[Digest([1; 32]), Digest([4; 32])], RecordState::Verified), Ok(1));
-        assert_eq!(ledger.receipt_of(Digest([1; 32])), Ok(None));
-        assert_eq!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Stored), Ok(1));
-        assert_eq!(ledger.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "evidence");
-        assert!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Mined).is_err());
-        assert_eq!(ledger.accept(receipt(&[2])), Ok(1));
-        assert_eq!(ledger.settle_forwarded(&[Digest([2; 32]), Digest([3; 32])], RecordState::Verified), Ok(2));
+        assert_eq!(ledger.forwarding.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "the newest");
+        assert_eq!(ledger.forwarding.settle(&[Digest([1; 32]), Digest([4; 32])], RecordState::Verified), Ok(1));
+        assert_eq!(ledger.forwarding.receipt_of(Digest([1; 32])), Ok(None));
+        assert_eq!(ledger.forwarding.settle(&[Digest([2; 32])], RecordState::Stored), Ok(1));
+        assert_eq!(ledger.forwarding.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "evidence");
+        assert!(ledger.forwarding.settle(&[Digest([2; 32])], RecordState::Mined).is_err());
+        assert_eq!(ledger.forwarding.accept(receipt(&[2])), Ok(1));
+        assert_eq!(ledger.forwarding.settle(&[Digest([2; 32]), Digest([3; 32])], RecordState::Verified), Ok(2));
         let left: i64 = ledger
+            .database
             .read(|connection| Ok(connection.query_row("SELECT count(*) FROM receipts", [], |row| row.get(0))?))
             .expect("reads");
         assert_eq!(left, 0);
@@ -431,17 +376,17 @@ mod tests {
     fn what_is_signed_for_and_not_decided_is_listed_page_by_page() {
         let home = tempfile::tempdir().expect("folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-        ledger.append((1..=5).map(record).collect()).expect("acknowledged");
-        assert_eq!(ledger.forwarded(None, 9), Ok(ForwardedPage::default()));
-        ledger.accept(receipt(&[1, 2, 3, 4])).expect("accepted");
+        ledger.records.append((1..=5).map(record).collect()).expect("acknowledged");
+        assert_eq!(ledger.forwarding.undecided(None, 9), Ok(ForwardedPage::default()));
+        ledger.forwarding.accept(receipt(&[1, 2, 3, 4])).expect("accepted");
         let numbers = |page: &ForwardedPage| page.rows.iter().map(|row| row.digest.0[0]).collect::<Vec<_>>();
-        let first = ledger.forwarded(None, 3).expect("reads");
-        let second = ledger.forwarded(first.next, 3).expect("reads");
+        let first = ledger.forwarding.undecided(None, 3).expect("reads");
+        let second = ledger.forwarding.undecided(first.next, 3).expect("reads");
         assert_eq!((numbers(&first), numbers(&second), second.next), (vec![1, 2, 3], vec![4], None));
-        ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Verified).expect("settles");
-        ledger.settle_forwarded(&[Digest([3; 32])], RecordState::Stored).expect("sent again");
+        ledger.forwarding.settle(&[Digest([2; 32])], RecordState::Verified).expect("settles");
+        ledger.forwarding.settle(&[Digest([3; 32])], RecordState::Stored).expect("sent again");
         // Damaged here: nobody is asked about it any more.
-        ledger.advance(&[Digest([4; 32])], RecordState::Submitted, RecordState::Tampered).expect("moves");
-        assert_eq!(numbers(&ledger.forwarded(None, 9).expect("reads")), [1]);
+        ledger.records.advance(&[Digest([4; 32])], RecordState::Submitted, RecordState::Tampered).expect("moves");
+        assert_eq!(numbers(&ledger.forwarding.undecided(None, 9).expect("reads")), [1]);
     }
 }

@@ -5,11 +5,10 @@ use std::collections::BTreeMap;
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::append::count;
+use super::Incidents;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
-use super::{Database, database::whole};
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
 
 /// The scope of an incident.
@@ -81,10 +80,6 @@ impl SpanCoverage {
     }
 }
 
-/// Incidents, and what they hold.
-#[derive(Debug, Clone)]
-pub struct Incidents(pub(super) Database);
-
 impl Incidents {
     /// Stores a new incident; `false` if the owner has one of this name already.
     ///
@@ -127,7 +122,7 @@ impl Incidents {
     pub fn list(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
-                       ORDER BY since, key";
+                ORDER BY since, key";
             let rows: Vec<(i64, IncidentRow)> =
                 connection.list(sql, [owner.0], |row| Ok((row.get(0)?, incident(row)?)))?;
             rows.into_iter().map(|(key, row)| whole_of(connection, key, row)).collect()
@@ -141,7 +136,7 @@ impl Incidents {
     pub fn find(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
-                       WHERE owner = ?1 AND name = ?2";
+                WHERE owner = ?1 AND name = ?2";
             let found =
                 connection.find(sql, params![owner.0, name.as_str()], |row| Ok((row.get(0)?, incident(row)?)))?;
             found.map(|(key, row)| whole_of(connection, key, row)).transpose()
@@ -153,17 +148,11 @@ impl Incidents {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it is not added.
     pub fn note(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
-        let (name, text) = (name.clone(), text.to_owned());
-        self.0.write(move |session| {
-            let now = whole("time", Timestamp::now().0)?;
-            let added = session.connection.execute(
-                "INSERT INTO incident_notes SELECT key,
-                     (SELECT coalesce(max(number), 0) + 1 FROM incident_notes WHERE incident = key), ?3, ?4
-                 FROM incidents WHERE owner = ?1 AND name = ?2",
-                params![owner.0, name.as_str(), now, text],
-            )?;
-            Ok(added > 0)
-        })
+        let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
+        let sql = "INSERT INTO incident_notes SELECT key,
+                (SELECT coalesce(max(number), 0) + 1 FROM incident_notes WHERE incident = key), ?3, ?4
+            FROM incidents WHERE owner = ?1 AND name = ?2";
+        Ok(self.0.changed(sql, (owner.0, name, now, text.to_owned()))? > 0)
     }
 
     /// Closes an open incident: its span ends now, if it did not end before. `false` if none of this name is open.
@@ -171,16 +160,10 @@ impl Incidents {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it stays open.
     pub fn close(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
-        let name = name.clone();
-        self.0.write(move |session| {
-            let now = whole("time", Timestamp::now().0)?;
-            let closed = session.connection.execute(
-                "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
-                 WHERE owner = ?1 AND name = ?2 AND closed_at IS NULL",
-                params![owner.0, name.as_str(), now],
-            )?;
-            Ok(closed > 0)
-        })
+        let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
+        let sql = "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
+            WHERE owner = ?1 AND name = ?2 AND closed_at IS NULL";
+        Ok(self.0.changed(sql, (owner.0, name, now))? > 0)
     }
 
     /// Removes an incident; its records are subject to retention again. `false` if there is none of this name.
@@ -223,16 +206,14 @@ impl Incidents {
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn bytes_between(&self, topic: i64, (since, until): (Timestamp, Timestamp)) -> Result<u64, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
-                       JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
-                       WHERE s.topic = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
-                       AND r.captured_at >= ?4 AND r.captured_at < ?5
-                       AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
-            let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
-            let values = params![topic, kind, dropped, bound(since), bound(until)];
-            Ok(connection.one(sql, values, |row| unsigned(row, 0))?)
-        })
+        let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
+            JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
+            WHERE s.topic = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
+            AND r.captured_at >= ?4 AND r.captured_at < ?5
+            AND NOT EXISTS (SELECT 1 FROM retained WHERE record = r.n)";
+        let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
+        let values = params![topic, kind, dropped, bound(since), bound(until)];
+        self.0.one(sql, values, |row| unsigned(row, 0))
     }
 }
 
@@ -254,14 +235,11 @@ fn incident(row: &Row<'_>) -> rusqlite::Result<IncidentRow> {
 
 /// With its topics and notes.
 fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<IncidentRow, StoreError> {
-    let mut topics =
-        connection.prepare_cached("SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic")?;
-    row.span.topics = topics.query_map([key], |row| row.get(0))?.collect::<Result<_, _>>()?;
-    let mut notes =
-        connection.prepare_cached("SELECT at, text FROM incident_notes WHERE incident = ?1 ORDER BY number")?;
-    let notes =
-        notes.query_map([key], |row| Ok(IncidentNote { at: Timestamp(unsigned(row, 0)?), text: row.get(1)? }))?;
-    row.notes = notes.collect::<Result<_, _>>()?;
+    let sql = "SELECT topic FROM incident_topics WHERE incident = ?1 ORDER BY topic";
+    row.span.topics = connection.list(sql, [key], |row| row.get(0))?;
+    let sql = "SELECT at, text FROM incident_notes WHERE incident = ?1 ORDER BY number";
+    row.notes =
+        connection.list(sql, [key], |row| Ok(IncidentNote { at: Timestamp(unsigned(row, 0)?), text: row.get(1)? }))?;
     Ok(row)
 }
 
@@ -269,11 +247,11 @@ fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<I
 fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = format!(
         "SELECT {TOPIC_NAME}, r.state, count(*), sum(r.bytes), min(r.captured_at), max(r.captured_at),
-             count(r.deleted_at)
-         FROM topics t {LEARNED_NAME} JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
-         JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
-         WHERE t.owner = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
-         AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
+                count(r.deleted_at)
+            FROM topics t {LEARNED_NAME} JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
+            JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
+            WHERE t.owner = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
+            AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
     );
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
     Ok(connection.list(&sql, params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {
@@ -302,7 +280,7 @@ fn losses(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resul
 }
 
 fn bound(at: Timestamp) -> i64 {
-    i64::try_from(at.0).unwrap_or(i64::MAX)
+    capped(at.0)
 }
 
 fn end(span: &IncidentSpan) -> i64 {

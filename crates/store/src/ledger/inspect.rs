@@ -3,15 +3,14 @@
 
 use std::collections::HashMap;
 
-use rusqlite::{Connection, OptionalExtension as _, Row, params};
+use rusqlite::{Connection, Row, params};
 
+use super::Inspection;
 use super::branches;
-use super::database::whole;
 use super::rows::{self, RecordRow, Stream, unsigned};
-use super::{Database, Ledger};
 use crate::StoreError;
 use crate::chain::merkle::Inclusion;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
 /// Columns of a record, in the order of [`rows::record`].
@@ -103,10 +102,6 @@ pub struct Sequence {
     pub last: u64,
 }
 
-/// What an audit compares.
-#[derive(Debug, Clone)]
-pub struct Inspection(pub(super) Database);
-
 impl Inspection {
     /// The records after row `after`, captured at `since` or later, at most `limit`.
     ///
@@ -114,33 +109,30 @@ impl Inspection {
     /// [`StoreError::Database`] and the like.
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
         let (after, since) = (whole("row", after)?, whole("time", since.0)?);
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        let limit = capped(limit);
         self.0.read(|connection| {
-            let streams: HashMap<i64, Stream> =
-                rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
+            let streams = rows::all_streams(connection)?;
             let columns: Vec<String> =
                 rows::COLUMNS.split(',').map(|name| format!("records.{}", name.trim())).collect();
             let sql = format!(
                 "SELECT {}, n, leaves.batch, leaf, branches.path, root, batches.count, batches.tx, batches.block,
-                 batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
-                 records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
-                 records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
-                 FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
-                 {}
-                 WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
+                    batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
+                    records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
+                    records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
+                    FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
+                    {}
+                    WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
                 columns.join(", "),
                 branches::JOINED
             );
-            let mut statement = connection.prepare_cached(&sql)?;
-            let mut found = statement.query(params![after, since, limit])?;
-            let mut page = AuditPage::default();
-            let mut last = 0;
-            while let Some(row) = found.next()? {
+            let (mut page, mut last) = (AuditPage::default(), 0);
+            connection.each(&sql, params![after, since, limit], |row| {
                 last = unsigned(row, RECORD_COLUMNS)?;
                 let record = audited(row, &streams);
                 page.records.push(record.map_err(|error| (last, clean(&error.to_string(), 160))));
-            }
-            page.next = (i64::try_from(page.records.len()).unwrap_or(i64::MAX) >= limit).then_some(last);
+                Ok(())
+            })?;
+            page.next = (capped(page.records.len()) >= limit).then_some(last);
             Ok(page)
         })
     }
@@ -152,13 +144,10 @@ impl Inspection {
     pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
         let number = whole("row", number)?;
         self.0.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT 1 FROM filters WHERE filter = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
-                 WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))",
-            )?;
-            filters
-                .iter()
-                .try_fold(0, |found, filter| Ok(found + u64::from(statement.exists(params![filter.0, number])?)))
+            let sql = "SELECT 1 FROM filters WHERE filter = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
+                WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))";
+            let found = connection.among(sql, filters, |filter: FilterId| Ok((filter.0, number)), true)?;
+            Ok(count(found.len()))
         })
     }
 
@@ -180,14 +169,10 @@ impl Inspection {
     /// [`StoreError::Database`] and the like, also if a batch cannot be read.
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.0.read(|connection| {
-            let sql =
-                "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
-                       + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
-                       account, tx, block, block_hash, closed_here FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
-            Ok(connection.list(sql, params![after, limit], batch)?)
-        })
+        let sql = "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
+            + (SELECT count(*) FROM left_places JOIN records ON n = record WHERE batch = key),
+            account, tx, block, block_hash, closed_here FROM batches WHERE key > ?1 ORDER BY key LIMIT ?2";
+        self.0.list(sql, params![after, capped(limit)], batch)
     }
 
     /// When the newest record was acknowledged, by this machine's clock.
@@ -207,8 +192,8 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
-        let find = "SELECT 1 FROM batches WHERE root = ?1";
-        self.0.read(|connection| absent(connection, find, roots.iter().map(|root| root.0)).map(hashes))
+        let sql = "SELECT 1 FROM batches WHERE root = ?1";
+        self.0.read(|connection| connection.among(sql, roots, |root| Ok([root.0]), false))
     }
 
     /// Which of these digests belong to no record of this ledger.
@@ -216,9 +201,8 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
-        let find = "SELECT 1 FROM records WHERE digest = ?1";
-        let found = self.0.read(|connection| absent(connection, find, digests.iter().map(|digest| digest.0)))?;
-        Ok(found.into_iter().map(Digest).collect())
+        let sql = "SELECT 1 FROM records WHERE digest = ?1";
+        self.0.read(|connection| connection.among(sql, digests, |digest| Ok([digest.0]), false))
     }
 
     /// All records, of any kind and state.
@@ -226,10 +210,8 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn size(&self) -> Result<u64, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT coalesce(sum(records), 0) FROM counters";
-            Ok(connection.one(sql, [], |row| unsigned(row, 0))?)
-        })
+        let sql = "SELECT coalesce(sum(records), 0) FROM counters";
+        self.0.one(sql, [], |row| unsigned(row, 0))
     }
 
     /// The accounts that this ledger has ever signed for.
@@ -237,9 +219,7 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))?)
-        })
+        self.0.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))
     }
 
     /// Whether this ledger has ever signed for an account.
@@ -247,10 +227,8 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
-            Ok(connection.one(sql, [account.0], |row| row.get(0))?)
-        })
+        let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
+        self.0.one(sql, [account.0], |row| row.get(0))
     }
 
     /// Topics with records stamped more than five seconds earlier than the record before them, and how many.
@@ -258,14 +236,12 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
-                       (SELECT topic, count(*) AS held FROM
-                        (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
-                         FROM records) WHERE captured_at + 5000000000 < before GROUP BY topic)
-                       JOIN topics ON topics.key = topic ORDER BY topics.key";
-            Ok(connection.list(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))?)
-        })
+        let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
+            (SELECT topic, count(*) AS held FROM
+             (SELECT topic, captured_at, lag(captured_at) OVER (PARTITION BY topic ORDER BY seq) AS before
+              FROM records) WHERE captured_at + 5000000000 < before GROUP BY topic)
+            JOIN topics ON topics.key = topic ORDER BY topics.key";
+        self.0.list(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))
     }
 
     /// The record with a sequence number of a topic, signed by `signer` in `recorder`.
@@ -280,14 +256,12 @@ impl Inspection {
         number: u64,
     ) -> Result<Option<Digest>, StoreError> {
         let number = whole("sequence number", number)?;
-        self.0.read(|connection| {
-            let sql = "SELECT digest FROM records JOIN topics ON topics.key = records.topic
-                       JOIN recorders ON recorders.key = topics.recorder
-                       WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
-                       AND recorders.signer = ?5";
-            let digest = connection.one(sql, params![owner.0, recorder.0, topic.0, number, signer.0], |row| row.get(0));
-            Ok(digest.optional()?.map(Digest))
-        })
+        let sql = "SELECT digest FROM records JOIN topics ON topics.key = records.topic
+            JOIN recorders ON recorders.key = topics.recorder
+            WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
+            AND recorders.signer = ?5";
+        let values = params![owner.0, recorder.0, topic.0, number, signer.0];
+        self.0.find(sql, values, |row| row.get(0).map(Digest))
     }
 
     /// Every topic with its range of sequence numbers.
@@ -295,24 +269,22 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
-                       FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
-                       JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
-                       ORDER BY topics.key";
-            Ok(connection.list(sql, [], |row| {
-                Ok(Sequence {
-                    key: row.get(0)?,
-                    owner: Address(row.get(1)?),
-                    name: row.get(2)?,
-                    keeper: row.get::<_, Option<_>>(3)?.map(Address),
-                    count: unsigned(row, 4)?,
-                    first: unsigned(row, 5)?,
-                    last: unsigned(row, 6)?,
-                    recorder: RecorderId(row.get(7)?),
-                    signer: SignerId(row.get(8)?),
-                })
-            })?)
+        let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
+            FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
+            JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
+            ORDER BY topics.key";
+        self.0.list(sql, [], |row| {
+            Ok(Sequence {
+                key: row.get(0)?,
+                owner: Address(row.get(1)?),
+                name: row.get(2)?,
+                keeper: row.get::<_, Option<_>>(3)?.map(Address),
+                count: unsigned(row, 4)?,
+                first: unsigned(row, 5)?,
+                last: unsigned(row, 6)?,
+                recorder: RecorderId(row.get(7)?),
+                signer: SignerId(row.get(8)?),
+            })
         })
     }
 
@@ -321,23 +293,13 @@ impl Inspection {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.0.read(|connection| {
-            let mut holes = Vec::new();
-            if sequence.first > 1 {
-                holes.push((1, sequence.first - 1));
-            }
-            let sql = "SELECT seq + 1, next - 1 FROM
-                       (SELECT seq, lead(seq) OVER (ORDER BY seq) AS next FROM records WHERE topic = ?1)
-                       WHERE next > seq + 1 LIMIT ?2";
-            let mut statement = connection.prepare_cached(sql)?;
-            let rows =
-                statement.query_map(params![sequence.key, limit], |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?)))?;
-            for hole in rows {
-                holes.push(hole?);
-            }
-            Ok(holes)
-        })
+        let before = (sequence.first > 1).then(|| (1, sequence.first - 1));
+        let sql = "SELECT seq + 1, next - 1 FROM
+            (SELECT seq, lead(seq) OVER (ORDER BY seq) AS next FROM records WHERE topic = ?1)
+            WHERE next > seq + 1 LIMIT ?2";
+        let values = params![sequence.key, capped(limit)];
+        let holes: Vec<_> = self.0.list(sql, values, |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?)))?;
+        Ok(before.into_iter().chain(holes).collect())
     }
 }
 
@@ -387,56 +349,37 @@ fn batch(row: &Row<'_>) -> rusqlite::Result<AuditedBatch> {
     })
 }
 
-fn absent(
-    connection: &Connection,
-    find: &str,
-    values: impl Iterator<Item = [u8; 32]>,
-) -> Result<Vec<[u8; 32]>, StoreError> {
-    let mut statement = connection.prepare_cached(find)?;
-    let mut missing = Vec::new();
-    for value in values {
-        if !statement.exists([value])? {
-            missing.push(value);
-        }
-    }
-    Ok(missing)
-}
-
-fn hashes(found: Vec<[u8; 32]>) -> Vec<Hash> {
-    found.into_iter().map(Hash).collect()
-}
-
 // Whether the ledger's tables agree with each other: checked after an unclean shutdown, and when a home is examined.
 
 /// A query that must find nothing, and the meaning if it does.
 const RULES: [(&str, &str); 4] = [
     (
         "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
-         LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
-         WHERE coalesce(c.records, 0) <> found.rows",
+            LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
+            WHERE coalesce(c.records, 0) <> found.rows",
         "counts per state do not match the records",
     ),
     (
         "SELECT count(*) FROM (SELECT stream, sum(records) AS rows FROM counters GROUP BY stream) held
-         JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
+            JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
         "streams have fewer or more records than were stored",
     ),
     (
         "SELECT count(*) FROM records WHERE stream NOT IN (SELECT key FROM streams)
-         OR topic NOT IN (SELECT key FROM topics)",
+            OR topic NOT IN (SELECT key FROM topics)",
         "records without a topic",
     ),
     (
         "SELECT count(*) FROM leaves WHERE batch NOT IN (SELECT key FROM batches)
-         OR record NOT IN (SELECT n FROM records)",
+            OR record NOT IN (SELECT n FROM records)",
         "batch positions without a batch or record",
     ),
 ];
 
-impl Ledger {
+impl Inspection {
     /// Whether the previous process closed it. If not, the file's structure was checked on opening.
     pub fn ended_cleanly(&self) -> bool {
-        self.database.shared.clean
+        self.0.shared.clean
     }
 
     /// Contradictions in its tables, in words; takes about a second per million records.
@@ -444,7 +387,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             let found = RULES.iter().map(|(sql, text)| {
                 let count: i64 = connection.query_row(sql, [], |row| row.get(0))?;
                 Ok((count > 0).then(|| format!("{count} {text}")))
@@ -458,25 +401,21 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        self.read(|connection| newest(connection, limit))
+        self.0.read(|connection| newest(connection, limit))
     }
 }
 
 fn newest(connection: &Connection, limit: usize) -> Result<Vec<Digest>, StoreError> {
-    let mut statement = connection.prepare_cached(
-        "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
-         AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3",
-    )?;
     let states = (RecordState::Stored.code(), RecordState::Verified.code());
-    let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-    let values = (states.0, states.1, limit, RecordState::RightEnded.code());
-    let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
-    Ok(rows.collect::<Result<_, _>>()?)
+    let values = (states.0, states.1, capped(limit), RecordState::RightEnded.code());
+    let sql = "SELECT digest FROM records NOT INDEXED WHERE (state BETWEEN ?1 AND ?2 OR state = ?4)
+        AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY n DESC LIMIT ?3";
+    Ok(connection.list(sql, values, |row| row.get(0).map(Digest))?)
 }
 
 #[cfg(test)]
 mod integrity_tests {
-    use super::*;
+    use crate::Ledger;
     use crate::notes::CopiedAt;
 
     #[test]
@@ -491,8 +430,8 @@ mod integrity_tests {
         };
         let before = found();
         let ledger = Ledger::open(&path).expect("opens");
-        assert_eq!(ledger.contradictions(), Ok(Vec::new()));
-        assert_eq!(ledger.confirm(9).expect("nothing to confirm"), Vec::new());
+        assert_eq!(ledger.inspection.contradictions(), Ok(Vec::new()));
+        assert_eq!(ledger.batches.confirm(9).expect("nothing to confirm"), Vec::new());
         ledger.close().expect("closed");
         assert!(before == found(), "neither its bytes nor its time");
     }
@@ -502,24 +441,24 @@ mod integrity_tests {
         let home = tempfile::tempdir().expect("temporary directory");
         let path = home.path().join("ledger.db");
         let ledger = Ledger::open(&path).expect("opens");
-        assert_eq!((ledger.ended_cleanly(), ledger.contradictions()), (true, Ok(Vec::new())));
+        assert_eq!((ledger.inspection.ended_cleanly(), ledger.inspection.contradictions()), (true, Ok(Vec::new())));
         drop(ledger);
         let ledger = Ledger::open(&path).expect("opens");
-        assert!(!ledger.ended_cleanly());
+        assert!(!ledger.inspection.ended_cleanly());
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
-        assert!(ledger.ended_cleanly());
+        assert!(ledger.inspection.ended_cleanly());
         ledger.notes.write(&CopiedAt {}, &7).expect("written");
         drop(ledger);
         let ledger = Ledger::open(&path).expect("opens");
-        assert!(!ledger.ended_cleanly(), "the first change marked it as open");
+        assert!(!ledger.inspection.ended_cleanly(), "the first change marked it as open");
         ledger.close().expect("closed");
         let ledger = Ledger::open(&path).expect("opens");
-        assert!(ledger.ended_cleanly());
+        assert!(ledger.inspection.ended_cleanly());
         let lost = "INSERT INTO intake VALUES (7, 3); INSERT INTO counters VALUES (7, 2, 2, 9);
                     INSERT INTO leaves VALUES (1, 1, 0)";
-        ledger.write(|session| Ok(session.connection.execute_batch(lost)?)).expect("written");
-        let found = ledger.contradictions().expect("read");
+        ledger.database.write(|session| Ok(session.connection.execute_batch(lost)?)).expect("written");
+        let found = ledger.inspection.contradictions().expect("read");
         assert_eq!(found.len(), 2, "{found:?}");
         assert!(found[0].contains("were stored") && found[1].contains("batch positions"), "{found:?}");
     }

@@ -3,12 +3,11 @@
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::append::{add, count};
-use super::database::whole;
+use super::append::add;
 use super::rows::{self, By, RecordRow, may, unsigned};
-use super::{Database, NewRecord};
+use super::{Losses, NewRecord, Pins, Quarantine};
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, LossReason, Publisher, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, LossesCounted};
 
@@ -67,16 +66,12 @@ pub struct HeldQuery {
     pub limit: usize,
 }
 
-/// Records that wait for an operator.
-#[derive(Debug, Clone)]
-pub struct Quarantine(pub(super) Database);
-
 impl Quarantine {
-    /// Like [`crate::Ledger::append`], with the reasons why some of the records are quarantined; all of it is durable when
+    /// Like [`Records::append`], with the reasons why some of the records are quarantined; all of it is durable when
     /// this returns, or nothing is.
     ///
     /// # Errors
-    /// See [`crate::Ledger::append`]; [`StoreError::NotReady`] if a record given a reason is not in state quarantined.
+    /// See [`Records::append`]; [`StoreError::NotReady`] if a record given a reason is not in state quarantined.
     pub fn append_held(&self, records: Vec<NewRecord>, holds: Vec<Hold>) -> Result<(), StoreError> {
         self.0.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
@@ -91,20 +86,17 @@ impl Quarantine {
     /// [`StoreError::Database`] and the like.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.0.read(|connection| {
-            let streams =
-                rows::streams(connection, &rows::Which::All)?.into_iter().map(|stream| (stream.key, stream)).collect();
+            let streams = rows::all_streams(connection)?;
             let sql = format!(
                 "SELECT {}, reason, publisher, report, decision FROM held CROSS JOIN records ON n = record
-                 JOIN topics ON key = topic
-                 WHERE (?1 OR decision IS NULL) AND owner = ?2 AND (?3 IS NULL OR name = ?3)
-                 AND (NOT ?5 OR stream IN (SELECT key FROM streams WHERE kind = ?6)) ORDER BY record LIMIT ?4",
+                    JOIN topics ON key = topic
+                    WHERE (?1 OR decision IS NULL) AND owner = ?2 AND (?3 IS NULL OR name = ?3)
+                    AND (NOT ?5 OR stream IN (SELECT key FROM streams WHERE kind = ?6)) ORDER BY record LIMIT ?4",
                 rows::COLUMNS
             );
-            let limit = i64::try_from(query.limit).unwrap_or(i64::MAX);
-            let mut statement = connection.prepare_cached(&sql)?;
             let data = RecordKind::Data.code();
-            let values = params![query.decided, owner.0, query.topic, limit, query.messages, data];
-            let found = statement.query_map(values, |row| {
+            let values = params![query.decided, owner.0, query.topic, capped(query.limit), query.messages, data];
+            Ok(connection.list(&sql, values, |row| {
                 Ok(HeldRow {
                     record: rows::record(row, &streams)?,
                     reason: row.get(14)?,
@@ -112,8 +104,7 @@ impl Quarantine {
                     report: row.get::<_, Option<_>>(16)?.map(Digest),
                     decision: row.get(17)?,
                 })
-            })?;
-            Ok(found.collect::<Result<_, _>>()?)
+            })?)
         })
     }
 
@@ -123,18 +114,17 @@ impl Quarantine {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
-        let before = i64::try_from(before).unwrap_or(i64::MAX);
         self.0.read(|connection| {
             let sql = "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
-                     CROSS JOIN records ON n = record JOIN topics ON key = topic
-                     WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1";
-            let first = connection.find(sql, params![before, owner.0], |row| {
+                CROSS JOIN records ON n = record JOIN topics ON key = topic
+                WHERE report IS NULL AND minute < ?1 AND owner = ?2 ORDER BY record LIMIT 1";
+            let first = connection.find(sql, params![capped(before), owner.0], |row| {
                 Ok((row.get::<_, i64>(0)?, TopicId(row.get(1)?), row.get::<_, String>(2)?, unsigned(row, 3)?))
             })?;
             let Some((key, topic_id, topic, minute)) = first else { return Ok(None) };
             let mut statement = connection.prepare_cached(
                 "SELECT seq, digest FROM held INDEXED BY held_unreported CROSS JOIN records ON n = record
-                 WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record",
+                    WHERE report IS NULL AND minute = ?1 AND topic = ?2 ORDER BY record",
             )?;
             let records = statement
                 .query_map(params![minute.cast_signed(), key], |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
@@ -145,14 +135,14 @@ impl Quarantine {
     /// Acknowledges a quarantine record and notes the records it counts, in one commit.
     ///
     /// # Errors
-    /// See [`crate::Ledger::append`]; [`StoreError::NotReady`] if one of the records is already counted.
+    /// See [`Records::append`]; [`StoreError::NotReady`] if one of the records is already counted.
     pub fn report(&self, report: NewRecord, counted: Vec<Digest>) -> Result<(), StoreError> {
         self.0.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             add(session, &report, now)?;
             let mut statement = session.connection.prepare_cached(
                 "UPDATE held SET report = ?2
-                 WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)",
+                    WHERE report IS NULL AND record = (SELECT n FROM records WHERE digest = ?1)",
             )?;
             counted.iter().try_for_each(|digest| match statement.execute(params![digest.0, report.digest.0])? {
                 1 => Ok(()),
@@ -202,7 +192,7 @@ impl Quarantine {
 
 fn hold(connection: &Connection, hold: &Hold) -> Result<(), StoreError> {
     let sql = "INSERT INTO held (record, minute, reason, publisher)
-             SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING";
+        SELECT n, captured_at / ?5, ?3, ?4 FROM records WHERE digest = ?1 AND state = ?2 ON CONFLICT DO NOTHING";
     let held = connection
         .run(sql, params![hold.digest.0, RecordState::Quarantined.code(), hold.reason, hold.publisher, MINUTE])?;
     let known = || {
@@ -258,10 +248,6 @@ pub struct AlarmRow {
     pub open: bool,
 }
 
-/// Pinned publishers, and alarms about others.
-#[derive(Debug, Clone)]
-pub struct Pins(pub(super) Database);
-
 impl Pins {
     /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
     ///
@@ -289,10 +275,8 @@ impl Pins {
     /// [`StoreError::DiskFull`] and the like; then none is removed.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let (topic, caller_id) = (topic.to_owned(), caller_id.to_owned());
-        self.0.write(move |session| {
-            let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3";
-            Ok(count(session.connection.execute(sql, params![owner.0, topic, caller_id])?))
-        })
+        let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3";
+        self.0.changed(sql, (owner.0, topic, caller_id))
     }
 
     /// The pins of an owner, of one topic or of all.
@@ -300,11 +284,9 @@ impl Pins {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn list(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
-                 WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
-            Ok(connection.list(sql, params![owner.0, topic], pin_row)?)
-        })
+        let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
+            WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
+        self.0.list(sql, params![owner.0, topic], pin_row)
     }
 
     /// Whether a topic ever had pins.
@@ -312,10 +294,7 @@ impl Pins {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn was_pinned(&self, owner: Address, topic: &str) -> Result<bool, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection
-                .has("SELECT 1 FROM pinned_topics WHERE owner = ?1 AND topic = ?2", params![owner.0, topic])?)
-        })
+        self.0.has("SELECT 1 FROM pinned_topics WHERE owner = ?1 AND topic = ?2", params![owner.0, topic])
     }
 
     /// Raises an alarm; `false` if the same publisher already has an open alarm on this topic.
@@ -330,15 +309,11 @@ impl Pins {
         reason: &'static str,
     ) -> Result<bool, StoreError> {
         let (topic, publisher) = (topic.to_owned(), publisher.to_owned());
-        self.0.write(move |session| {
-            let now = whole("time", Timestamp::now().0)?;
-            let raised = session.connection.execute(
-                "INSERT INTO alarms VALUES (?1, ?2, ?3, ?4, ?5, 1) ON CONFLICT DO UPDATE SET open = 1, at = excluded.at
-                 WHERE open = 0",
-                params![owner.0, topic, publisher, reason, now],
-            )?;
-            Ok(raised > 0)
-        })
+        let now = whole("time", Timestamp::now().0)?;
+        let sql =
+            "INSERT INTO alarms VALUES (?1, ?2, ?3, ?4, ?5, 1) ON CONFLICT DO UPDATE SET open = 1, at = excluded.at
+                WHERE open = 0";
+        Ok(self.0.changed(sql, (owner.0, topic, publisher, reason, now))? > 0)
     }
 
     /// The operator has decided about a topic: its alarms are closed but kept. Returns how many were open.
@@ -347,10 +322,8 @@ impl Pins {
     /// [`StoreError::DiskFull`] and the like.
     pub fn close_alarms(&self, owner: Address, topic: &str) -> Result<u64, StoreError> {
         let topic = topic.to_owned();
-        self.0.write(move |session| {
-            let sql = "UPDATE alarms SET open = 0 WHERE owner = ?1 AND topic = ?2 AND open = 1";
-            Ok(count(session.connection.execute(sql, params![owner.0, topic])?))
-        })
+        let sql = "UPDATE alarms SET open = 0 WHERE owner = ?1 AND topic = ?2 AND open = 1";
+        self.0.changed(sql, (owner.0, topic))
     }
 
     /// The alarms of an owner, including closed ones, of one topic or of all.
@@ -358,21 +331,16 @@ impl Pins {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.list(
-                "SELECT topic, publisher, reason, at, open FROM alarms
-                 WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at",
-                params![owner.0, topic],
-                |row| {
-                    Ok(AlarmRow {
-                        topic: row.get(0)?,
-                        publisher: row.get(1)?,
-                        reason: row.get(2)?,
-                        at: Timestamp(unsigned(row, 3)?),
-                        open: row.get(4)?,
-                    })
-                },
-            )?)
+        let sql = "SELECT topic, publisher, reason, at, open FROM alarms
+            WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at";
+        self.0.list(sql, params![owner.0, topic], |row| {
+            Ok(AlarmRow {
+                topic: row.get(0)?,
+                publisher: row.get(1)?,
+                reason: row.get(2)?,
+                at: Timestamp(unsigned(row, 3)?),
+                open: row.get(4)?,
+            })
         })
     }
 }
@@ -454,10 +422,6 @@ pub struct GapRow {
 const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
 
-/// Messages that were lost.
-#[derive(Debug, Clone)]
-pub struct Losses(pub(super) Database);
-
 impl Losses {
     /// Counts losses durably, all or none; they stay open until a gap record reports them.
     ///
@@ -470,7 +434,7 @@ impl Losses {
     /// The same, and notes in the same commit up to which text of [`crate::WaitingFile`] its losses are counted.
     ///
     /// # Errors
-    /// See [`Self::count_losses`].
+    /// See [`Self::count`].
     pub fn count_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
         self.0.write(move |session| {
             losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
@@ -483,21 +447,19 @@ impl Losses {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
-        self.0.read(|connection| {
-            let sql = format!(
-                "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
-                 ORDER BY key LIMIT ?3"
-            );
-            let (by, limit) = (i64::try_from(by.0).unwrap_or(i64::MAX), i64::try_from(limit).unwrap_or(i64::MAX));
-            Ok(connection.list(&sql, params![owner.0, by, limit], gap_row)?)
-        })
+        let sql = format!(
+            "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
+                ORDER BY key LIMIT ?3"
+        );
+        let (by, limit) = (capped(by.0), capped(limit));
+        self.0.list(&sql, params![owner.0, by, limit], gap_row)
     }
 
     /// Acknowledges a gap record and notes the losses it reports, in one commit. Losses since the row was read stay
     /// open.
     ///
     /// # Errors
-    /// See [`crate::Ledger::append`]; [`StoreError::NotReady`] if the row is already reported.
+    /// See [`Records::append`]; [`StoreError::NotReady`] if the row is already reported.
     pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
         let gap = gap.clone();
         self.0.write(move |session| {
@@ -512,10 +474,8 @@ impl Losses {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn gaps(&self, owner: Address, limit: usize) -> Result<Vec<GapRow>, StoreError> {
-        self.0.read(|connection| {
-            let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");
-            Ok(connection.list(&sql, params![owner.0, i64::try_from(limit).unwrap_or(i64::MAX)], gap_row)?)
-        })
+        let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");
+        self.0.list(&sql, params![owner.0, capped(limit)], gap_row)
     }
 }
 
@@ -523,12 +483,13 @@ fn count_one(connection: &Connection, loss: &Loss) -> Result<(), StoreError> {
     let (count, word) = (whole("count", loss.count)?, loss.reason.word());
     let sql = "INSERT INTO drops VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO UPDATE SET count = count + excluded.count";
     connection.run(sql, params![loss.owner.0, loss.topic, word, count])?;
+    let sql = "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
+        ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
+        count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
+        first_number = coalesce(first_number, excluded.first_number)";
     connection.run(
-        "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
-             ON CONFLICT (owner, topic, publisher, reason) WHERE report IS NULL DO UPDATE SET
-             count = count + excluded.count, last_number = excluded.last_number, last_at = excluded.last_at,
-             first_number = coalesce(first_number, excluded.first_number)",
+        sql,
         params![
             loss.owner.0,
             loss.topic,
@@ -559,7 +520,7 @@ fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), S
     if count > told {
         let sql =
             "INSERT INTO gaps (owner, topic, publisher, reason, count, first_number, last_number, first_at, last_at)
-                 SELECT owner, topic, publisher, reason, ?2, last_number, ?3, last_at, ?4 FROM gaps WHERE key = ?1";
+                SELECT owner, topic, publisher, reason, ?2, last_number, ?3, last_at, ?4 FROM gaps WHERE key = ?1";
         connection.run(sql, params![gap.key, count - told, last_number, last_at])?;
     }
     Ok(())

@@ -4,29 +4,54 @@
 //! stream's records of each state are read in order from an index, and these lanes are merged.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
 use std::path::Path;
 use std::time::Duration;
 
 use rusqlite::types::Value;
-use rusqlite::{CachedStatement, Connection, OpenFlags, OptionalExtension as _, Row, params};
+use rusqlite::{CachedStatement, Connection, OpenFlags, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::Ledger;
-use super::database::whole;
 use super::directory;
-use super::filters::FilterChoice;
-use super::rows::{self, RecordRow, Stream, Which};
+use super::rows::{self, RecordRow, Stream, Which, unsigned};
+use super::{Counts, Losses, Records};
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 use crate::notes::{self, Note};
 
 const LARGEST_PAGE: usize = 10_000;
+const USUAL_PAGE: usize = 100;
+
+/// A filter id that finds records: the same for every topic, or another one for some topics.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FilterChoice {
+    /// For records of any topic.
+    pub id: FilterId,
+    /// For records of these topics.
+    pub by_topic: BTreeMap<TopicId, FilterId>,
+}
+
+impl FilterChoice {
+    /// Both ids that records of a topic may have; the same twice if there is only one.
+    fn of(&self, topic: TopicId) -> [FilterId; 2] {
+        [self.id, self.by_topic.get(&topic).copied().unwrap_or(self.id)]
+    }
+
+    /// Whether it finds a record of a topic with these ids.
+    pub fn is_in(&self, topic: TopicId, ids: &[FilterId]) -> bool {
+        self.of(topic).iter().any(|id| ids.contains(id))
+    }
+}
+
+impl From<FilterId> for FilterChoice {
+    fn from(id: FilterId) -> Self {
+        Self { id, by_topic: BTreeMap::new() }
+    }
+}
 
 /// Which records to list. All conditions must hold.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RecordQuery {
     /// Of this owner.
     pub owner: Option<Address>,
@@ -35,12 +60,10 @@ pub struct RecordQuery {
     /// Of the topic with this name.
     pub topic: Option<String>,
     /// Of any topic with one of these names; empty = of any.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub topics: Vec<String>,
     /// Of any of these topics.
     pub topic_ids: Option<Vec<TopicId>>,
     /// Numbered by this recorder.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub recorder: Option<RecorderId>,
     /// With one id of each of these choices.
     pub filters: Vec<FilterChoice>,
@@ -58,33 +81,10 @@ pub struct RecordQuery {
     pub until: Option<Timestamp>,
     /// After the page whose `next` was this cursor.
     pub after: Option<String>,
-    /// The most records on a page, 1 to 10,000; 100 unless set.
+    /// The most records on a page, 1 to 10,000; 0 = 100.
     pub limit: usize,
     /// Newest first; oldest first unless set.
     pub newest_first: bool,
-}
-
-impl Default for RecordQuery {
-    fn default() -> Self {
-        Self {
-            owner: None,
-            owners: None,
-            topic: None,
-            topics: Vec::new(),
-            topic_ids: None,
-            recorder: None,
-            filters: Vec::new(),
-            type_name: None,
-            words: Vec::new(),
-            kind: None,
-            state: None,
-            since: None,
-            until: None,
-            after: None,
-            limit: 100,
-            newest_first: false,
-        }
-    }
 }
 
 impl RecordQuery {
@@ -114,17 +114,17 @@ pub struct RecordPage {
     pub next: Option<String>,
 }
 
-impl Ledger {
+impl Records {
     /// A page of records, ordered by capture time (and by acknowledgement within the same time). If no state is
-    /// requested, the counters say which states a topic has records in; [`Ledger::contradictions`] compares them with
+    /// requested, the counters say which states a topic has records in; [`Inspection::contradictions`] compares them with
     /// the records.
     ///
     /// # Errors
     /// [`StoreError::Cursor`] if `after` is not a cursor, [`StoreError::Database`] and the like.
     pub fn list(&self, query: &RecordQuery) -> Result<RecordPage, StoreError> {
-        let limit = query.limit.clamp(1, LARGEST_PAGE);
+        let limit = if query.limit == 0 { USUAL_PAGE } else { query.limit.min(LARGEST_PAGE) };
         let range = Range::of(query)?;
-        self.read(|connection| {
+        self.0.read(|connection| {
             let mut streams = candidates(connection, query)?;
             streams.retain(|stream| query.wants(stream));
             let mut wanted: Vec<&Stream> = streams.iter().collect();
@@ -174,18 +174,14 @@ fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream
         }
         (None, None, Some(state)) => {
             // From stream to stream along the index of states; for a DISTINCT, SQLite would read every entry.
-            let keys: Vec<i64> = connection
-                .prepare_cached(
-                    "WITH RECURSIVE found (stream) AS (
-                         SELECT min(stream) FROM records INDEXED BY records_by_state WHERE state = ?1
-                         UNION ALL
-                         SELECT (SELECT min(r.stream) FROM records r INDEXED BY records_by_state
-                                 WHERE r.state = ?1 AND r.stream > found.stream)
-                         FROM found WHERE found.stream IS NOT NULL)
-                     SELECT stream FROM found WHERE stream IS NOT NULL",
-                )?
-                .query_map([state.code()], |row| row.get(0))?
-                .collect::<Result<_, _>>()?;
+            let sql = "WITH RECURSIVE found (stream) AS (
+                    SELECT min(stream) FROM records INDEXED BY records_by_state WHERE state = ?1
+                    UNION ALL
+                    SELECT (SELECT min(r.stream) FROM records r INDEXED BY records_by_state
+                            WHERE r.state = ?1 AND r.stream > found.stream)
+                    FROM found WHERE found.stream IS NOT NULL)
+                SELECT stream FROM found WHERE stream IS NOT NULL";
+            let keys: Vec<i64> = connection.list(sql, [state.code()], |row| row.get(0))?;
             let mut found: Vec<Stream> = rows::keyed_streams(connection, keys)?.into_values().collect();
             found.sort_by_key(|stream| stream.key);
             Ok(found)
@@ -194,12 +190,8 @@ fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream
     }
 }
 
-fn keyed(streams: Vec<Stream>) -> HashMap<i64, Stream> {
-    streams.into_iter().map(|stream| (stream.key, stream)).collect()
-}
-
 fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<Vec<RecordRow>, StoreError> {
-    let by_key = keyed(streams);
+    let by_key = rows::by_key(streams);
     let sql = format!("SELECT {} FROM records WHERE n = ?1", rows::COLUMNS);
     let mut statement = connection.prepare_cached(&sql)?;
     keys.iter().map(|key| Ok(statement.query_row([key.n], |row| rows::record(row, &by_key))?)).collect()
@@ -262,8 +254,8 @@ impl Range {
             .collect();
         format!(
             "SELECT captured_at, n FROM records INDEXED BY records_by_state WHERE state = ?7 AND stream = ?1{filters}
-             AND (captured_at, n) > (?2, ?3) AND (captured_at, n) < (?4, ?5)
-             ORDER BY captured_at {order}, n {order} LIMIT ?6"
+                AND (captured_at, n) > (?2, ?3) AND (captured_at, n) < (?4, ?5)
+                ORDER BY captured_at {order}, n {order} LIMIT ?6"
         )
     }
 }
@@ -394,9 +386,9 @@ impl<'a> Merge<'a> {
 impl Lane {
     fn read(&mut self, statement: &mut CachedStatement<'_>, chunk: usize) -> Result<(), StoreError> {
         let Range { low, high, .. } = self.range;
-        let limit = i64::try_from(chunk).unwrap_or(i64::MAX);
         let state = i64::from(self.state);
-        let bounds = [self.stream, low.captured_at, low.n, high.captured_at, high.n, limit, state].map(Value::from);
+        let bounds =
+            [self.stream, low.captured_at, low.n, high.captured_at, high.n, capped(chunk), state].map(Value::from);
         let filters = self.filters.iter().map(|filter| Value::from(filter.0.to_vec()));
         let values = bounds.into_iter().chain(filters);
         let keys = statement.query_map(rusqlite::params_from_iter(values), |row| {
@@ -446,7 +438,7 @@ pub struct NewestRecord {
 pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM topics LIMIT ?1";
 /// When an owner's oldest record of a kind and state was captured.
 pub(super) const OLDEST: &str = "SELECT min((SELECT min(captured_at) FROM records WHERE state = ?3 AND stream = s.key))
-                      FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2";
+    FROM streams s JOIN topics t ON t.key = s.topic WHERE t.owner = ?1 AND s.kind = ?2";
 /// Losses without a gap record.
 pub(super) const UNTOLD: &str = "SELECT count(*) FROM gaps WHERE report IS NULL";
 
@@ -457,19 +449,18 @@ pub(super) fn last_seen() -> String {
     });
     format!(
         "SELECT r.signer, max(max({})) AS at FROM streams s JOIN topics t ON t.key = s.topic
-         JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2",
+            JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2",
         newest.collect::<Vec<_>>().join(", ")
     )
 }
 
-impl Ledger {
+impl Counts {
     /// The accounts whose records are here, at most `limit`.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| Ok(connection.list(OWNERS, [limit], |row| Ok(Address(row.get(0)?)))?))
+        self.0.list(OWNERS, [capped(limit)], |row| Ok(Address(row.get(0)?)))
     }
 
     /// When an owner's oldest data record that is in no block yet was captured.
@@ -477,12 +468,11 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn oldest_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(OLDEST)?;
+        self.0.read(|connection| {
             let mut oldest: Option<i64> = None;
             for state in UNANCHORED {
                 let values = params![owner.0, RecordKind::Data.code(), i64::from(state.code())];
-                let found: Option<i64> = statement.query_row(values, |row| row.get(0))?;
+                let found: Option<i64> = connection.one(OLDEST, values, |row| row.get(0))?;
                 oldest = oldest.into_iter().chain(found).min();
             }
             Ok(oldest.and_then(|at| u64::try_from(at).ok()).map(Timestamp))
@@ -494,12 +484,9 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|connection| {
-            Ok(connection.list(&last_seen(), params![RecordKind::Data.code(), limit], |row| {
-                let at: i64 = row.get(1)?;
-                Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
-            })?)
+        self.0.list(&last_seen(), params![RecordKind::Data.code(), capped(limit)], |row| {
+            let at: i64 = row.get(1)?;
+            Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
         })
     }
 
@@ -508,29 +495,24 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn newest_of(&self, owner: Address, signer: SignerId) -> Result<Option<NewestRecord>, StoreError> {
-        self.read(|connection| {
-            let found = connection.one(
-                "SELECT x.epoch, x.captured_at, x.acknowledged_at FROM topics t
-                 JOIN recorders r ON r.key = t.recorder
-                 JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
-                 WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1",
-                params![owner.0, signer.0],
-                |row| {
-                    let time = |column| super::rows::unsigned(row, column).map(Timestamp);
-                    let epoch = super::rows::unsigned(row, 0)?;
-                    Ok(NewestRecord { epoch, captured_at: time(1)?, acknowledged_at: time(2)? })
-                },
-            );
-            Ok(found.optional()?)
+        let sql = "SELECT x.epoch, x.captured_at, x.acknowledged_at FROM topics t
+            JOIN recorders r ON r.key = t.recorder
+            JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
+            WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1";
+        self.0.find(sql, params![owner.0, signer.0], |row| {
+            let time = |column| unsigned(row, column).map(Timestamp);
+            Ok(NewestRecord { epoch: unsigned(row, 0)?, captured_at: time(1)?, acknowledged_at: time(2)? })
         })
     }
+}
 
+impl Losses {
     /// Losses not yet reported in a gap record: entries by place and reason, not messages.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn untold_gaps(&self) -> Result<u64, StoreError> {
-        self.read(|connection| Ok(connection.one(UNTOLD, [], |row| super::rows::unsigned(row, 0))?))
+    pub fn untold(&self) -> Result<u64, StoreError> {
+        self.0.one(UNTOLD, [], |row| unsigned(row, 0))
     }
 }
 
@@ -592,13 +574,12 @@ impl Glance {
             return Ok(Vec::new());
         }
         let fill = |digit: &str| format!("{}{}", begun.to_ascii_lowercase(), digit.repeat(whole - begun.len()));
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         let order = if begun.is_empty() { "n DESC" } else { "digest" };
         let sql = format!(
             "SELECT lower(hex(digest)) FROM records WHERE digest BETWEEN unhex(?1) AND unhex(?2) ORDER BY {order} LIMIT ?3"
         );
         let mut statement = self.0.prepare(&sql)?;
-        let found = statement.query_map(params![fill("0"), fill("f"), limit], |row| row.get::<_, String>(0))?;
+        let found = statement.query_map(params![fill("0"), fill("f"), capped(limit)], |row| row.get::<_, String>(0))?;
         let ids: Result<Vec<String>, _> = found.collect();
         // Text beyond an id's length stays as typed.
         let length = ID_LENGTH.max(begun.len());
@@ -674,10 +655,10 @@ pub(super) fn keys(
     let order = if range.newest_first { "DESC" } else { "ASC" };
     let mut statement = connection.prepare_cached(&format!(
         "SELECT captured_at, n, stream FROM records
-         WHERE (captured_at, n) > (?1, ?2) AND (captured_at, n) < (?3, ?4)
-         ORDER BY captured_at {order}, n {order} LIMIT ?5"
+            WHERE (captured_at, n) > (?1, ?2) AND (captured_at, n) < (?3, ?4)
+            ORDER BY captured_at {order}, n {order} LIMIT ?5"
     ))?;
-    let (low, high, limit) = (range.low, range.high, i64::try_from(most).unwrap_or(i64::MAX));
+    let (low, high, limit) = (range.low, range.high, capped(most));
     let mut rows = statement.query(params![low.captured_at, low.n, high.captured_at, high.n, limit])?;
     let (mut keys, mut seen) = (Vec::with_capacity(wanted), 0);
     while let Some(row) = rows.next()? {

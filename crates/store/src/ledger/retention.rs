@@ -7,9 +7,9 @@ use rusqlite::{Connection, params};
 
 use super::append::add;
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
-use super::{Erasure, Ledger, NewRecord, database::whole};
+use super::{Erasure, NewRecord, Retention};
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::notes::{self, Erased};
 
@@ -63,30 +63,27 @@ pub struct Retained {
     pub stated: Option<Vec<u8>>,
 }
 
-impl Ledger {
+impl Retention {
     /// An owner's topics here: what the owner records, and what its robots bring to a gateway of this home. One whose name
     /// is not known yet has its pseudonym in place of it, which no rule is about.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn kept_topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(&format!(
-                "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
-                     (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
-                 FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                 WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
-            ))?;
-            let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
-            let rows = statement.query_map(values, |row| {
-                Ok(KeptTopic {
-                    key: row.get(0)?,
-                    topic_id: TopicId(row.get(1)?),
-                    name: row.get(2)?,
-                    bytes: unsigned(row, 3)?,
-                })
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
+    pub fn topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
+        let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
+        let sql = format!(
+            "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
+                    (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
+                FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
+        );
+        self.0.list(&sql, values, |row| {
+            Ok(KeptTopic {
+                key: row.get(0)?,
+                topic_id: TopicId(row.get(1)?),
+                name: row.get(2)?,
+                bytes: unsigned(row, 3)?,
+            })
         })
     }
 
@@ -102,38 +99,33 @@ impl Ledger {
         limit: usize,
     ) -> Result<Vec<OldRecord>, StoreError> {
         let key = topic.key;
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT digest, seq, bytes, captured_at FROM records
-                 WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
-                 AND captured_at >= ?4 AND captured_at < ?5
-                 AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6",
-            )?;
-            let time = |at: Timestamp| i64::try_from(at.0).unwrap_or(i64::MAX);
-            let values = params![
-                RecordState::Verified.code(),
-                key,
-                RecordKind::Data.code(),
-                time(since),
-                time(until),
-                i64::try_from(limit).unwrap_or(i64::MAX)
-            ];
-            let rows = statement.query_map(values, |row| {
-                Ok(OldRecord {
-                    digest: Digest(row.get(0)?),
-                    seq: unsigned(row, 1)?,
-                    bytes: unsigned(row, 2)?,
-                    captured_at: Timestamp(unsigned(row, 3)?),
-                })
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
+        let time = |at: Timestamp| capped(at.0);
+        let values = params![
+            RecordState::Verified.code(),
+            key,
+            RecordKind::Data.code(),
+            time(since),
+            time(until),
+            capped(limit)
+        ];
+        let sql = "SELECT digest, seq, bytes, captured_at FROM records
+            WHERE state = ?1 AND stream IN (SELECT key FROM streams WHERE topic = ?2 AND kind = ?3)
+            AND captured_at >= ?4 AND captured_at < ?5
+            AND NOT EXISTS (SELECT 1 FROM retained WHERE record = n) ORDER BY captured_at, n LIMIT ?6";
+        self.0.list(sql, values, |row| {
+            Ok(OldRecord {
+                digest: Digest(row.get(0)?),
+                seq: unsigned(row, 1)?,
+                bytes: unsigned(row, 2)?,
+                captured_at: Timestamp(unsigned(row, 3)?),
+            })
         })
     }
 
     /// Acknowledges a retention record and notes the records it names, with their public headers, in one commit.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of them is no longer verified, or already named.
+    /// See [`Records::append`]; [`StoreError::NotReady`] if one of them is no longer verified, or already named.
     pub fn give_up(
         &self,
         topic: &KeptTopic,
@@ -141,7 +133,7 @@ impl Ledger {
         records: Vec<(OldRecord, Vec<u8>)>,
     ) -> Result<(), StoreError> {
         let key = topic.key;
-        self.write_many(records.len(), move |session| {
+        self.0.write_many(records.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             add(session, &report, now)?;
             let mut bytes = 0;
@@ -150,7 +142,7 @@ impl Ledger {
                 bytes += record.bytes;
             }
             let sql = "INSERT INTO retained_topics VALUES (?1, ?2, ?3)
-                     ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
+                ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes";
             connection.run(sql, params![key, whole("count", records.len() as u64)?, whole("bytes", bytes)?])?;
             Ok(())
         })
@@ -162,19 +154,16 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(&format!(
-                "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
-                 JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
-                 WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
-                 ORDER BY record LIMIT ?4",
-                is_held()
-            ))?;
-            let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
-            let values = params![owner.0, confirmed, verified, i64::try_from(limit).unwrap_or(i64::MAX)];
-            let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
-            Ok(rows.collect::<Result<_, _>>()?)
-        })
+        let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
+        let values = params![owner.0, confirmed, verified, capped(limit)];
+        let sql = format!(
+            "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
+                JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
+                WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
+                ORDER BY record LIMIT ?4",
+            is_held()
+        );
+        self.0.list(&sql, values, |row| row.get(0).map(Digest))
     }
 
     /// Notes that the ciphertext of these is deleted.
@@ -183,17 +172,17 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like.
     pub fn deleted(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
+        self.0.write_many(digests.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
             for digest in &digests {
                 for sql in [
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
-                     WHERE record = (SELECT n FROM records WHERE digest = ?1)",
+                        WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
                     // Listed from now on: a reader that is past the earlier number reads it again.
                     "REPLACE INTO erasures (record, statement, account, taken)
-                     SELECT record, statement, account, taken FROM erasures
-                     WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
+                        SELECT record, statement, account, taken FROM erasures
+                        WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                 ] {
                     session.connection.run(sql, params![digest.0, now])?;
                 }
@@ -206,12 +195,16 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn retained(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
-        self.read(|connection| {
-            let found = connection.find("SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
-                     told.n IS NOT NULL,
-                     (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
-                     JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1", params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
+    pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
+        self.0.read(|connection| {
+            let sql = "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
+                told.n IS NOT NULL,
+                (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
+                JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1";
+            let found = connection.find(
+                sql,
+                params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()],
+                |row| {
                     let retained = Retained {
                         report: Digest(row.get(0)?),
                         anchored: row.get(1)?,
@@ -221,7 +214,8 @@ impl Ledger {
                         stated: row.get(5)?,
                     };
                     Ok((retained, row.get::<_, bool>(4)?))
-                })?;
+                },
+            )?;
             let Some((mut retained, told)) = found else { return Ok(None) };
             retained.erased = notes::read_in(connection, &Erased { report: retained.report })?;
             // Its own erasures a ledger knows without a statement.
@@ -241,11 +235,8 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn given_up(&self, owner: Address) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let sql =
-                "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
-            Ok(connection.one(sql, [owner.0], |row| unsigned(row, 0))?)
-        })
+        let sql = "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
+        self.0.one(sql, [owner.0], |row| unsigned(row, 0))
     }
 }
 
@@ -261,7 +252,7 @@ pub(super) fn is_held() -> String {
 
 pub(super) fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
     let sql = "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records
-             WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING";
+        WHERE digest = ?1 AND state = ?4 ON CONFLICT DO NOTHING";
     let named = connection.run(sql, params![digest.0, report.0, header, RecordState::Verified.code()])?;
     match named {
         1 => Ok(()),

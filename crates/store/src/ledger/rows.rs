@@ -5,10 +5,10 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 use rusqlite::types::Value;
-use rusqlite::{Connection, Row, params, params_from_iter};
+use rusqlite::{Connection, Row, params_from_iter};
 use serde::{Deserialize, Serialize};
 
-use super::Ledger;
+use super::{Ledger, Records};
 use crate::chain::merkle::Leaf;
 use crate::crypto::SealedRecord;
 use crate::database::Statements as _;
@@ -202,8 +202,8 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
     };
     let sql = format!(
         "SELECT s.key, t.owner, r.id, t.topic_id, {TOPIC_NAME}, s.kind, coalesce(type_name.name, s.type_name), r.signer
-         FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder {LEARNED_NAME}
-         LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name{condition}"
+            FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder {LEARNED_NAME}
+            LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name{condition}"
     );
     Ok(connection.list(&sql, params_from_iter(value), |row| {
         Ok(Stream {
@@ -219,6 +219,16 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
     })?)
 }
 
+/// All streams, by key.
+pub(super) fn all_streams(connection: &Connection) -> Result<HashMap<i64, Stream>, StoreError> {
+    Ok(by_key(streams(connection, &Which::All)?))
+}
+
+/// Streams by key.
+pub(super) fn by_key(streams: Vec<Stream>) -> HashMap<i64, Stream> {
+    streams.into_iter().map(|stream| (stream.key, stream)).collect()
+}
+
 /// The streams with these keys, by key: looking up a few records costs the same however many streams there are.
 pub(super) fn keyed_streams(
     connection: &Connection,
@@ -227,7 +237,7 @@ pub(super) fn keyed_streams(
     let mut found = HashMap::new();
     for key in keys {
         if !found.contains_key(&key) {
-            found.extend(streams(connection, &Which::Key(key))?.into_iter().map(|stream| (stream.key, stream)));
+            found.extend(by_key(streams(connection, &Which::Key(key))?));
         }
     }
     Ok(found)
@@ -339,96 +349,65 @@ pub(super) enum By {
     Right,
 }
 
-const EDGES: [(RecordState, RecordState, By); 41] = [
-    (Stored, Quarantined, By::Worker),
-    (Stored, Batched, By::Batch),
-    (Confirmed, Verified, By::Worker),
-    (Stored, Tampered, By::Worker),
-    (Batched, Tampered, By::Worker),
-    (Submitted, Tampered, By::Worker),
-    (Mined, Tampered, By::Worker),
-    (Confirmed, Tampered, By::Worker),
-    (Verified, Tampered, By::Worker),
-    (Quarantined, Tampered, By::Worker),
-    (Quarantined, Stored, By::Operator),
-    (Quarantined, Dropped, By::Operator),
-    (Stored, Submitted, By::Submit),
-    (Batched, Submitted, By::Submit),
-    (Submitted, Stored, By::Close),
-    (Submitted, Batched, By::Close),
-    (Stored, Mined, By::Sight),
-    (Batched, Mined, By::Sight),
-    (Submitted, Mined, By::Sight),
-    (Mined, Confirmed, By::Confirm),
-    (Mined, Submitted, By::Reorg),
-    (Mined, Batched, By::Reorg),
-    (Mined, Stored, By::Reorg),
-    (Confirmed, Mined, By::Reorg),
-    (Confirmed, Submitted, By::Reorg),
-    (Confirmed, Batched, By::Reorg),
-    (Confirmed, Stored, By::Reorg),
-    (Verified, Mined, By::Reorg),
-    (Verified, Submitted, By::Reorg),
-    (Verified, Batched, By::Reorg),
-    (Verified, Stored, By::Reorg),
-    (Stored, Submitted, By::Gateway),
-    (Submitted, Stored, By::Gateway),
-    (Submitted, Verified, By::Gateway),
-    (Submitted, Tampered, By::Gateway),
-    (Stored, RightEnded, By::Right),
-    (Batched, Stored, By::Right),
-    (Confirmed, Stored, By::Right),
-    (RightEnded, Stored, By::Right),
-    (RightEnded, Mined, By::Sight),
-    (RightEnded, Tampered, By::Worker),
+/// From any of the first states to any of the second.
+const EDGES: [(&[RecordState], &[RecordState], By); 15] = [
+    (&[Stored], &[Quarantined], By::Worker),
+    (&[Confirmed], &[Verified], By::Worker),
+    (&[Stored, Batched, Submitted, Mined, Confirmed, Verified, Quarantined, RightEnded], &[Tampered], By::Worker),
+    (&[Stored], &[Batched], By::Batch),
+    (&[Quarantined], &[Stored, Dropped], By::Operator),
+    (&[Stored, Batched], &[Submitted], By::Submit),
+    (&[Submitted], &[Stored, Batched], By::Close),
+    (&[Stored, Batched, Submitted, RightEnded], &[Mined], By::Sight),
+    (&[Mined], &[Confirmed], By::Confirm),
+    (&[Mined], &[Submitted, Batched, Stored], By::Reorg),
+    (&[Confirmed, Verified], &[Mined, Submitted, Batched, Stored], By::Reorg),
+    (&[Stored], &[Submitted], By::Gateway),
+    (&[Submitted], &[Stored, Verified, Tampered], By::Gateway),
+    (&[Stored], &[RightEnded], By::Right),
+    (&[Batched, Confirmed, RightEnded], &[Stored], By::Right),
 ];
 
 /// Whether a record may ever go from one state to another in one step.
 pub fn is_legal(from: RecordState, to: RecordState) -> bool {
-    EDGES.iter().any(|edge| (edge.0, edge.1) == (from, to))
+    EDGES.iter().any(|(before, after, _)| before.contains(&from) && after.contains(&to))
 }
 
 /// Whether `by` may make this transition.
 pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
-    EDGES.contains(&(from, to, by))
+    EDGES.iter().any(|(before, after, who)| *who == by && before.contains(&from) && after.contains(&to))
 }
 
 // Finding one record by its digest or a prefix of it.
 
-impl Ledger {
+impl Records {
     /// The record with this digest.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
-        Ok(self.records(&[digest])?.pop().flatten())
+    pub fn find(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
+        Ok(self.find_all(&[digest])?.pop().flatten())
     }
 
     /// The records with these digests, in this order, as of one moment.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn records(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
-        self.read(|connection| rows_of(connection, digests))
+    pub fn find_all(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
+        self.0.read(|connection| rows_of(connection, digests))
     }
 
     /// The record whose digest begins with `id` (4 to 64 hex characters).
     ///
     /// # Errors
     /// [`StoreError::Id`] if `id` is malformed, [`StoreError::Ambiguous`] if several records match.
-    pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
+    pub fn by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
         let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
-        self.read(|connection| {
-            let found: Vec<i64> = connection
-                .prepare_cached("SELECT stream FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2")?
-                .query_map(params![low.0, high.0], |row| row.get(0))?
-                .collect::<Result<_, _>>()?;
-            let by_key = keyed_streams(connection, found)?;
+        self.0.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM records WHERE digest BETWEEN ?1 AND ?2 LIMIT 2");
-            let mut found = connection
-                .prepare_cached(&sql)?
-                .query_map(params![low.0, high.0], |row| record(row, &by_key))?
-                .collect::<Result<Vec<_>, _>>()?;
+            let found: Vec<i64> = connection.list(&sql, [low.0, high.0], |row| row.get(0))?;
+            let by_key = keyed_streams(connection, found)?;
+            let mut found: Vec<RecordRow> = connection.list(&sql, [low.0, high.0], |row| record(row, &by_key))?;
             if found.len() > 1 { Err(StoreError::Ambiguous(id.to_owned())) } else { Ok(found.pop()) }
         })
     }
@@ -439,7 +418,7 @@ pub(super) fn rows_of(connection: &Connection, digests: &[Digest]) -> Result<Vec
     let mut find = connection.prepare_cached(&format!("SELECT {COLUMNS} FROM records WHERE digest = ?1"))?;
     let mut by_key = HashMap::new();
     let one = |digest: &Digest| {
-        let mut found = find.query(params![digest.0])?;
+        let mut found = find.query([digest.0])?;
         let Some(row) = found.next()? else { return Ok(None) };
         learn_stream(connection, row, &mut by_key)?;
         Ok(Some(record(row, &by_key)?))
@@ -502,12 +481,19 @@ mod edges_tests {
 
     #[test]
     fn edges_are_distinct_and_leave_no_state_stuck() {
-        for (index, edge) in EDGES.iter().enumerate() {
-            assert!(!EDGES[..index].contains(edge), "{edge:?}");
+        let edges: Vec<_> = EDGES
+            .iter()
+            .flat_map(|(before, after, by)| {
+                before.iter().flat_map(move |from| after.iter().map(move |to| (from, to, by)))
+            })
+            .collect();
+        for (index, edge) in edges.iter().enumerate() {
+            assert!(!edges[..index].contains(edge), "{edge:?}");
             assert_ne!(edge.0, edge.1);
         }
+        assert_eq!(edges.len(), 41);
         for state in [Stored, Batched, Submitted, Mined, Confirmed] {
-            assert!(EDGES.iter().any(|edge| edge.0 == state && edge.1 > state && edge.1 <= Verified), "{state:?}");
+            assert!(edges.iter().any(|(from, to, _)| **from == state && **to > state && **to <= Verified), "{state:?}");
         }
     }
 
@@ -536,26 +522,26 @@ mod place_tests {
         let home = tempfile::tempdir().expect("a folder");
         let (path, copy) = (home.path().join("ledger.db"), home.path().join("copy.db"));
         let (ledger, copied) = Ledger::open_in_place(&path).expect("made");
-        let recorder = ledger.recorder();
+        let recorder = ledger.records.recorder();
         assert!(!copied);
         let (owner, signer) = (Address([1; 20]), SignerId([1; 32]));
-        ledger.append(vec![record(1, 1, 1)]).expect("recorded");
+        ledger.records.append(vec![record(1, 1, 1)]).expect("recorded");
         ledger.close().expect("closed");
         std::fs::copy(&path, &copy).expect("copied");
         let (ledger, copied) = Ledger::open_in_place(&path).expect("opened again");
-        assert!(!copied && ledger.recorder() == recorder, "the first is as it was");
-        assert_eq!(ledger.predecessor(owner, signer).expect("read"), None);
+        assert!(!copied && ledger.records.recorder() == recorder, "the first is as it was");
+        assert_eq!(ledger.counts.predecessor(owner, signer).expect("read"), None);
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened");
-        assert!(copied && other.recorder() != recorder);
+        assert!(copied && other.records.recorder() != recorder);
         let before = recorder.of_signer(&signer);
-        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before), "it says whose copy it is");
-        assert_eq!(other.next_seq(owner, signer, TopicId([1; 16])), Ok(1), "and numbers anew");
-        other.append(vec![NewRecord { digest: Digest([9; 32]), ..record(1, 1, 1) }]).expect("recorded");
-        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before));
-        let renewed = other.recorder();
+        assert_eq!(other.counts.predecessor(owner, signer).expect("read"), Some(before), "it says whose copy it is");
+        assert_eq!(other.records.next_seq(owner, signer, TopicId([1; 16])), Ok(1), "and numbers anew");
+        other.records.append(vec![NewRecord { digest: Digest([9; 32]), ..record(1, 1, 1) }]).expect("recorded");
+        assert_eq!(other.counts.predecessor(owner, signer).expect("read"), Some(before));
+        let renewed = other.records.recorder();
         other.close().expect("closed");
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened again");
-        assert!(!copied && other.recorder() == renewed, "once is enough");
+        assert!(!copied && other.records.recorder() == renewed, "once is enough");
     }
 
     #[test]
@@ -563,10 +549,10 @@ mod place_tests {
         let home = tempfile::tempdir().expect("a folder");
         let path = home.path().join("ledger.db");
         let ledger = Ledger::open(&path).expect("made as before");
-        let recorder = ledger.recorder();
+        let recorder = ledger.records.recorder();
         ledger.close().expect("closed");
         let (ledger, copied) = Ledger::open_in_place(&path).expect("opened");
-        assert!(!copied && ledger.recorder() == recorder);
+        assert!(!copied && ledger.records.recorder() == recorder);
     }
 
     #[test]
@@ -574,10 +560,10 @@ mod place_tests {
         let home = tempfile::tempdir().expect("a folder");
         let (path, moved) = (home.path().join("ledger.db"), home.path().join("moved.db"));
         let (ledger, _) = Ledger::open_in_place(&path).expect("made");
-        let recorder = ledger.recorder();
+        let recorder = ledger.records.recorder();
         ledger.close().expect("closed");
         std::fs::rename(&path, &moved).expect("moved");
         let (ledger, copied) = Ledger::open_in_place(&moved).expect("opened");
-        assert!(!copied && ledger.recorder() == recorder);
+        assert!(!copied && ledger.records.recorder() == recorder);
     }
 }

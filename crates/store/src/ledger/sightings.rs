@@ -1,12 +1,11 @@
 //! What the watcher read on the chain: blocks, anchors seen in them, and what is proven of them.
 
-use rusqlite::{Connection, OptionalExtension as _, params};
+use rusqlite::{Connection, params};
 
-use super::append::count;
 use super::rows::{self, By, may, unsigned};
-use super::{Database, Ledger, batches};
+use super::{Batches, Counts, Forwarding, Trail, batches};
 use crate::StoreError;
-use crate::database::{Statements as _, whole};
+use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, SignerId, Timestamp, TopicId};
 
 /// An anchor found in a block.
@@ -31,7 +30,7 @@ struct Standing {
     block_hash: Option<[u8; 32]>,
 }
 
-impl Ledger {
+impl Batches {
     /// Takes in anchors found on the chain: whatever a pending record's state was, it is now mined, with this
     /// transaction and block. A mined record moves to the block seen last; a tampered one only notes its block. Digests
     /// of other ledgers are skipped. Returns how many records changed; seeing the same again changes none.
@@ -40,7 +39,7 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then nothing is recorded.
     pub fn mined(&self, sightings: &[Sighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
-        self.write_many(sightings.len(), move |session| {
+        self.0.write_many(sightings.len(), move |session| {
             sightings.iter().try_fold(0, |changed, sighting| Ok(changed + see(session.connection, sighting)?))
         })
     }
@@ -50,7 +49,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn waiting_digests(&self, sightings: &[Sighting]) -> Result<Vec<Digest>, StoreError> {
-        self.read(|connection| {
+        self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
             let sql =
                 "SELECT 1 FROM passed_over JOIN records ON n = record WHERE digest = ?1 AND passed_over.block = ?2";
@@ -73,55 +72,28 @@ impl Ledger {
     /// [`StoreError::DiskFull`] and the like; then none is.
     pub fn confirm(&self, up_to_block: u64) -> Result<Vec<Timestamp>, StoreError> {
         let block = whole("block", up_to_block)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let (mined, confirmed) = (RecordState::Mined.code(), RecordState::Confirmed.code());
             let sql = "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1
-                 RETURNING captured_at";
+                RETURNING captured_at";
             Ok(session.connection.list(sql, params![block, mined, confirmed], |row| unsigned(row, 0).map(Timestamp))?)
         })
     }
 
-    /// Blocks from this one on are gone: their mined and confirmed records lose their block. If the record's own
-    /// transaction was signed here, it counts as open again and the record as submitted, so that the sender sends the
-    /// same bytes again; otherwise the record is stored, or batched, and will be anchored again. Returns how many
-    /// records moved. The blocks leave the trail; its walker stays where it is.
-    ///
-    /// Verified records stay: a block deeper than the required confirmations disappears only if the chain is broken,
-    /// and that is for the operator to decide. [`Ledger::verified_from`] counts them and [`Ledger::unverify`] moves
-    /// them the same way.
+    /// Blocks from this one on are gone: their records lose their block. If the record's own transaction was signed here, it
+    /// counts as open again and the record as submitted, so that the sender sends the same bytes again; otherwise the record
+    /// is stored, or batched, and will be anchored again. The blocks leave the trail; its walker stays where it is. Returns
+    /// how many records moved, and how many of them were verified: a block deeper than the required confirmations disappears
+    /// only if the chain is broken.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then none moves.
-    pub fn unmine(&self, from_block: u64) -> Result<u64, StoreError> {
-        self.take_back(from_block, &[RecordState::Mined, RecordState::Confirmed])
-    }
-
-    /// Like [`Ledger::unmine`], for verified records.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none moves.
-    pub fn unverify(&self, from_block: u64) -> Result<u64, StoreError> {
-        self.take_back(from_block, &[RecordState::Verified])
-    }
-
-    /// How many verified records are anchored in this block or later.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn verified_from(&self, block: u64) -> Result<u64, StoreError> {
-        let block = whole("block", block)?;
-        self.read(|connection| {
-            let sql = "SELECT count(*) FROM records WHERE state = ?1 AND block >= ?2";
-            Ok(connection.one(sql, params![RecordState::Verified.code(), block], |row| rows::unsigned(row, 0))?)
-        })
-    }
-
-    fn take_back(&self, from_block: u64, states: &'static [RecordState]) -> Result<u64, StoreError> {
+    pub fn take_back(&self, from_block: u64) -> Result<(u64, u64), StoreError> {
         let block = whole("block", from_block)?;
-        self.write(move |session| {
+        self.0.write(move |session| {
             let connection = session.connection;
             let sql = "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
-                     WHERE state = 1 AND block >= ?1";
+                WHERE state = 1 AND block >= ?1";
             connection.run(sql, [block])?;
             batches::take_back(connection, block)?;
             // In the same commit, so that no anchor in one of them is taken in from elsewhere until the chain is read again.
@@ -129,7 +101,10 @@ impl Ledger {
             connection.run("DELETE FROM passed_over WHERE block >= ?1", [block])?;
             let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
             connection.run(sql, params![RecordState::Tampered.code(), block])?;
-            states.iter().try_fold(0, |moved, state| Ok(moved + unplace(connection, *state, block)?))
+            let verified = unplace(connection, RecordState::Verified, block)?;
+            let others = [RecordState::Mined, RecordState::Confirmed].into_iter();
+            let moved = others.map(|state| unplace(connection, state, block)).sum::<Result<u64, _>>()?;
+            Ok((moved + verified, verified))
         })
     }
 }
@@ -150,7 +125,7 @@ fn see(connection: &Connection, sighting: &Sighting) -> Result<u64, StoreError> 
 
 fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Standing>, StoreError> {
     let sql = "SELECT n, state, block, block_hash FROM records JOIN topics ON key = topic
-             WHERE digest = ?1 AND owner = ?2";
+        WHERE digest = ?1 AND owner = ?2";
     let found = connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
         Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
     })?;
@@ -188,7 +163,7 @@ fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64
         }
         let sql = format!(
             "UPDATE records INDEXED BY records_by_state SET state = ?3, {values}
-             WHERE state = ?1 AND block >= ?2 AND {condition}"
+                WHERE state = ?1 AND block >= ?2 AND {condition}"
         );
         moved += count(connection.run(&sql, params![from.code(), block, to.code()])?);
     }
@@ -209,10 +184,6 @@ pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, 
     Ok(connection.find("SELECT block, hash FROM cursor", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
 }
 
-/// The blocks that the watcher has read.
-#[derive(Debug, Clone)]
-pub struct Trail(pub(super) Database);
-
 impl Trail {
     /// The last block (number and hash) that the watcher has finished.
     ///
@@ -228,10 +199,7 @@ impl Trail {
     /// [`StoreError::DiskFull`] and the like; the previous position is then unchanged.
     pub fn set_cursor(&self, block: u64, hash: Hash) -> Result<(), StoreError> {
         let block = whole("block", block)?;
-        self.0.write(move |session| {
-            session.connection.run(SET_CURSOR, params![block, hash.0])?;
-            Ok(())
-        })
+        self.0.run(SET_CURSOR, (block, hash.0))
     }
 
     /// Moves the cursor to a block, and stores this and other blocks met on the way, in one commit.
@@ -250,7 +218,7 @@ impl Trail {
             let old = block.saturating_sub(whole("block", DENSE)?);
             if to.0.is_multiple_of(SPARSE) {
                 let sql = "DELETE FROM trail WHERE block < ?1 AND block NOT IN
-                         (SELECT max(block) FROM trail WHERE block < ?1 GROUP BY block / ?2)";
+                    (SELECT max(block) FROM trail WHERE block < ?1 GROUP BY block / ?2)";
                 connection.run(sql, params![old, whole("block", SPARSE)?])?;
             }
             Ok(())
@@ -262,11 +230,8 @@ impl Trail {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn blocks(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.list("SELECT block, hash FROM trail ORDER BY block", [], |row| {
-                Ok((unsigned(row, 0)?, Hash(row.get(1)?)))
-            })?)
-        })
+        self.0
+            .list("SELECT block, hash FROM trail ORDER BY block", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
     }
 
     /// The newest block kept.
@@ -274,10 +239,8 @@ impl Trail {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
-        self.0.read(|connection| {
-            let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
-            Ok(connection.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))?)
-        })
+        let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
+        self.0.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
     }
 
     /// Moves the cursor back to `to` if it is further, and deletes the blocks after `to`, in one commit.
@@ -297,27 +260,22 @@ impl Trail {
 
 // How far this ledger's recorder has counted, and which recorder it succeeds.
 
-impl Ledger {
+impl Counts {
     /// The highest acknowledged number that `signer` gave in this ledger in each topic of an owner, by topic id; topics
     /// filed under one of these names are left out.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn heights(&self, owner: Address, signer: SignerId, but: [&str; 2]) -> Result<Vec<(TopicId, u64)>, StoreError> {
-        let recorder = self.recorder().of_signer(&signer);
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT topic_id, highest FROM
-                 (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
-                  WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
-                  AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
-                 WHERE highest IS NOT NULL ORDER BY topic_id",
-            )?;
-            let [one, other] = but;
-            let rows = statement.query_map(params![owner.0, one, other, recorder.0, signer.0], |row| {
-                Ok((TopicId(row.get(0)?), unsigned(row, 1)?))
-            })?;
-            Ok(rows.collect::<Result<_, _>>()?)
+        let recorder = self.0.shared.recorder.of_signer(&signer);
+        let [one, other] = but;
+        let sql = "SELECT topic_id, highest FROM
+            (SELECT topic_id, (SELECT max(seq) FROM records WHERE topic = topics.key) AS highest FROM topics
+             WHERE owner = ?1 AND keeper IS NULL AND name NOT IN (?2, ?3)
+             AND recorder = (SELECT key FROM recorders WHERE id = ?4 AND signer = ?5))
+            WHERE highest IS NOT NULL ORDER BY topic_id";
+        self.0.list(sql, params![owner.0, one, other, recorder.0, signer.0], |row| {
+            Ok((TopicId(row.get(0)?), unsigned(row, 1)?))
         })
     }
 
@@ -327,15 +285,12 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn predecessor(&self, owner: Address, signer: SignerId) -> Result<Option<RecorderId>, StoreError> {
-        let recorder = self.recorder().of_signer(&signer);
-        self.read(|connection| {
-            let sql = "SELECT id FROM recorders WHERE key < coalesce(
-                     (SELECT key FROM recorders WHERE id = ?2 AND signer = ?3), 9223372036854775807)
-                 AND EXISTS (SELECT 1 FROM topics WHERE recorder = recorders.key AND owner = ?1 AND keeper IS NULL)
-                 ORDER BY key DESC LIMIT 1";
-            let found = connection.one(sql, params![owner.0, recorder.0, signer.0], |row| row.get(0));
-            Ok(found.optional()?.map(RecorderId))
-        })
+        let recorder = self.0.shared.recorder.of_signer(&signer);
+        let sql = "SELECT id FROM recorders WHERE key < coalesce(
+                (SELECT key FROM recorders WHERE id = ?2 AND signer = ?3), 9223372036854775807)
+            AND EXISTS (SELECT 1 FROM topics WHERE recorder = recorders.key AND owner = ?1 AND keeper IS NULL)
+            ORDER BY key DESC LIMIT 1";
+        self.0.find(sql, params![owner.0, recorder.0, signer.0], |row| row.get(0).map(RecorderId))
     }
 }
 
@@ -355,23 +310,20 @@ pub struct KeptStanding {
     pub proofs: Vec<(Digest, Vec<u8>)>,
 }
 
-impl Ledger {
+impl Forwarding {
     /// Stores a statement with the proofs of its records; records that already have one keep it.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing is stored.
     pub fn keep_proven(&self, kept: KeptStanding) -> Result<(), StoreError> {
-        self.write(move |session| {
+        self.0.write(move |session| {
             let (connection, time) = (session.connection, whole("time", kept.time.0)?);
             let sql = "INSERT INTO standings (at, statement, signature) VALUES (?1, ?2, ?3)";
             connection.run(sql, params![time, kept.statement, kept.signature.0])?;
             let (key, now) = (connection.last_insert_rowid(), whole("time", Timestamp::now().0)?);
-            let mut insert = connection.prepare_cached(
-                "INSERT INTO proven SELECT n, ?2, ?3, ?4, 0 FROM records WHERE digest = ?1 ON CONFLICT DO NOTHING",
-            )?;
-            for (digest, proof) in &kept.proofs {
-                insert.execute(params![digest.0, key, proof, now])?;
-            }
+            let sql =
+                "INSERT INTO proven SELECT n, ?2, ?3, ?4, 0 FROM records WHERE digest = ?1 ON CONFLICT DO NOTHING";
+            connection.run_each(sql, kept.proofs.iter().map(|(digest, proof)| (digest.0, key, proof, now)))?;
             Ok(())
         })
     }
@@ -381,16 +333,11 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn proven_before(&self, moment: Timestamp, limit: usize) -> Result<Vec<Digest>, StoreError> {
-        let (moment, limit) = (whole("time", moment.0)?, i64::try_from(limit).unwrap_or(i64::MAX));
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT digest FROM proven JOIN records ON n = record
-                 WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2",
-            )?;
-            let verified = crate::model::RecordState::Verified.code();
-            let found = statement.query_map(params![moment, limit, verified], |row| row.get(0).map(Digest))?;
-            Ok(found.collect::<Result<_, _>>()?)
-        })
+        let (moment, limit) = (whole("time", moment.0)?, capped(limit));
+        let verified = crate::model::RecordState::Verified.code();
+        let sql = "SELECT digest FROM proven JOIN records ON n = record
+            WHERE gone = 0 AND at < ?1 AND state = ?3 ORDER BY at LIMIT ?2";
+        self.0.list(sql, params![moment, limit, verified], |row| row.get(0).map(Digest))
     }
 
     /// Notes that the ciphertext of these was deleted; statement and proof stay.
@@ -398,16 +345,8 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
     pub fn proven_gone(&self, digests: &[Digest]) -> Result<(), StoreError> {
-        let digests = digests.to_vec();
-        self.write_many(digests.len(), move |session| {
-            let mut mark = session.connection.prepare_cached(
-                "UPDATE proven SET gone = 1 WHERE record = (SELECT n FROM records WHERE digest = ?1)",
-            )?;
-            for digest in &digests {
-                mark.execute(params![digest.0])?;
-            }
-            Ok(())
-        })
+        let sql = "UPDATE proven SET gone = 1 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+        self.0.run_each(sql, digests.iter().map(|digest| [digest.0]).collect()).map(drop)
     }
 
     /// The statement that reports a record as verified, with only the proof of its anchor.
@@ -415,19 +354,11 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn proven(&self, digest: Digest) -> Result<Option<KeptStanding>, StoreError> {
-        use rusqlite::OptionalExtension as _;
-        self.read(|connection| {
-            let sql = "SELECT s.at, statement, signature, proof FROM proven p JOIN standings s ON s.key = p.standing
-                       WHERE record = (SELECT n FROM records WHERE digest = ?1)";
-            let found = connection.one(sql, params![digest.0], |row| {
-                Ok(KeptStanding {
-                    time: Timestamp(row.get::<_, i64>(0)?.cast_unsigned()),
-                    statement: row.get(1)?,
-                    signature: Signature(row.get(2)?),
-                    proofs: vec![(digest, row.get(3)?)],
-                })
-            });
-            Ok(found.optional()?)
+        let sql = "SELECT s.at, statement, signature, proof FROM proven p JOIN standings s ON s.key = p.standing
+            WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+        self.0.find(sql, [digest.0], |row| {
+            let (time, signature) = (Timestamp(unsigned(row, 0)?), Signature(row.get(2)?));
+            Ok(KeptStanding { time, statement: row.get(1)?, signature, proofs: vec![(digest, row.get(3)?)] })
         })
     }
 }
@@ -435,6 +366,7 @@ impl Ledger {
 #[cfg(test)]
 mod trail_tests {
     use super::*;
+    use crate::Ledger;
 
     fn hash(number: u64) -> Hash {
         let mut bytes = [0; 32];

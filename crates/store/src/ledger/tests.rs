@@ -102,35 +102,42 @@ fn open() -> (tempfile::TempDir, Ledger) {
 }
 
 fn state_of(ledger: &Ledger, record: &NewRecord) -> RecordState {
-    ledger.record(record.digest).expect("read").expect("there").state
+    ledger.records.find(record.digest).expect("read").expect("there").state
 }
 
 #[test]
 fn the_recorder_id_and_clean_flag_live_with_the_file() {
     let (home, ledger) = open();
-    let recorder = ledger.recorder();
+    let recorder = ledger.records.recorder();
     let other = ledger.clone();
-    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    ledger.records.append(vec![record(1, 1, 1)]).expect("acknowledged");
     ledger.close().expect("closed");
-    assert_eq!(other.append(vec![record(1, 1, 2)]), Err(StoreError::Closed));
-    assert_eq!(other.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])), Ok(2), "reading still works");
+    assert_eq!(other.records.append(vec![record(1, 1, 2)]), Err(StoreError::Closed));
+    assert_eq!(
+        other.records.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])),
+        Ok(2),
+        "reading still works"
+    );
     let flag = |ledger: &Ledger| {
-        ledger.read(|c| Ok(c.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0))?)).expect("flag")
+        ledger
+            .database
+            .read(|c| Ok(c.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0))?))
+            .expect("flag")
     };
     assert!(flag(&other));
     let again = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-    assert_eq!(again.recorder(), recorder);
+    assert_eq!(again.records.recorder(), recorder);
     assert!(flag(&again), "nothing was changed yet");
-    again.append(vec![record(1, 1, 2)]).expect("acknowledged");
+    again.records.append(vec![record(1, 1, 2)]).expect("acknowledged");
     assert!(!flag(&again));
-    assert_ne!(open().1.recorder(), recorder);
+    assert_ne!(open().1.records.recorder(), recorder);
 }
 
 #[test]
 fn a_damaged_file_is_refused_after_an_unclean_end() {
     let (home, ledger) = open();
     let path = home.path().join("ledger.db");
-    ledger.append((1..=500).map(|seq| record(1, 1, seq)).collect()).expect("acknowledged");
+    ledger.records.append((1..=500).map(|seq| record(1, 1, seq)).collect()).expect("acknowledged");
     ledger.clone().close().expect("closed");
     drop(ledger);
     let clean = std::fs::read(&path).expect("file");
@@ -150,22 +157,26 @@ fn a_damaged_file_is_refused_after_an_unclean_end() {
 fn appending_twice_changes_nothing_and_contradictions_are_refused() {
     let (_home, ledger) = open();
     let first = NewRecord { blob: Some(vec![1, 2, 3]), ..record(1, 1, 1) };
-    ledger.append(vec![first.clone(), first.clone()]).expect("acknowledged");
-    ledger.append(vec![first.clone()]).expect("idempotent");
-    assert_eq!(ledger.counts(None).expect("counts").captured(), 1);
+    ledger.records.append(vec![first.clone(), first.clone()]).expect("acknowledged");
+    ledger.records.append(vec![first.clone()]).expect("idempotent");
+    assert_eq!(ledger.counts.by_state(None).expect("counts").captured(), 1);
     assert_eq!(Ciphertext::of(&ledger).get(first.digest), Ok(Some(vec![1, 2, 3])));
 
     let twin = NewRecord { digest: Digest([5; 32]), ..record(1, 1, 1) };
     let renamed = NewRecord { topic: "/other".to_owned(), ..record(1, 1, 2) };
     for bad in [twin, renamed] {
-        let refused = ledger.append(vec![record(1, 2, 1), bad]);
+        let refused = ledger.records.append(vec![record(1, 2, 1), bad]);
         assert!(matches!(refused, Err(StoreError::Conflict { .. })), "{refused:?}");
-        assert_eq!(ledger.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([2; 16])), Ok(1), "all or none");
+        assert_eq!(
+            ledger.records.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([2; 16])),
+            Ok(1),
+            "all or none"
+        );
     }
     let mined = NewRecord { state: RecordState::Mined, ..record(1, 1, 2) };
-    assert!(matches!(ledger.append(vec![mined]), Err(StoreError::IllegalEdge { .. })));
+    assert!(matches!(ledger.records.append(vec![mined]), Err(StoreError::IllegalEdge { .. })));
     let huge = NewRecord { seq: u64::MAX, ..record(1, 1, 2) };
-    let refused = ledger.append(vec![huge]);
+    let refused = ledger.records.append(vec![huge]);
     assert!(
         matches!(&refused, Err(StoreError::Conflict { detail, .. }) if detail.contains("not one of 1 to 2^40")),
         "{refused:?}"
@@ -175,60 +186,63 @@ fn appending_twice_changes_nothing_and_contradictions_are_refused() {
 #[test]
 fn a_failing_job_leaves_its_neighbours_alone() {
     let (_home, ledger) = open();
-    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    ledger.records.append(vec![record(1, 1, 1)]).expect("acknowledged");
     thread::scope(|scope| {
         for writer in 2..10u8 {
             let ledger = &ledger;
             scope.spawn(move || {
                 for seq in 1..=40 {
-                    ledger.append(vec![record(writer, 1, seq)]).expect("acknowledged");
+                    ledger.records.append(vec![record(writer, 1, seq)]).expect("acknowledged");
                     let bad = NewRecord { digest: Digest([writer; 32]), ..record(1, 1, 1) };
-                    ledger.append(vec![record(writer, 3, seq), bad]).expect_err("refused");
+                    ledger.records.append(vec![record(writer, 3, seq), bad]).expect_err("refused");
                 }
             });
         }
     });
-    let counts = ledger.counts(None).expect("counts");
+    let counts = ledger.counts.by_state(None).expect("counts");
     assert_eq!(counts.captured(), 1 + 8 * 40);
-    assert_eq!(ledger.list(&RecordQuery { limit: 1_000, ..RecordQuery::default() }).expect("list").rows.len(), 321);
+    assert_eq!(
+        ledger.records.list(&RecordQuery { limit: 1_000, ..RecordQuery::default() }).expect("list").rows.len(),
+        321
+    );
 }
 
 #[test]
 fn records_are_held_back_while_the_space_is_for_something_else() {
     let (_home, ledger) = open();
-    let (one, other) = (ledger.hold_records(), ledger.hold_records());
+    let (one, other) = (ledger.records.hold(), ledger.records.hold());
     drop(one);
-    assert!(matches!(ledger.append(vec![record(1, 1, 1)]), Err(StoreError::DiskFull { .. })));
+    assert!(matches!(ledger.records.append(vec![record(1, 1, 1)]), Err(StoreError::DiskFull { .. })));
     ledger.notes.write(&CopiedAt {}, &1).expect("everything else is written");
     drop(other);
-    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    ledger.records.append(vec![record(1, 1, 1)]).expect("acknowledged");
 }
 
 #[test]
 fn a_full_disk_acknowledges_nothing_and_takes_all_later() {
     let (_home, ledger) = open();
-    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    ledger.records.append(vec![record(1, 1, 1)]).expect("acknowledged");
     let limit = |pages: i64| {
-        ledger.write(move |session| {
+        ledger.database.write(move |session| {
             Ok(session.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))?)
         })
     };
     limit(1).expect("no page more than there are");
     let large: Vec<NewRecord> =
         (2..=9).map(|seq| NewRecord { blob: Some(vec![1; 50_000]), ..record(1, 1, seq) }).collect();
-    let error = ledger.append(large.clone()).expect_err("full");
+    let error = ledger.records.append(large.clone()).expect_err("full");
     assert!(matches!(error, StoreError::DiskFull { .. }) && error.to_string().contains("ledger.db"), "{error}");
-    assert_eq!(ledger.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])), Ok(2));
+    assert_eq!(ledger.records.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])), Ok(2));
     limit(1_000_000).expect("grown");
-    ledger.append(large).expect("acknowledged");
-    assert_eq!(ledger.counts(None).expect("counts").captured(), 9);
+    ledger.records.append(large).expect("acknowledged");
+    assert_eq!(ledger.counts.by_state(None).expect("counts").captured(), 9);
 }
 
 #[test]
 fn all_files_are_private() {
     use std::os::unix::fs::PermissionsExt as _;
     let (home, ledger) = open();
-    ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+    ledger.records.append(vec![record(1, 1, 1)]).expect("acknowledged");
     let modes = std::fs::read_dir(home.path())
         .expect("list")
         .map(|entry| entry.and_then(|entry| entry.metadata()).expect("file").permissions().mode() & 0o777);
@@ -238,34 +252,38 @@ fn all_files_are_private() {
 #[test]
 fn a_panic_in_the_writer_is_an_error_to_its_caller_alone() {
     let (_home, ledger) = open();
-    let answer: Result<(), _> = ledger.write(|_| panic!("on purpose"));
+    let answer: Result<(), _> = ledger.database.write(|_| panic!("on purpose"));
     assert!(answer.is_err(), "{answer:?}");
-    ledger.append(vec![record(1, 1, 1)]).expect("the writer goes on");
+    ledger.records.append(vec![record(1, 1, 1)]).expect("the writer goes on");
 }
 
 fn confirmed(ledger: &Ledger, block: u64) -> usize {
-    ledger.confirm(block).expect("confirmed").len()
+    ledger.batches.confirm(block).expect("confirmed").len()
 }
 
 #[test]
 fn a_record_walks_its_life_line() {
     let (_home, ledger) = open();
     let one = record(1, 1, 1);
-    ledger.append(vec![one.clone()]).expect("acknowledged");
+    ledger.records.append(vec![one.clone()]).expect("acknowledged");
     let digests = [one.digest];
-    let leap = ledger.advance(&digests, RecordState::Stored, RecordState::Verified);
+    let leap = ledger.records.advance(&digests, RecordState::Stored, RecordState::Verified);
     assert!(matches!(leap, Err(StoreError::IllegalEdge { .. })));
     ledger.lanes.submit(transaction(3, &digests)).expect("kept");
     ledger.lanes.submit(transaction(3, &digests)).expect("idempotent");
-    let row = ledger.record(one.digest).expect("read").expect("there");
+    let row = ledger.records.find(one.digest).expect("read").expect("there");
     assert_eq!((row.state, row.transaction), (RecordState::Submitted, Some(Hash([3; 32]))));
     assert_eq!(ledger.lanes.open_transactions(Address([1; 20])).expect("open").len(), 1);
-    assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(1));
-    assert_eq!(ledger.mined(&[sighting(&one, 10)]), Ok(0));
+    assert_eq!(ledger.batches.mined(&[sighting(&one, 10)]), Ok(1));
+    assert_eq!(ledger.batches.mined(&[sighting(&one, 10)]), Ok(0));
     assert_eq!((confirmed(&ledger, 9), confirmed(&ledger, 10)), (0, 1));
-    assert_eq!(ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(1));
-    assert_eq!(ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(0), "compare and set");
-    let row = ledger.record_by_id(&one.digest.to_hex()[..16]).expect("read").expect("there");
+    assert_eq!(ledger.records.advance(&digests, RecordState::Confirmed, RecordState::Verified), Ok(1));
+    assert_eq!(
+        ledger.records.advance(&digests, RecordState::Confirmed, RecordState::Verified),
+        Ok(0),
+        "compare and set"
+    );
+    let row = ledger.records.by_id(&one.digest.to_hex()[..16]).expect("read").expect("there");
     assert_eq!((row.state, row.block, row.transaction), (RecordState::Verified, Some(10), Some(Hash([9; 32]))));
     assert_eq!(row.block_hash, Some(Hash([10; 32])));
 }
@@ -274,8 +292,8 @@ fn a_record_walks_its_life_line() {
 fn submitting_refuses_what_is_not_ready_and_a_taken_nonce() {
     let (_home, ledger) = open();
     let (one, two) = (record(1, 1, 1), record(1, 1, 2));
-    ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
-    ledger.mined(&[sighting(&two, 4)]).expect("seen");
+    ledger.records.append(vec![one.clone(), two.clone()]).expect("acknowledged");
+    ledger.batches.mined(&[sighting(&two, 4)]).expect("seen");
     let refused = ledger.lanes.submit(transaction(3, &[one.digest, two.digest]));
     assert_eq!(refused, Err(StoreError::NotReady { digest: two.digest, found: "mined" }));
     assert_eq!(state_of(&ledger, &one), RecordState::Stored, "all or none");
@@ -290,7 +308,7 @@ fn submitting_refuses_what_is_not_ready_and_a_taken_nonce() {
 fn a_failed_transaction_gives_its_records_back() {
     let (_home, ledger) = open();
     let (one, two) = (record(1, 1, 1), record(1, 1, 2));
-    ledger.append(vec![one.clone(), two.clone()]).expect("acknowledged");
+    ledger.records.append(vec![one.clone(), two.clone()]).expect("acknowledged");
     ledger.lanes.submit(transaction(3, &[one.digest, two.digest])).expect("kept");
     let bumped = NewTransaction { nonce: 3, ..transaction(4, &[one.digest]) };
     ledger.lanes.replace_transaction(Hash([3; 32]), bumped).expect("replaced");
@@ -299,7 +317,7 @@ fn a_failed_transaction_gives_its_records_back() {
     assert_eq!((old.state, old.replaced_by), (TransactionState::Replaced, Some(Hash([4; 32]))));
     let reason = "paused\u{1b}[2J".to_owned();
     ledger.lanes.close_transactions(vec![(Hash([4; 32]), TransactionOutcome::Reverted { reason })]).expect("closed");
-    let row = ledger.record(one.digest).expect("read").expect("there");
+    let row = ledger.records.find(one.digest).expect("read").expect("there");
     assert_eq!((row.state, row.transaction), (RecordState::Stored, None));
     let reason = ledger.lanes.transaction(Hash([4; 32])).expect("read").expect("there").reason;
     assert_eq!(reason.as_deref(), Some("paused\u{fffd}[2J"));
@@ -309,21 +327,23 @@ fn a_failed_transaction_gives_its_records_back() {
 fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
     let (_home, ledger) = open();
     let all: Vec<NewRecord> = (1..=4).map(|seq| record(1, 1, seq)).collect();
-    ledger.append(all.clone()).expect("acknowledged");
+    ledger.records.append(all.clone()).expect("acknowledged");
     ledger.lanes.submit(transaction(9, &[all[0].digest])).expect("kept");
     let block_hash = Hash([20; 32]);
     let mined = TransactionOutcome::Mined { block: 20, block_hash, gas_used: Some(52_000) };
     ledger.lanes.close_transactions(vec![(Hash([9; 32]), mined)]).expect("closed");
     let foreign = Sighting { transaction: Hash([77; 32]), ..sighting(&all[1], 20) };
-    ledger.mined(&[sighting(&all[0], 20), foreign, sighting(&all[2], 19), sighting(&all[3], 20)]).expect("seen");
-    ledger.confirm(20).expect("confirmed");
-    ledger.advance(&[all[3].digest], RecordState::Confirmed, RecordState::Verified).expect("verified");
-    assert_eq!((ledger.verified_from(20), ledger.unmine(20)), (Ok(1), Ok(2)));
+    ledger
+        .batches
+        .mined(&[sighting(&all[0], 20), foreign, sighting(&all[2], 19), sighting(&all[3], 20)])
+        .expect("seen");
+    ledger.batches.confirm(20).expect("confirmed");
+    ledger.records.advance(&[all[3].digest], RecordState::Confirmed, RecordState::Verified).expect("verified");
+    assert_eq!(ledger.batches.take_back(20), Ok((3, 1)));
     let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
-    assert_eq!(states, [Submitted, Stored, Confirmed, Verified]);
+    assert_eq!(states, [Submitted, Stored, Confirmed, Submitted]);
     assert_eq!(ledger.lanes.open_transactions(Address([1; 20])).expect("open").len(), 1);
-    assert_eq!((ledger.unverify(20), state_of(&ledger, &all[3])), (Ok(1), Submitted));
-    assert_eq!(ledger.mined(&[sighting(&all[0], 21)]), Ok(1), "and it is mined again");
+    assert_eq!(ledger.batches.mined(&[sighting(&all[0], 21)]), Ok(1), "and it is mined again");
 }
 
 #[test]
@@ -332,14 +352,14 @@ fn ids_are_prefixes_of_digests() {
     let mut twins = [record(1, 1, 1), record(1, 1, 2)];
     twins[1].digest = twins[0].digest;
     twins[1].digest.0[31] ^= 1;
-    ledger.append(twins.to_vec()).expect("acknowledged");
+    ledger.records.append(twins.to_vec()).expect("acknowledged");
     let id = twins[0].digest.to_hex();
-    assert!(matches!(ledger.record_by_id(&id[..16]), Err(StoreError::Ambiguous(_))));
-    assert!(matches!(ledger.record_by_id(&id[..4]), Err(StoreError::Ambiguous(_))));
-    assert_eq!(ledger.record_by_id(&id).expect("read").expect("there").seq, 1);
-    assert_eq!(ledger.record_by_id(&"0".repeat(17)), Ok(None));
+    assert!(matches!(ledger.records.by_id(&id[..16]), Err(StoreError::Ambiguous(_))));
+    assert!(matches!(ledger.records.by_id(&id[..4]), Err(StoreError::Ambiguous(_))));
+    assert_eq!(ledger.records.by_id(&id).expect("read").expect("there").seq, 1);
+    assert_eq!(ledger.records.by_id(&"0".repeat(17)), Ok(None));
     for bad in ["", "12", "0x34567890123456", &"g".repeat(16), &"0".repeat(65)] {
-        assert!(matches!(ledger.record_by_id(bad), Err(StoreError::Id(_))), "{bad}");
+        assert!(matches!(ledger.records.by_id(bad), Err(StoreError::Id(_))), "{bad}");
     }
 }
 
@@ -385,11 +405,11 @@ fn small_state_is_kept() {
     ledger.notes.forget(&CopiedAt {}, &2).expect("dropped");
     assert_eq!(ledger.notes.read(&CopiedAt {}), Ok(None));
     assert_eq!(ledger.trail.cursor(), Ok(Some((7, Hash([7; 32])))));
-    let counts = ledger.counts(None).expect("counts");
+    let counts = ledger.counts.by_state(None).expect("counts");
     assert_eq!((counts.captured(), counts.data_in(RecordState::Dropped), counts.pending()), (3, 3, 0));
     assert_eq!((counts.topics[0].dropped, counts.topics[0].missed, counts.topics[0].captured), (3, 2, 3));
     assert_eq!(ledger.losses.gaps(Address([1; 20]), 9).expect("gaps").len(), 2);
-    assert_eq!(ledger.counts(Some(Address([2; 20]))), Ok(StateCounts::default()));
+    assert_eq!(ledger.counts.by_state(Some(Address([2; 20]))), Ok(StateCounts::default()));
 }
 
 #[test]
@@ -397,14 +417,14 @@ fn a_path_is_read_as_it_was_kept_however_many_leaves_there_are() {
     for count in (1..=40).chain([63, 64, 65, 100]) {
         let (_home, ledger) = open();
         let all: Vec<NewRecord> = (1..=count).map(|seq| record(1, 1, seq)).collect();
-        ledger.append(all.clone()).expect("acknowledged");
-        let leaves = ledger.stored_leaves(Address([1; 20]), 1_000).expect("leaves");
+        ledger.records.append(all.clone()).expect("acknowledged");
+        let leaves = ledger.batches.stored_leaves(Address([1; 20]), 1_000).expect("leaves");
         let tree = Tree::new(Leaf::hashes(&leaves)).expect("a tree");
         let paths: Vec<_> = leaves.iter().enumerate().map(|(at, leaf)| (leaf.digest, tree.path(at))).collect();
         let batch = NewBatch { owner: Address([1; 20]), root: tree.root(), leaves: paths.clone() };
-        ledger.close_batch(batch).expect("closed");
+        ledger.batches.close(batch).expect("closed");
         let digests: Vec<Digest> = paths.iter().map(|(digest, _)| *digest).collect();
-        let placed = ledger.placed_all(&digests).expect("placed");
+        let placed = ledger.records.placed_all(&digests).expect("placed");
         let audited = ledger.inspection.audit_page(0, Timestamp(0), 1_000).expect("a page").records;
         for (((leaf, (_, path)), placed), audited) in leaves.iter().zip(&paths).zip(placed).zip(audited) {
             let place = placed.and_then(|placed| placed.place).expect("a place").inclusion;
@@ -437,7 +457,7 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
                 while !stop.load(Ordering::Relaxed) {
                     seq += 1;
                     let blob = Some(vec![writer; 3_000]);
-                    ledger.append(vec![NewRecord { blob, ..record(writer, 1, seq) }]).expect("append");
+                    ledger.records.append(vec![NewRecord { blob, ..record(writer, 1, seq) }]).expect("append");
                 }
             }
         };
@@ -445,22 +465,24 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
         for _ in 0..15 {
             thread::sleep(std::time::Duration::from_millis(7));
             let crash = tempfile::tempdir().expect("temporary directory");
-            let acknowledged =
-                (1..=3).map(|w| ledger.next_seq(Address([w; 20]), SignerId([w; 32]), TopicId([1; 16])).expect("seq"));
+            let acknowledged = (1..=3)
+                .map(|w| ledger.records.next_seq(Address([w; 20]), SignerId([w; 32]), TopicId([1; 16])).expect("seq"));
             let acknowledged: Vec<u64> = acknowledged.collect();
             let (from, to) = (path.to_owned(), crash.path().to_owned());
-            let copied = ledger.write(move |_| {
+            let copied = ledger.database.write(move |_| {
                 copy_files(&from, &to);
                 Ok(())
             });
             copied.expect("copied");
             let after = Ledger::open(&crash.path().join("ledger.db")).expect("opens");
             for (writer, next) in (1u8..).zip(acknowledged) {
-                let found =
-                    after.next_seq(Address([writer; 20]), SignerId([writer; 32]), TopicId([1; 16])).expect("seq");
+                let found = after
+                    .records
+                    .next_seq(Address([writer; 20]), SignerId([writer; 32]), TopicId([1; 16]))
+                    .expect("seq");
                 assert!(found >= next, "writer {writer}: {found} after the crash, {next} before");
                 for seq in 1..next {
-                    let row = after.record(record(writer, 1, seq).digest).expect("read").expect("acknowledged");
+                    let row = after.records.find(record(writer, 1, seq).digest).expect("read").expect("acknowledged");
                     assert_eq!(Ciphertext::of(&after).get(row.digest), Ok(Some(vec![writer; 3_000])));
                 }
             }

@@ -3,11 +3,10 @@
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::database::whole;
 use super::rows::{self, By, may, out_of_range, unsigned};
-use super::{Anchors, Database, batches};
+use super::{Anchors, Lanes, batches};
 use crate::StoreError;
-use crate::database::Statements as _;
+use crate::database::{Statements as _, whole};
 use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
 
 /// A signed transaction, before it is sent.
@@ -93,10 +92,6 @@ pub struct TransactionRow {
 const COLUMNS: &str =
     "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by, batch";
 
-/// Transactions, account by account.
-#[derive(Debug, Clone)]
-pub struct Lanes(pub(super) Database);
-
 impl Lanes {
     /// Stores a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
     /// commit. Storing the same open transaction again changes nothing.
@@ -123,10 +118,8 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
-        self.0.read(|connection| {
-            let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
-            Ok(connection.list(&sql, [account.0], transaction_row)?)
-        })
+        let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
+        self.0.list(&sql, [account.0], transaction_row)
     }
 
     /// The transaction with this hash.
@@ -134,10 +127,8 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
-        self.0.read(|connection| {
-            let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
-            Ok(connection.find(&sql, [hash.0], transaction_row)?)
-        })
+        let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
+        self.0.find(&sql, [hash.0], transaction_row)
     }
 
     /// Replaces an open transaction with another of the same account and nonce, in one commit: records that the new one
@@ -191,9 +182,10 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
         Anchors::Batch(root) => (&[], Some(root.0)),
     };
     let bytes: Vec<u8> = digests.iter().flat_map(|digest| digest.0).collect();
+    let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)";
     connection.run(
-        "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, 0, ?8)",
+        sql,
         params![
             new.hash.0,
             new.account.0,
@@ -234,7 +226,7 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
         TransactionOutcome::Replaced => (TransactionState::Replaced, None, None, None),
     };
     let sql = "UPDATE transactions SET state = ?2, block = ?3, block_hash = ?4, gas_used = ?5, reason = ?6
-             WHERE hash = ?1";
+        WHERE hash = ?1";
     let changed =
         connection.run(sql, params![hash.0, state.code(), place.map(|p| p.0), place.map(|p| p.1), gas, reason])?;
     if changed == 0 {
@@ -252,17 +244,14 @@ fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     if let Some(root) = batch {
         return batches::release(connection, Hash(root), hash);
     }
-    let mut statement = connection.prepare_cached(
-        "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state
-             WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
-         WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)",
-    )?;
+    let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state
+            WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
+        WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)";
     let [submitted, stored, tampered, batched] =
         [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched]
             .map(RecordState::code);
-    for digest in digests.chunks_exact(Digest::LENGTH) {
-        statement.execute(params![digest, hash.0, submitted, stored, tampered, batched])?;
-    }
+    let digests = digests.chunks_exact(Digest::LENGTH);
+    connection.run_each(sql, digests.map(|digest| (digest, hash.0, submitted, stored, tampered, batched)))?;
     Ok(())
 }
 
@@ -382,20 +371,15 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.list(
-                "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
-                 WHERE state = 0 AND account = ?1 ORDER BY nonce",
-                [account.0],
-                |row| {
-                    Ok(OpenTransaction {
-                        hash: Hash(row.get(0)?),
-                        nonce: unsigned(row, 1)?,
-                        purpose: row.get(2)?,
-                        anchors: row.get(3)?,
-                    })
-                },
-            )?)
+        let sql = "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
+            WHERE state = 0 AND account = ?1 ORDER BY nonce";
+        self.0.list(sql, [account.0], |row| {
+            Ok(OpenTransaction {
+                hash: Hash(row.get(0)?),
+                nonce: unsigned(row, 1)?,
+                purpose: row.get(2)?,
+                anchors: row.get(3)?,
+            })
         })
     }
 
@@ -404,9 +388,7 @@ impl Lanes {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
-        self.0.read(|connection| {
-            Ok(connection.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))?)
-        })
+        self.0.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))
     }
 
     /// Hash and bytes of every transaction ever signed here with this nonce, whatever its outcome, newest first.
@@ -415,14 +397,12 @@ impl Lanes {
     /// [`StoreError::Database`] and the like.
     pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
         let nonce = whole("nonce", nonce)?;
-        self.0.read(|connection| {
-            let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
-            Ok(connection.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))?)
-        })
+        let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
+        self.0.list(sql, params![account.0, nonce], |row| Ok((Hash(row.get(0)?), row.get(1)?)))
     }
 
     /// Records how transactions ended, in one commit. If one failed or was replaced, its submitted records are stored (or
-    /// batched) again; if it was mined they wait for the watcher ([`super::Ledger::mined`]).
+    /// batched) again; if it was mined they wait for the watcher ([`Batches::mined`]).
     ///
     /// # Errors
     /// [`StoreError::Transaction`] if the ledger does not hold one of them; then none is closed.
@@ -443,10 +423,10 @@ impl Lanes {
         self.0.write(move |session| {
             let connection = session.connection;
             let sql = "INSERT INTO transactions (hash, account, nonce, raw, purpose, digests, signed_at, state, batch)
-                     SELECT ?2, account, ?3, ?4, purpose, digests, signed_at, 0, batch FROM transactions
-                     WHERE hash = ?1 AND state = 0
-                     ON CONFLICT (hash) DO UPDATE SET state = 0, replaced_by = NULL
-                     WHERE transactions.state = 3 AND transactions.hash <> ?1";
+                SELECT ?2, account, ?3, ?4, purpose, digests, signed_at, 0, batch FROM transactions
+                WHERE hash = ?1 AND state = 0
+                ON CONFLICT (hash) DO UPDATE SET state = 0, replaced_by = NULL
+                WHERE transactions.state = 3 AND transactions.hash <> ?1";
             let kept = connection.run(sql, params![old.0, new.hash.0, nonce, new.raw])?;
             if kept == 0 {
                 return Err(transaction_error(old, "is not open, or nothing about it would change"));
@@ -482,14 +462,11 @@ fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreE
         connection
             .run("UPDATE batches SET tx = ?3 WHERE root = ?1 AND tx = ?2 AND block IS NULL", [root, from.0, to.0])?;
         let sql = "UPDATE records SET tx = ?3 WHERE tx = ?2 AND block IS NULL AND n IN
-                 (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)";
+            (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)";
         connection.run(sql, [root, from.0, to.0])?;
     }
-    let mut statement =
-        connection.prepare_cached("UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL")?;
-    for digest in digests.chunks_exact(crate::model::Digest::LENGTH) {
-        statement.execute(params![digest, from.0, to.0])?;
-    }
+    let sql = "UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL";
+    connection.run_each(sql, digests.chunks_exact(Digest::LENGTH).map(|digest| (digest, from.0, to.0)))?;
     Ok(())
 }
 

@@ -11,7 +11,7 @@ use std::thread::{self, JoinHandle};
 
 use rusqlite::Connection;
 
-use super::append::Names;
+use super::append::KnownNames;
 use crate::StoreError;
 use crate::crypto::fault;
 use crate::database::Statements as _;
@@ -27,7 +27,7 @@ pub(crate) struct Session<'a> {
     /// Inside a transaction; never commit or roll back here.
     pub connection: &'a Connection,
     /// Keys of topics and streams seen before.
-    pub names: &'a mut Names,
+    pub names: &'a mut KnownNames,
 }
 
 trait Job: Send {
@@ -164,7 +164,7 @@ impl Mark {
 }
 
 fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, inbox: &Receiver<Message>) {
-    let mut names = Names::default();
+    let mut names = KnownNames::default();
     while let Ok(first) = inbox.recv() {
         let mut group = Vec::new();
         let last = gather(first, inbox, &mut group);
@@ -198,7 +198,7 @@ fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job
     None
 }
 
-fn commit(connection: &Connection, names: &mut Names, mark: &mut Mark, group: Vec<Box<dyn Job>>) {
+fn commit(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, group: Vec<Box<dyn Job>>) {
     let mut done: Vec<Box<dyn Job>> = Vec::with_capacity(group.len());
     for mut job in group {
         if job.is_large() && !done.is_empty() {
@@ -229,7 +229,7 @@ fn commit(connection: &Connection, names: &mut Names, mark: &mut Mark, group: Ve
 }
 
 /// Ends the transaction, if there is one, and answers those whose work is in it.
-fn settle(connection: &Connection, names: &mut Names, mark: &mut Mark, done: &mut Vec<Box<dyn Job>>) {
+fn settle(connection: &Connection, names: &mut KnownNames, mark: &mut Mark, done: &mut Vec<Box<dyn Job>>) {
     let result = if connection.is_autocommit() { Ok(()) } else { end(connection, mark) };
     if result.is_err() {
         names.clear();
@@ -238,7 +238,7 @@ fn settle(connection: &Connection, names: &mut Names, mark: &mut Mark, done: &mu
 }
 
 /// Whether the job did its work; an error means that it could not be tried, kept or rolled back.
-fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Result<bool, StoreError> {
+fn attempt(connection: &Connection, names: &mut KnownNames, job: &mut dyn Job) -> Result<bool, StoreError> {
     let is_first = connection.is_autocommit();
     run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
     // A fault in one piece of work must end neither this thread nor the others' work.

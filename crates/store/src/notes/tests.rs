@@ -101,13 +101,13 @@ fn a_damaged_note_is_an_error_that_names_it_and_never_none() {
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
     let set = |kind: &Kind, value: rusqlite::types::Value| {
         let name = kind.name;
-        let write = ledger.write(move |session| {
+        let write = ledger.database.write(move |session| {
             session.connection.execute("REPLACE INTO notes VALUES (?1, 'part', ?2)", (name, value))?;
             Ok(())
         });
         write.expect("written");
     };
-    let read = |kind: &Kind| ledger.read(|connection| (kind.try_read)(connection, "part"));
+    let read = |kind: &Kind| ledger.database.read(|connection| (kind.try_read)(connection, "part"));
     for (kind, good) in samples() {
         set(&kind, good.clone().into());
         assert_eq!(read(&kind), Ok(()), "{}: {good}", kind.name);

@@ -14,10 +14,9 @@ use authros_crypto::{TransportKey, signer_id};
 use authros_gateway::desk::Account;
 use authros_gateway::{
     Binding, Caller, Code, Credentials, Desk, Feed, FeedPage, Found, NetworkName, Notice, Received, Refusal,
-    Registration,
 };
 use authros_model::header::TAG_LENGTH;
-use authros_model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
+use authros_model::{Address, Digest, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
 use authros_service::Failure;
 use authros_service::failure::internal;
 use authros_store::{Ciphertext, Foreign, Ledger, NewRecord};
@@ -72,7 +71,7 @@ fn row(record: &Received) -> NewRecord {
 }
 
 fn keep(store: &Ledger, records: &[Received]) -> Result<Timestamp, Refusal> {
-    store.append(records.iter().map(row).collect()).map_err(Refusal::because(Code::Internal))?;
+    store.records.append(records.iter().map(row).collect()).map_err(Refusal::because(Code::Internal))?;
     Ok(Timestamp::now())
 }
 
@@ -108,10 +107,6 @@ impl Desk for BenchDesk {
     }
 
     async fn bind(&self, _: &ProfileName, _: Binding) -> Result<(), Refusal> {
-        not_measured()
-    }
-
-    async fn register(&self, _: &Registration) -> Result<Hash, Refusal> {
         not_measured()
     }
 

@@ -46,7 +46,7 @@ pub(super) fn fill(home: &Home, wanted: u64) -> Result<(), Failure> {
         let digests = sm3_many(&blobs.iter().map(Vec::as_slice).collect::<Vec<_>>());
         let records = (there..end).zip(digests).zip(blobs);
         let records = records.map(|((number, digest), blob)| record(number, Digest(digest), blob));
-        ledger.append(records.collect())?;
+        ledger.records.append(records.collect())?;
         block += 1;
         verify(&ledger, block)?;
         there = end;
@@ -90,12 +90,12 @@ fn record(number: u64, digest: Digest, blob: Vec<u8>) -> NewRecord {
 
 /// Moves all stored records to verified as one batch, by the pipeline's steps; the chain's answers are invented.
 fn verify(ledger: &Ledger, block: u64) -> Result<(), Failure> {
-    let leaves = ledger.stored_leaves(OWNER, usize::try_from(BULK).unwrap_or(usize::MAX))?;
+    let leaves = ledger.batches.stored_leaves(OWNER, usize::try_from(BULK).unwrap_or(usize::MAX))?;
     let Some(tree) = Tree::new(Leaf::hashes(&leaves)) else { return Ok(()) };
     let (root, hash, block_hash) = (tree.root(), numbered(1, block), numbered(2, block));
     let digests: Vec<_> = leaves.iter().map(|leaf| leaf.digest).collect();
     let places = digests.iter().enumerate().map(|(index, digest)| (*digest, tree.path(index)));
-    ledger.close_batch(NewBatch { owner: OWNER, root, leaves: places.collect() })?;
+    ledger.batches.close(NewBatch { owner: OWNER, root, leaves: places.collect() })?;
     ledger.lanes.submit(NewTransaction {
         hash,
         account: OWNER,
@@ -105,10 +105,10 @@ fn verify(ledger: &Ledger, block: u64) -> Result<(), Failure> {
         anchors: Anchors::Batch(root),
     })?;
     let count = leaves.len() as u64;
-    ledger.anchored(&[RootSighting { account: OWNER, root, count, transaction: hash, block, block_hash }])?;
+    ledger.batches.anchored(&[RootSighting { account: OWNER, root, count, transaction: hash, block, block_hash }])?;
     ledger.lanes.close_transactions(vec![(hash, TransactionOutcome::Mined { block, block_hash, gas_used: None })])?;
-    ledger.confirm(block)?;
-    ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified)?;
+    ledger.batches.confirm(block)?;
+    ledger.records.advance(&digests, RecordState::Confirmed, RecordState::Verified)?;
     Ok(())
 }
 
@@ -154,12 +154,12 @@ mod tests {
         authros_store::files::private_directory(home.root()).expect("made");
         fill(&home, 5_003).expect("filled");
         let ledger = Ledger::open(&home.ledger()).expect("a ledger");
-        let counts = ledger.counts(None).expect("counted");
+        let counts = ledger.counts.by_state(None).expect("counted");
         assert_eq!((counts.data_in(RecordState::Verified), counts.pending()), (5_003, 0));
-        assert!(counts.is_conserved() && ledger.contradictions().expect("looked").is_empty());
+        assert!(counts.is_conserved() && ledger.inspection.contradictions().expect("looked").is_empty());
         let store = authros_store::Ciphertext::of(&ledger);
         assert_eq!(store.usage().expect("counted").entries, 5_003);
-        let row = ledger.in_state(None, RecordState::Verified, 1).expect("a row").remove(0);
+        let row = ledger.records.in_state(None, RecordState::Verified, 1).expect("a row").remove(0);
         let bytes = store.get(row.digest).expect("read").expect("there");
         assert_eq!(authros_crypto::sm3::sm3(&[&bytes]), row.digest.0);
         let spread = fsync_times(directory.path()).expect("timed");

@@ -1,7 +1,7 @@
 //! Leaving: at once if nothing stops and nothing is pending; otherwise what stops and what goes on is said first.
 
 use super::{Robot, fixtures};
-use crate::app::perform::Leaving;
+use crate::app::leaving::Leaving;
 use crate::app::popup::Popup;
 use crate::app::tour::Cast;
 use crate::app::update::Feed;

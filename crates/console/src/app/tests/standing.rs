@@ -3,7 +3,7 @@
 use super::{Robot, fixtures};
 use crate::app::available::available;
 use crate::app::identity_path::{self, Need};
-use crate::app::perform::Capture;
+use crate::app::leaving::Capture;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::update::Feed;
 use crate::app::verb::Verb;

@@ -17,8 +17,8 @@ use crate::app::choosing::{ALWAYS, Browse, ColumnChoice, Offered, ThemeChoice, c
 use crate::app::form::{Form, Input, Line};
 use crate::app::granting::Book;
 use crate::app::keymap::{Binding, Key, Meaning, chord_label};
+use crate::app::leaving::Leaving;
 use crate::app::palette::whole_words;
-use crate::app::perform::Leaving;
 use crate::app::popup::{Confirm, Help, Palette, Popup};
 use crate::app::update::Feed;
 use crate::app::verb::{Entry, VERBS};

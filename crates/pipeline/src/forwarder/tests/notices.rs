@@ -212,7 +212,7 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
     let (kept, author) = (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
     let observer = Arc::clone(&scene.plant.observer);
     let notices = Notices::new(context().provider, observer, author, sealed, kept, taker());
-    let mut forwarder = scene.forwarder().with_errand(Box::new(notices.with_ring(scene.plant.ledger.clone())));
+    let mut forwarder = scene.forwarder().with_errand(Box::new(notices.with_ring(scene.plant.ledger.notes.clone())));
     let stored = Arc::clone(&scene.stored);
     let span = |since: u64| {
         let topics = "/camera/**".parse().expect("a pattern");
@@ -270,7 +270,7 @@ async fn after_a_restore_an_owner_is_obeyed_at_once_and_what_is_older_never() {
     let (kept, author) = (scene.home.path().join("kept"), Arc::new(Author::new(scene.alice.account())));
     author.obey(&sealed.enrolment);
     let notices = Notices::new(context().provider, Arc::clone(&scene.plant.observer), author, sealed, kept, taker());
-    let mut notices = notices.with_ring(scene.plant.ledger.clone());
+    let mut notices = notices.with_ring(scene.plant.ledger.notes.clone());
     let mut hear = |recorder, seq, at| {
         let (signer, place) = (&scene.alice.signing, (recorder, seq, 1, Timestamp(at)));
         let upload = numbered(&scene, signer, own, place, &Notice::Pull(span.clone()));
@@ -295,7 +295,7 @@ async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
     author.obey(&sealed.enrolment);
     let observer = Arc::clone(&scene.plant.observer);
     let mut notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept, taker())
-        .with_ring(scene.plant.ledger.clone());
+        .with_ring(scene.plant.ledger.notes.clone());
     let own = signer_id(&scene.device.public);
     let topics = "/camera/**".parse().expect("a pattern");
     let span = RingSpan { since: Timestamp(1), until: Timestamp(100), topics };

@@ -77,7 +77,10 @@ impl Audit {
             for owner in self.owners.all() {
                 self.anchor_heads(&owner).await;
             }
-            if !self.reserve.is_held() && refill.elapsed() >= REFILL && self.plant.ledger.takes_records().is_ok() {
+            if !self.reserve.is_held()
+                && refill.elapsed() >= REFILL
+                && self.plant.ledger.records.takes_records().is_ok()
+            {
                 refill = Instant::now();
                 // On a disk that is still full it is tried again.
                 drop(blocking(&self, |audit| Ok(audit.reserve.refill()?)).await);

@@ -103,7 +103,7 @@ impl Backup {
         let (chain, runtime, copy) = (self.link.connected(), runtime.clone(), folder.path().join("chain.db"));
         let closed = self.home.chain().join("chain.db");
         let also = move || copy_chain(chain, &runtime, &closed, copy);
-        let (ledger, chain) = self.plant.ledger.snapshot_with(also)?;
+        let (ledger, chain) = Snapshot::of(&self.plant.ledger, also)?;
         fault::point("backup-moment");
         Ok(Moment { folder, ledger, chain })
     }

@@ -8,7 +8,7 @@ use crate::model::{Address, Digest, RecordKind, RecordState, Scope, Timestamp, T
 use crate::pipeline::reader::is_held;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::Failure;
-use crate::store::{Ledger, RecordQuery, RecordRow};
+use crate::store::{Counts, Ledger, RecordQuery, RecordRow, Records};
 
 /// Records requested from the ledger at a time.
 const PAGE: usize = 500;
@@ -75,7 +75,7 @@ impl Feed {
         }
         let mut ids = Vec::new();
         for (owner, scope) in givers {
-            ids.extend(topics_of(ledger, *owner, scope)?);
+            ids.extend(topics_of(&ledger.counts, *owner, scope)?);
         }
         Ok(Self::Past(Box::new(RecordQuery {
             owners: Some(givers.keys().copied().collect()),
@@ -91,7 +91,7 @@ impl Feed {
     pub fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Round, Failure> {
         match self {
             Self::Past(query) => {
-                let page = ledger.list(query)?;
+                let page = ledger.records.list(query)?;
                 let items = page.rows.into_iter().map(|row| Item { row, only_latched: false }).collect();
                 query.after = page.next;
                 Ok(Round { items, is_last: query.after.is_none() })
@@ -124,7 +124,7 @@ impl Live {
         }
         let mut ready = Vec::new();
         for (key, stream) in self.streams.iter_mut().filter(|(key, _)| !held.contains(key)) {
-            stream.take(ledger, *key, late, &mut ready)?;
+            stream.take(&ledger.records, *key, late, &mut ready)?;
         }
         // Stable: records of one moment stay in the order of their stream.
         ready.sort_by_key(|row: &RecordRow| row.captured_at);
@@ -139,13 +139,13 @@ impl Live {
         let low = Timestamp(Timestamp::now().0.saturating_sub(BEFORE));
         let mut latched = Vec::new();
         for (owner, scope) in givers {
-            for topic in topics_of(ledger, *owner, scope)? {
+            for topic in topics_of(&ledger.counts, *owner, scope)? {
                 if self.streams.contains_key(&(*owner, topic)) {
                     continue;
                 }
                 let mut stream = Stream { floor: low, low, ..Stream::default() };
                 if is_first {
-                    latched.extend(stream.skip_verified(ledger, (*owner, topic))?);
+                    latched.extend(stream.skip_verified(&ledger.records, (*owner, topic))?);
                 }
                 self.streams.insert((*owner, topic), stream);
             }
@@ -156,18 +156,18 @@ impl Live {
 
 impl Stream {
     /// Marks verified records as done; returns the newest of them.
-    fn skip_verified(&mut self, ledger: &Ledger, key: (Address, TopicId)) -> Result<Option<Item>, Failure> {
+    fn skip_verified(&mut self, records: &Records, key: (Address, TopicId)) -> Result<Option<Item>, Failure> {
         let verified = RecordQuery { state: Some(RecordState::Verified), ..of_stream(key) };
         let mut query = RecordQuery { since: Some(self.low), ..verified.clone() };
         loop {
-            let page = ledger.list(&query)?;
+            let page = records.list(&query)?;
             self.done.extend(page.rows.iter().map(|row| (row.digest, row.captured_at)));
             query.after = page.next;
             if query.after.is_none() {
                 break;
             }
         }
-        let newest = ledger.list(&RecordQuery { newest_first: true, limit: 1, ..verified })?;
+        let newest = records.list(&RecordQuery { newest_first: true, limit: 1, ..verified })?;
         Ok(newest.rows.into_iter().next().map(|row| Item { row, only_latched: true }))
     }
 
@@ -175,7 +175,7 @@ impl Stream {
     /// order stays.
     fn take(
         &mut self,
-        ledger: &Ledger,
+        records: &Records,
         key: (Address, TopicId),
         late: bool,
         ready: &mut Vec<RecordRow>,
@@ -184,7 +184,7 @@ impl Stream {
         let mut query = RecordQuery { since: Some(since.max(self.floor)), ..of_stream(key) };
         let (mut waiting, begun, now) = (None, ready.len(), Timestamp::now());
         'pages: loop {
-            let page = ledger.list(&query)?;
+            let page = records.list(&query)?;
             for row in page.rows {
                 if self.done.contains_key(&row.digest) || is_held(&row) || row.state == RecordState::RightEnded {
                     continue;
@@ -226,9 +226,9 @@ fn is_on_its_way(state: RecordState) -> bool {
     matches!(state, Captured | Stored | Batched | Submitted | Mined | Confirmed)
 }
 
-fn topics_of(ledger: &Ledger, owner: Address, scope: &Scope) -> Result<Vec<TopicId>, Failure> {
+fn topics_of(counts: &Counts, owner: Address, scope: &Scope) -> Result<Vec<TopicId>, Failure> {
     Ok(match scope {
         Scope::Topics(topics) => Vec::clone(topics),
-        Scope::All => ledger.counts(Some(owner))?.topics.iter().filter_map(|topic| topic.topic_id).collect(),
+        Scope::All => counts.by_state(Some(owner))?.topics.iter().filter_map(|topic| topic.topic_id).collect(),
     })
 }

@@ -54,7 +54,7 @@ impl Capture {
         let alarms = self.pins.alarmed_topics(profile)?;
         let pins = self.pins.pinned_names(profile)?;
         let sealing = self.owners.get(profile).filter(|owner| owner.sealing().is_some());
-        let full = self.plant.ledger.takes_records().is_err();
+        let full = self.plant.ledger.records.takes_records().is_err();
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         let mut unreached = self.ros.unreached();
         for row in &mut rows {

@@ -56,7 +56,7 @@ impl Connection {
 impl Connection {
     /// The chain and contract that the home is bound to; `None` = none yet.
     pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
-        Ok(block_in_place(|| network_pin(&self.plant.ledger))?)
+        Ok(block_in_place(|| network_pin(&self.plant.ledger.rights))?)
     }
 
     /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected, it

@@ -166,8 +166,8 @@ impl Devices {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let mut rows = ledger.list(&query)?.rows;
-        rows.retain(|row| ledger.recorder().has(&row.recorder));
+        let mut rows = ledger.records.list(&query)?.rows;
+        rows.retain(|row| ledger.records.recorder().has(&row.recorder));
         let mut newest = BTreeMap::new();
         for recorder in rows.iter().map(|row| row.recorder).collect::<BTreeSet<_>>() {
             let carried = ledger.notes.read(&carried(owner, enrolled, gateway, recorder))?;
@@ -319,7 +319,7 @@ impl Enrolments {
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
-        statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.append(vec![row]))?;
+        statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.records.append(vec![row]))?;
         self.sealed.send_replace(());
         Ok(())
     }

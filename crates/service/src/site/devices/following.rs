@@ -111,7 +111,7 @@ impl Devices {
         (epoch, begun): (u64, Timestamp),
     ) -> Result<Vec<(String, Pace)>, Failure> {
         let pace = |robot: &Enrolled| {
-            let newest = self.plant.ledger.newest_of(owner.address, robot.device)?;
+            let newest = self.plant.ledger.counts.newest_of(owner.address, robot.device)?;
             Ok::<_, Failure>((robot.name.to_string(), Pace::of(newest, epoch, begun)))
         };
         robots.iter().map(pace).collect()

@@ -117,8 +117,8 @@ impl Devices {
         let own = crate::crypto::signer_id(&owner.public_keys().0);
         Ok(Known {
             reports: self.reports(owner, network)?,
-            seen: ledger.last_seen(MOST_ROBOTS)?.into_iter().map(|seen| (seen.signer, seen.at)).collect(),
-            topics: ledger.signer_topics(owner.address, own)?,
+            seen: ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().map(|seen| (seen.signer, seen.at)).collect(),
+            topics: ledger.counts.signer_topics(owner.address, own)?,
         })
     }
 
@@ -140,7 +140,7 @@ impl Devices {
         };
         let robots = self.enrolments.of(owner)?;
         let mut reports = BTreeMap::new();
-        for row in self.plant.ledger.list(&query)?.rows {
+        for row in self.plant.ledger.records.list(&query)?.rows {
             let Some(robot) = robots.iter().find(|robot| robot.device == row.signer) else { continue };
             if reports.contains_key(&row.signer) {
                 continue;
@@ -162,7 +162,7 @@ impl Devices {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let rows = self.plant.ledger.list(&query)?.rows.into_iter().filter(|row| row.signer == robot.device);
+        let rows = self.plant.ledger.records.list(&query)?.rows.into_iter().filter(|row| row.signer == robot.device);
         let mut lost: BTreeMap<String, u64> = BTreeMap::new();
         for row in rows.take(MOST_LOSSES) {
             let opened = self.opened(owner, network, robot, &row);

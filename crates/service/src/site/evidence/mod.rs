@@ -135,7 +135,7 @@ impl Evidence {
                     Some(name) => incidents::narrowed(&ledger.incidents, owner, &name, query)?,
                     None => query,
                 };
-                Ok(ledger.list(&query)?)
+                Ok(ledger.records.list(&query)?)
             })
             .await?;
             // For an incident, the notes say what is left out because it is not stored yet.

@@ -214,7 +214,7 @@ impl GatewayDesk {
     pub(super) fn check_quota(&self, account: &Address, records: &[Received]) -> Result<(), Refusal> {
         let (ledger, rules) = (&self.gateway.plant.ledger, &self.gateway.config.gateway);
         let internal = Refusal::because(Code::Internal);
-        let usage = ledger.owner_usage(*account).map_err(&internal)?;
+        let usage = ledger.counts.usage(*account).map_err(&internal)?;
         let bytes: u64 = records.iter().map(|record| record.blob.len() as u64).sum();
         if usage.bytes.saturating_add(bytes) > rules.bytes {
             return Err(self.over(account, format_args!("{} bytes", rules.bytes)));
@@ -224,7 +224,7 @@ impl GatewayDesk {
             let header = &record.header;
             let type_name = header.filters.first().map(|id| hex(&id.0)).unwrap_or_default();
             let place = (header.recorder, header.topic_id);
-            let known = ledger.has_stream(*account, place, (header.kind, &type_name, header.signer));
+            let known = ledger.counts.has_stream(*account, place, (header.kind, &type_name, header.signer));
             if !known.map_err(&internal)? {
                 fresh.insert((place.0.0, place.1.0, header.kind.code(), type_name, header.signer.0));
             }

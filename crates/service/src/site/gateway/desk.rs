@@ -9,25 +9,25 @@ use tokio::sync::watch;
 
 use super::GatewayDesk;
 use super::admissions::Standing as Access;
+use super::erasing::not_taken;
 use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
-use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
+use crate::crypto::{SmKeyPair, check_identity, open_transport_key, seal_transport_key, signer_id};
 use crate::event::NoticeLevel;
 use crate::failure::internal;
 use crate::gateway::desk::Account;
-use crate::gateway::identity_check::check_registration;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Context, Desk, DeviceNotice, ErasureNotice, ErasureOutcome, Feed, FeedPage,
-    Found, NetworkName, Notice, Received, Refusal, Registration, RevokeNotice,
+    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, ErasureNotice, ErasureOutcome, Feed, FeedPage, Found,
+    NetworkName, Notice, Received, Refusal, RevokeNotice,
 };
-use crate::model::{Address, Digest, Hash, Identity, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token};
+use crate::model::{Address, Digest, Identity, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
-use crate::pipeline::equivocation::{self, Claim};
+use crate::pipeline::intake::accept_uploads;
+use crate::store::KeptBinding;
 use crate::store::notes::AnnouncedRevoke;
-use crate::store::{KeptBinding, NewRecord, StoreError};
 
 impl GatewayDesk {
     /// Does work that waits for disk or node, off the network's threads.
@@ -48,15 +48,6 @@ impl GatewayDesk {
         let outcome = format!("asked by {} ({})", caller.name, caller.account);
         let written = self.gateway.log.write(&self.keeper.profile, action, subject, &outcome).await;
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
-    }
-
-    /// A record contradicts the ledger: if its number belongs to another, both signatures are kept.
-    fn tell_conflict(&self, claims: &[Claim], error: &StoreError) {
-        let told = claims.iter().map(|claim| equivocation::tell(&self.gateway.plant, claim));
-        if told.filter(|told| matches!(told, Ok(true))).count() == 0 {
-            let text = format!("a sender's record contradicts another one: {error}");
-            self.gateway.hub.notice(NoticeLevel::Error, &text);
-        }
     }
 
     /// Like [`Self::audit`], but once a minute for the same event of the same caller; repetitions are counted.
@@ -113,17 +104,9 @@ impl GatewayDesk {
             self.check_quota(owner, &records)?;
         }
         let plant = &self.gateway.plant;
-        let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
-        let rows: Vec<_> = records.into_iter().map(row).collect();
-        let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
-        let has_notice = rows.iter().any(|row| row.kind == RecordKind::Key);
-        plant.keep(rows, |rows| plant.ledger.append(rows)).map_err(|error| match error {
-            StoreError::Conflict { .. } => {
-                self.tell_conflict(&claims, &error);
-                Refusal::new(Code::Malformed, error)
-            }
-            error => Refusal::new(Code::Internal, error),
-        })?;
+        let has_notice = records.iter().any(|record| record.header.kind == RecordKind::Key);
+        let accepted = accept_uploads(plant, self.keeper.address, records).map_err(Refusal::because(Code::Internal))?;
+        accepted.map_err(|reason| not_taken(&reason, &reason))?;
         if has_notice {
             self.gateway.hub.feed_changed();
         }
@@ -238,17 +221,6 @@ impl Desk for GatewayDesk {
             return Err(Refusal::new(Code::Internal, failure.message));
         }
         bound
-    }
-
-    async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
-        let network = self.known_network()?;
-        let Registration { account, identity, transaction: raw } = registration;
-        let transaction = network.chain.expect_registration(raw, *account, identity);
-        let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
-        // Nobody has authorised a newcomer: no line in the log for it, the chain itself shows the registration.
-        let sent = network.chain.broadcast(&registration.transaction).await;
-        sent.map_err(Refusal::because(Code::Transaction))?;
-        Ok(transaction)
     }
 
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
@@ -388,9 +360,9 @@ impl GatewayDesk {
                 }
                 network.chain.relay(method, parameters).await
             }
-            Passed::Transaction { sender, raw, registers } => {
+            Passed::Transaction { sender, registers } => {
                 if caller.is_none() {
-                    self.check_sender(&network, sender, registers, raw)?;
+                    self.check_sender(&network, sender, registers)?;
                 }
                 network.chain.relay(method, parameters).await
             }
@@ -404,12 +376,9 @@ impl GatewayDesk {
         network: &Network,
         sender: Address,
         registers: Option<Box<Identity>>,
-        transaction: Vec<u8>,
     ) -> Result<(), RelayError> {
         if let Some(identity) = registers {
-            let context = Context { provider: self.gateway.plant.provider, domain: self.domain };
-            let registration = Registration { account: sender, identity: *identity, transaction };
-            return check_registration(&context, &registration)
+            return check_identity(self.gateway.plant.provider, &self.domain, &sender, &identity)
                 .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
         }
         if self.may_send(network, &sender) {

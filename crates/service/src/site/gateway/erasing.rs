@@ -1,6 +1,7 @@
 //! What an owner says that she had erased at home: each record is compared with the chain that is known here, and she must
 //! have stated it with both keys. Then its bytes here are named to be overwritten, or the record is listed without bytes.
 
+use std::fmt;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
@@ -12,7 +13,7 @@ use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, 
 use crate::model::{Digest, Header};
 use crate::pipeline::Network;
 use crate::pipeline::columns::header_difference;
-use crate::pipeline::intake::{Accepted, Intake, Reason, Refused, taken_erased};
+use crate::pipeline::intake::{Accepted, Intake, Reason, taken_erased};
 use crate::pipeline::retention::{self, is_owners, left_of};
 use crate::store::{KeptErasure, NewRecord, RecordRow, Retained, RootSighting, StoreError, ToldErased};
 
@@ -73,7 +74,7 @@ impl GatewayDesk {
     /// What can be said of it without a look at any signature.
     fn known(&self, network: &Network, header: &Header, digest: Digest) -> Result<Option<Judged>, Refusal> {
         let (ledger, internal) = (&self.gateway.plant.ledger, Refusal::because(Code::Internal));
-        let Some(row) = block_in_place(|| ledger.record(digest)).map_err(&internal)? else { return Ok(None) };
+        let Some(row) = block_in_place(|| ledger.records.find(digest)).map_err(&internal)? else { return Ok(None) };
         if let Some(field) = header_difference(&row, header) {
             let text = format_args!("what is told of record {} differs from it in its {field}", row.id);
             return Err(Refusal::new(Code::Tampered, text));
@@ -83,7 +84,7 @@ impl GatewayDesk {
             let current = statement.is_ok_and(|stated| is_owners(network, header.owner, &stated.signer));
             kept.account.is_some() && current
         };
-        let is_known = match block_in_place(|| ledger.kept_erasure(digest)).map_err(&internal)? {
+        let is_known = match block_in_place(|| ledger.erasures.kept(digest)).map_err(&internal)? {
             // This home decided about it.
             None => row.deleted_at.is_some(),
             Some(kept) => !kept.taken || stands(&kept),
@@ -114,7 +115,7 @@ impl GatewayDesk {
         let judged = intake.judge_erased(digest, &left).await.map_err(Refusal::because(Code::Stale))?;
         let (header, proof) = match judged {
             Ok(proven) => proven,
-            Err(Accepted::Refused(refused)) => return Err(rejected(&refused)),
+            Err(Accepted::Refused(refused)) => return Err(not_taken(&refused.reason, &refused)),
             Err(Accepted::Held(_) | Accepted::Later) => return Ok(Judged::Left),
         };
         let inclusion =
@@ -128,7 +129,7 @@ impl GatewayDesk {
         let row = NewRecord::foreign(sealed, self.keeper.address);
         let row = NewRecord { blob: None, ..row };
         let stated = (taken, account_signature.0.to_vec());
-        match block_in_place(|| plant.ledger.take_told(row, stated, (inclusion, anchor))) {
+        match block_in_place(|| plant.ledger.erasures.take_told(row, stated, (inclusion, anchor))) {
             Ok(ToldErased::Listed | ToldErased::Named) => {
                 self.gateway.hub.confirmed.notify_one();
                 self.gateway.hub.changed(Part::Uploads);
@@ -146,10 +147,14 @@ impl GatewayDesk {
     }
 }
 
-/// A claim that does not hold is the owner's fault.
-fn rejected(refused: &Refused) -> Refusal {
-    let code = if matches!(refused.reason, Reason::Crypto(_)) { Code::Signature } else { Code::Tampered };
-    Refusal::new(code, refused)
+/// What the intake does not take is the owner's fault.
+pub(super) fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
+    let code = match reason {
+        Reason::Crypto(_) => Code::Signature,
+        Reason::Number => Code::Malformed,
+        _ => Code::Tampered,
+    };
+    Refusal::new(code, detail)
 }
 
 impl GatewayDesk {
@@ -158,7 +163,7 @@ impl GatewayDesk {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
-        let retained = plant.ledger.retained(row.digest).map_err(&internal)?;
+        let retained = plant.ledger.retention.find(row.digest).map_err(&internal)?;
         let retained = retained.filter(|retained| retained.deleted_at.is_some());
         let none = || Refusal::new(Code::NotFound, format_args!("record {} was not erased by its owner", row.id));
         let retained = retained.ok_or_else(none)?;
@@ -177,7 +182,7 @@ impl GatewayDesk {
         retained: &Retained,
     ) -> Result<Option<ErasedStatement>, Refusal> {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
-        let kept = plant.ledger.kept_erasure(row.digest).map_err(&internal)?;
+        let kept = plant.ledger.erasures.kept(row.digest).map_err(&internal)?;
         let kept = kept.and_then(|kept| ErasedStatement::parse(&kept.statement).ok());
         if let Some(kept) = kept.filter(|kept| is_owners(network, row.owner, &kept.signer)) {
             return Ok(Some(kept));
@@ -198,7 +203,7 @@ impl GatewayDesk {
         let when = (retained.report, erasure.at);
         let stated = retention::stated(plant, keys, about, when).map_err(Refusal::because(Code::Internal))?;
         let statement = ErasedStatement::parse(&stated.statement).map_err(Refusal::because(Code::Internal))?;
-        plant.ledger.keep_erasures(vec![stated]).map_err(&internal)?;
+        plant.ledger.erasures.keep(vec![stated]).map_err(&internal)?;
         Ok(Some(statement))
     }
 }

@@ -69,9 +69,9 @@ impl Ground {
         let (root, count) = (inclusion.root, inclusion.count);
         let anchor = RootSighting { account, root, count, transaction, block, block_hash };
         let ledger = &self.site.plant.ledger;
-        until("anchored", || ledger.take_in(sealed.digest, inclusion.clone(), anchor) == Ok(true)).await;
+        until("anchored", || ledger.batches.take_in(sealed.digest, inclusion.clone(), anchor) == Ok(true)).await;
         until("verified", || {
-            ledger.record(sealed.digest).expect("read").is_some_and(|row| row.state == RecordState::Verified)
+            ledger.records.find(sealed.digest).expect("read").is_some_and(|row| row.state == RecordState::Verified)
         })
         .await;
         (sealed, fetched)
@@ -81,7 +81,7 @@ impl Ground {
     fn bring(&self, sealed: &SealedRecord) {
         let plant = &self.site.plant;
         let row = NewRecord::foreign(sealed.clone(), self.other.address());
-        plant.keep([row], |rows| plant.ledger.append(rows.into())).expect("kept");
+        plant.keep([row], |rows| plant.ledger.records.append(rows.into())).expect("kept");
     }
 
     /// As its owner tells it.
@@ -121,7 +121,7 @@ impl Ground {
     async fn gone(&self, sealed: &SealedRecord) {
         let ledger = &self.site.plant.ledger;
         until("overwritten", || {
-            ledger.record(sealed.digest).expect("read").is_some_and(|row| row.deleted_at.is_some())
+            ledger.records.find(sealed.digest).expect("read").is_some_and(|row| row.deleted_at.is_some())
         })
         .await;
         assert_eq!(self.bytes(sealed), None);
@@ -216,16 +216,16 @@ async fn what_its_owner_had_erased_elsewhere_is_overwritten_here_and_stays_away(
     assert_eq!(ground.tell(told.to_vec()).await, Ok(vec![Taken; 2]));
     ground.gone(&copy).await;
     for sealed in [&copy, &absent] {
-        let retained = ledger.retained(sealed.digest).expect("read").expect("accounted for");
+        let retained = ledger.retention.find(sealed.digest).expect("read").expect("accounted for");
         let words = retained.erased.expect("erased").to_string();
         assert_eq!(words, "erased 2023-11-14T22:13:20Z by its owner, its proof remains");
         assert_eq!(retained.header, sealed.header.encode());
         until("verified", || {
-            ledger.record(sealed.digest).expect("read").is_some_and(|row| row.state == RecordState::Verified)
+            ledger.records.find(sealed.digest).expect("read").is_some_and(|row| row.state == RecordState::Verified)
         })
         .await;
     }
-    assert_eq!(ledger.given_up(ground.alice.address), Ok(2));
+    assert_eq!(ledger.retention.given_up(ground.alice.address), Ok(2));
 
     // Nobody brings the bytes again, and the log has one line.
     assert_eq!(ground.tell(told.to_vec()).await, Ok(vec![Taken; 2]), "twice is once");
@@ -296,10 +296,10 @@ async fn nothing_is_erased_at_the_word_of_anybody_but_its_owner() {
     let unproven = Fetched { signature: unanchored.signature, ..handed.clone() };
     let told = ground.tell(vec![ground.stated(&unanchored, &unproven, (&own, &account))]).await;
     assert_eq!(told, Ok(vec![ErasureOutcome::Refused]));
-    assert_eq!(ground.site.plant.ledger.record(unanchored.digest), Ok(None));
+    assert_eq!(ground.site.plant.ledger.records.find(unanchored.digest), Ok(None));
     for sealed in [&copy, &second] {
         assert_eq!(ground.bytes(sealed), Some(sealed.blob.clone()));
-        assert_eq!(ground.site.plant.ledger.retained(sealed.digest), Ok(None));
+        assert_eq!(ground.site.plant.ledger.retention.find(sealed.digest), Ok(None));
     }
     assert_eq!(ground.tell(vec![genuine]).await, Ok(vec![ErasureOutcome::Taken]), "and at her own word it is");
     ground.site.stop().await;
@@ -314,7 +314,7 @@ async fn what_an_incident_of_its_owner_holds_here_stays_until_that_is_removed() 
     ledger.incidents.open(ground.alice.address, &name, &IncidentSpan::default(), None).expect("opened");
     let mut events = ground.site.parts.hub.events().subscribe();
     assert_eq!(ground.tell(vec![ground.told(&copy, &handed)]).await, Ok(vec![ErasureOutcome::Taken]));
-    until("held", || ledger.held_although_erased() == Ok(1)).await;
+    until("held", || ledger.erasures.held_although_erased() == Ok(1)).await;
     let mut notices = 0;
     for _ in 0..60 {
         tokio::time::sleep(Duration::from_millis(50)).await;
@@ -324,7 +324,7 @@ async fn what_an_incident_of_its_owner_holds_here_stays_until_that_is_removed() 
     assert_eq!((notices, ground.bytes(&copy)), (1, Some(copy.blob.clone())), "told once");
     ledger.incidents.remove(ground.alice.address, &name).expect("removed");
     ground.gone(&copy).await;
-    assert_eq!(ledger.held_although_erased(), Ok(0));
+    assert_eq!(ledger.erasures.held_although_erased(), Ok(0));
     ground.site.stop().await;
 }
 

@@ -110,7 +110,7 @@ impl GatewayDesk {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
-        let placed = plant.ledger.placed(row.digest).map_err(&internal)?;
+        let placed = plant.ledger.records.placed(row.digest).map_err(&internal)?;
         let blob = plant.stored_bytes(&row).map_err(&internal)?;
         let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)))?;
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
@@ -124,7 +124,7 @@ impl GatewayDesk {
 
     /// A record that the caller may read now.
     pub(super) fn readable(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<RecordRow, Refusal> {
-        let row = self.gateway.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
+        let row = self.gateway.plant.ledger.records.find(*digest).map_err(Refusal::because(Code::Internal))?;
         let row = row.filter(is_offered);
         let row = row.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("no record {digest}")))?;
         self.check_loan(network, caller)?;
@@ -227,7 +227,7 @@ impl GatewayDesk {
 
     /// Whether a record is here, as far as the caller may know.
     fn is_here(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<Found, Refusal> {
-        let row = self.gateway.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
+        let row = self.gateway.plant.ledger.records.find(*digest).map_err(Refusal::because(Code::Internal))?;
         let Some(row) = row else { return Ok(Found::Missing(Code::NotFound)) };
         let own = caller.device.is_none() || is_a_device(network, caller, &row.signer);
         let may_know = match self.reach(network, &caller.account, &row.owner) {

@@ -141,7 +141,7 @@ impl Profiles {
                 owner.profile, owner.address
             )));
         }
-        let rows = block_in_place(|| self.plant.ledger.in_state(Some(owner.address), RecordState::Stored, 1))?;
+        let rows = block_in_place(|| self.plant.ledger.records.in_state(Some(owner.address), RecordState::Stored, 1))?;
         if !rows.is_empty() {
             return Err(refused(format!("records of {} are waiting to be anchored; register first", owner.address)));
         }
@@ -459,7 +459,7 @@ impl Profiles {
             loop {
                 let (owner, state) = (Some(owner.address), Some(state));
                 let query = RecordQuery { owner, state, after, limit: PAGE, ..RecordQuery::default() };
-                let page = self.plant.ledger.list(&query)?;
+                let page = self.plant.ledger.records.list(&query)?;
                 pending += page.rows.iter().filter(|row: &&RecordRow| row.signer == signer).count();
                 let Some(next) = page.next else { break };
                 after = Some(next);

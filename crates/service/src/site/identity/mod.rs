@@ -285,7 +285,7 @@ impl Profiles {
         }
         if let Some(epoch) = view.epoch {
             let sealed =
-                move |profiles: &Self| Ok(profiles.plant.ledger.sealed_in_epoch(public.address, epoch, None)?);
+                move |profiles: &Self| Ok(profiles.plant.ledger.counts.sealed_in_epoch(public.address, epoch, None)?);
             let (records, since) = blocking(self, sealed).await?;
             view.epoch_records = Some(EpochRecords { records, since });
         }

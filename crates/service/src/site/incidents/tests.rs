@@ -36,7 +36,7 @@ fn capture(ground: &Ground, owner: Address, topic: &str, second: u64) {
         state: RecordState::Stored,
         blob: None,
     };
-    ground.parts.plant.ledger.append(vec![record]).expect("acknowledged");
+    ground.parts.plant.ledger.records.append(vec![record]).expect("acknowledged");
 }
 
 fn of(since: u64, until: Option<u64>, topics: &[&str], note: Option<&str>) -> Result<Wanted, Failure> {

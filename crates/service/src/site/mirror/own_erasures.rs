@@ -110,12 +110,12 @@ impl Joined {
         }
         let keeper = remote.keeper(network)?;
         // Numbers are the ledger's own: those of a restored home begin anew.
-        let ledger = hex(self.plant.ledger.recorder().as_bytes());
+        let ledger = hex(self.plant.ledger.records.recorder().as_bytes());
         let note = ErasuresTold { domain: network.domain, ledger, keeper, owner: owner.address };
         let mut known = told.load(self, &note)?;
         told.begin(Instant::now());
         for _ in 0..MOST_PAGES {
-            let page = block_in_place(|| self.plant.ledger.erasures(told.after, MOST_ERASURES))
+            let page = block_in_place(|| self.plant.ledger.erasures.list(told.after, MOST_ERASURES))
                 .map_err(PipelineError::from)?;
             let records = block_in_place(|| self.own(owner.address, network, &page.erasures))?;
             let Some(outcome) = self.tell_some(client, remote, records, &mut told.will).await? else { return Ok(()) };

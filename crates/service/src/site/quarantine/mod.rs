@@ -62,7 +62,7 @@ impl Quarantine {
                 return;
             }
             // It is counted once records are acknowledged again.
-            if block_in_place(|| self.plant.ledger.takes_records()).is_err() {
+            if block_in_place(|| self.plant.ledger.records.takes_records()).is_err() {
                 continue;
             }
             for owner in self.owners.all() {
@@ -100,7 +100,10 @@ impl Quarantine {
         let query =
             HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
         let (rows, counts) = blocking(self, move |quarantine| {
-            Ok((quarantine.plant.ledger.quarantine.held(owner, &query)?, quarantine.plant.ledger.counts(Some(owner))?))
+            Ok((
+                quarantine.plant.ledger.quarantine.held(owner, &query)?,
+                quarantine.plant.ledger.counts.by_state(Some(owner))?,
+            ))
         })
         .await?;
         let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
@@ -225,7 +228,7 @@ impl Quarantine {
             let standing = blocking(self, move |quarantine| {
                 let mut standing = true;
                 for digest in asked {
-                    let row = quarantine.plant.ledger.record(digest)?;
+                    let row = quarantine.plant.ledger.records.find(digest)?;
                     standing &=
                         row.is_some_and(|row| (RecordState::Mined..=RecordState::Verified).contains(&row.state));
                 }

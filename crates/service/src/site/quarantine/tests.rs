@@ -74,14 +74,14 @@ async fn a_release_is_written_down_first_and_touches_nobody_elses_messages() {
     let quarantine = quarantine(&ground);
     let (alice, bob) = (owner(&ground, "alice"), owner(&ground, "bob"));
     let (own, other) = (hold(&ground, alice.address, 1), hold(&ground, bob.address, 2));
-    let id_of = |digest| ground.parts.plant.ledger.record(digest).expect("readable").expect("there").id;
+    let id_of = |digest| ground.parts.plant.ledger.records.find(digest).expect("readable").expect("there").id;
     let strange = Held { topic: None, ids: vec![id_of(other)] };
     let refused = quarantine.release(&alice, strange).await.expect_err("another's");
     assert!(refused.message.contains("is not in quarantine"), "{}", refused.message);
 
     let decided = quarantine.release(&alice, all()).await.expect("released");
     assert_eq!((decided.decision.as_str(), decided.messages), ("released", 1));
-    let state = |digest| ground.parts.plant.ledger.record(digest).expect("readable").expect("there").state;
+    let state = |digest| ground.parts.plant.ledger.records.find(digest).expect("readable").expect("there").state;
     assert_eq!((state(own), state(other)), (RecordState::Stored, RecordState::Quarantined));
     let written = ground.audited("release quarantined");
     assert!(written.iter().all(|(subject, _)| subject.starts_with("/odom: 1 messages")), "{written:?}");

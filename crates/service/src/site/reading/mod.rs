@@ -25,10 +25,10 @@ use crate::model::{
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, Plant, network_pin};
-use crate::reply::{CoveragePart, CoverageView, Failure};
+use crate::reply::{CoverageView, Failure};
 use crate::ros::recording::{Beside, BesideContent};
-use crate::store::CoverageQuery;
 use crate::store::notes::Enrolled;
+use crate::store::{Coverage, CoverageQuery};
 
 /// Records as people read them.
 pub(in crate::site) struct Reading {
@@ -62,7 +62,7 @@ impl Reading {
             Ok(network) => return Ok(network),
             Err(failure) => failure,
         };
-        blocking(self, move |reading| match network_pin(&reading.plant.ledger)? {
+        blocking(self, move |reading| match network_pin(&reading.plant.ledger.rights)? {
             Some(pin) => Ok(Network::kept(&reading.plant, pin, &clean(&failure.message, 400))?),
             None => Err(failure),
         })
@@ -107,20 +107,13 @@ impl Reading {
             let enrolled = enrolled::of_account(&reading.plant.ledger.notes, owner)?;
             let signers = asked.map(|robot| devices_of(&enrolled, &robot)).transpose()?;
             let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
-            let found = reading.plant.ledger.coverage(&query)?;
+            let found = reading.plant.ledger.counts.coverage(&query)?;
             let robots = names(&enrolled, &found.signers);
             Ok((found, robots))
         })
         .await?;
-        let parts = found.parts.into_iter().map(|part| CoveragePart {
-            at: part.at,
-            data: part.data,
-            quarantined: part.quarantined,
-            tampered: part.tampered,
-            lost: part.lost,
-        });
-        let (robot, parts) = (robot.map(|robot| clean(&robot, 64)), parts.collect());
-        let (since, first, last) = (found.since, found.first, found.last);
+        let robot = robot.map(|robot| clean(&robot, 64));
+        let Coverage { since, first, last, parts, .. } = found;
         Ok(CoverageView { topic, robot, robots, since, until, first, last, parts })
     }
 }

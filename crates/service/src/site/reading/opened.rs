@@ -176,7 +176,7 @@ impl Reading {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&query)?)).await?;
+        let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.records.list(&query)?)).await?;
         page.rows.retain(|earlier| earlier.state != RecordState::Dropped);
         Ok(page.rows)
     }

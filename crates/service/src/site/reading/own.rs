@@ -40,7 +40,7 @@ impl Reading {
                 Some(name) => narrowed(&ledger.incidents, owner, &name, query)?,
                 None => query,
             };
-            Ok(ledger.list(&query)?)
+            Ok(ledger.records.list(&query)?)
         })
         .await?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false);
@@ -55,7 +55,7 @@ impl Reading {
         }
         let page = blocking(self, move |reading| {
             let owners = Some(reading.owners.accounts());
-            Ok(reading.plant.ledger.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
+            Ok(reading.plant.ledger.records.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
         })
         .await?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
@@ -85,7 +85,7 @@ impl Reading {
     pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<(), Failure> {
         let gone = ShownState::Verified(Caveat::Deleted);
         for record in records.iter_mut().filter(|record| record.state == gone) {
-            let retained = block_in_place(|| self.plant.ledger.retained(record.digest))?;
+            let retained = block_in_place(|| self.plant.ledger.retention.find(record.digest))?;
             record.erased = retained.and_then(|retained| retained.erased).map(|erasure| erasure.to_string());
         }
         Ok(())
@@ -93,7 +93,7 @@ impl Reading {
 
     /// The topics of which an owner has records here.
     pub(in crate::site) fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
-        let counts = block_in_place(|| self.plant.ledger.counts(Some(owner)))?;
+        let counts = block_in_place(|| self.plant.ledger.counts.by_state(Some(owner)))?;
         Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
@@ -101,7 +101,7 @@ impl Reading {
     pub(in crate::site) async fn find_record(self: &Arc<Self>, id: &str) -> Result<RecordRow, Failure> {
         let id = id.to_owned();
         blocking(self, move |reading| {
-            let row = reading.plant.ledger.record_by_id(&id)?;
+            let row = reading.plant.ledger.records.by_id(&id)?;
             Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(&id, 64)))?)
         })
         .await
@@ -141,7 +141,7 @@ impl Reading {
             steps.push(step("store", "ciphertext stored with its row".to_owned()));
         }
         let digest = row.digest;
-        let placed = blocking(self, move |reading| Ok(reading.plant.ledger.placed(digest)?)).await?;
+        let placed = blocking(self, move |reading| Ok(reading.plant.ledger.records.placed(digest)?)).await?;
         let place = placed.and_then(|placed| placed.place);
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
@@ -162,7 +162,7 @@ impl Reading {
             let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
             steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} required"))));
         }
-        if let Some(retained) = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await? {
+        if let Some(retained) = blocking(self, move |reading| Ok(reading.plant.ledger.retention.find(digest)?)).await? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
             steps.extend(retained.erased.map(|erasure| step("erased", erasure.to_string())));
@@ -207,13 +207,14 @@ impl Reading {
     ) -> Result<Vec<ExportedFile>, Failure> {
         let digest = row.digest;
         let wanted = row.clone();
-        let stored =
-            move |reading: &Self| Ok((reading.plant.stored_bytes(&wanted)?, reading.plant.ledger.placed(digest)?));
+        let stored = move |reading: &Self| {
+            Ok((reading.plant.stored_bytes(&wanted)?, reading.plant.ledger.records.placed(digest)?))
+        };
         let (blob, placed) = blocking(self, stored).await?;
         // Block, transaction and path of one moment, whatever the row was when it was asked for.
         let (row, place) = placed.map_or_else(|| (row.clone(), None), |placed| (placed.row, placed.place));
         let row = &row;
-        let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await?;
+        let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retention.find(digest)?)).await?;
         let gone = gone.filter(|gone| gone.anchored || is_stated(&self.plant, Some(network), digest, gone));
         let blob = blob.ok_or_else(|| match gone {
             Some(retained) => PipelineError::gone(&row.id, retained),

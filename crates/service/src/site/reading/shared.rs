@@ -72,7 +72,7 @@ impl Reading {
     ) -> Result<RecordPage, Failure> {
         loop {
             let asked = query.clone();
-            let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&asked)?)).await?;
+            let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.records.list(&asked)?)).await?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
                 let mut page = record_page(&self.compared(page.rows, reader, filters)?, page.next, true);
@@ -120,7 +120,8 @@ impl Reading {
                 Scope::Topics(topics) => ids.extend(topics.iter().copied()),
                 Scope::All => {
                     let owner = *owner;
-                    let counts = blocking(self, move |reading| Ok(reading.plant.ledger.counts(Some(owner))?)).await?;
+                    let counts =
+                        blocking(self, move |reading| Ok(reading.plant.ledger.counts.by_state(Some(owner))?)).await?;
                     ids.extend(counts.topics.iter().filter_map(|topic| topic.topic_id));
                     ids.extend(counts.attachments);
                 }

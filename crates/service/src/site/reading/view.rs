@@ -141,7 +141,7 @@ impl Reading {
         reader: &Reader<'_>,
         owner: Address,
     ) -> Result<(), Failure> {
-        let unnamed = blocking(self, move |reading| Ok(reading.plant.ledger.unnamed(owner, TRIES)?)).await?;
+        let unnamed = blocking(self, move |reading| Ok(reading.plant.ledger.names.unnamed(owner, TRIES)?)).await?;
         for stream in unnamed {
             for digest in stream {
                 if self.learn_from(reader, digest).await? {
@@ -163,7 +163,7 @@ impl Reading {
         let (Some(index), Some(topic)) = (index, topic) else { return Ok(()) };
         let name = topic.to_string();
         let id = topic_id(&index, &name);
-        blocking(self, move |reading| Ok(reading.plant.ledger.name_topic(owner, id, name)?)).await
+        blocking(self, move |reading| Ok(reading.plant.ledger.names.keep_topic(owner, id, name)?)).await
     }
 
     /// Learns the names of one record; whether there was something to learn.
@@ -172,7 +172,7 @@ impl Reading {
         if self.nameless.lock().unwrap_or_else(PoisonError::into_inner).contains(&tried) {
             return Ok(false);
         }
-        let row = blocking(self, move |reading| Ok(reading.plant.ledger.record(digest)?)).await?;
+        let row = blocking(self, move |reading| Ok(reading.plant.ledger.records.find(digest)?)).await?;
         let Some(row) = row else { return Ok(false) };
         let opened = match reader.open(&row).await {
             Ok(opened) => opened,
@@ -192,9 +192,9 @@ impl Reading {
         }
         blocking(self, move |reading| {
             let ledger = &reading.plant.ledger;
-            ledger.name(row.owner, hex(&row.topic_id.0), topic)?;
+            ledger.names.keep(row.owner, hex(&row.topic_id.0), topic)?;
             if with_type {
-                ledger.name(row.owner, row.type_name, type_name)?;
+                ledger.names.keep(row.owner, row.type_name, type_name)?;
             }
             Ok(())
         })

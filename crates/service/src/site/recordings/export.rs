@@ -116,7 +116,7 @@ impl Recordings {
             };
             loop {
                 let asked = query.clone();
-                let page = blocking(self, move |recordings| Ok(recordings.plant.ledger.list(&asked)?)).await?;
+                let page = blocking(self, move |recordings| Ok(recordings.plant.ledger.records.list(&asked)?)).await?;
                 for row in &page.rows {
                     export.take(&reader, row).await?;
                     seen += 1;

@@ -83,7 +83,7 @@ impl Recordings {
         Ledger::check_version(&home.ledger())?;
         let ledger = Ledger::open(&home.ledger())?;
         let plant = Plant { ciphertext: Ciphertext::of(&ledger), ledger, ..self.plant.clone() };
-        let pin = network_pin(&plant.ledger)?.ok_or_else(|| {
+        let pin = network_pin(&plant.ledger.rights)?.ok_or_else(|| {
             input(format!("{shown} was never bound to a chain, so it has no records; use it with the new chain"))
         })?;
         let network = Network::kept(&plant, pin, "a home that is imported is read without its chain")?;
@@ -100,7 +100,7 @@ impl Recordings {
         control: &CaptureSession,
     ) -> Result<ReadOut, Failure> {
         let goes_on = || !control.is_closed() && !self.life.is_stopping();
-        let of = old.plant.ledger.counts(Some(owner.address))?.captured();
+        let of = old.plant.ledger.counts.by_state(Some(owner.address))?.captured();
         let mut moving = Moving {
             there: Reader { plant: &old.plant, network: &old.network, reader: owner },
             here: Reader { plant: &self.plant, network, reader: owner },
@@ -115,7 +115,7 @@ impl Recordings {
         let mut kinds = [RecordKind::Data, RecordKind::Attachment].into_iter();
         query.kind = kinds.next();
         'pages: loop {
-            let page = old.plant.ledger.list(&query)?;
+            let page = old.plant.ledger.records.list(&query)?;
             for row in &page.rows {
                 match moving.message(row)? {
                     Found::New(message, tags) => {
@@ -265,7 +265,7 @@ impl Moving<'_> {
         };
         let former = opened.digest.to_hex();
         loop {
-            let page = self.here.plant.ledger.list(&query)?;
+            let page = self.here.plant.ledger.records.list(&query)?;
             for row in &page.rows {
                 let sealed = self.here.own_contents(row)?;
                 if sealed.is_some_and(|sealed| sealed.head.tags.get(FORMER_RECORD) == Some(&former)) {

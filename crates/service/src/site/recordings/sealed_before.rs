@@ -72,7 +72,7 @@ impl<'a> SealedBefore<'a> {
         };
         let mut contents = Contents::new();
         loop {
-            let page = self.reader.plant.ledger.list(&query)?;
+            let page = self.reader.plant.ledger.records.list(&query)?;
             for row in &page.rows {
                 let Some(opened) = self.reader.own_contents(row)? else { continue };
                 if let Some(tag) = opened.head.tags.get(RECORDING) {

@@ -152,7 +152,7 @@ impl Sharing {
             Scope::All => None,
             Scope::Topics(topics) => Some(topics.as_slice()),
         };
-        let sealed = || self.plant.ledger.sealed_in_epoch(terms.owner, terms.epoch, topics);
+        let sealed = || self.plant.ledger.counts.sealed_in_epoch(terms.owner, terms.epoch, topics);
         let (records, since) = tokio::task::block_in_place(sealed)?;
         Ok(EpochRecords { records, since })
     }
@@ -220,7 +220,7 @@ impl Sharing {
             let ledger = &self.plant.ledger;
             let name_of = |id: &TopicId| {
                 let kept = ledger.notes.read(&GrantedTopic { owner: owner.address, topic: *id })?;
-                let others = ledger.topic_names(owner.address, *id)?;
+                let others = ledger.names.of_topic(owner.address, *id)?;
                 let mut known = kept.into_iter().chain(others);
                 Ok(known.find(|name| owner.topic_id(name) == *id))
             };

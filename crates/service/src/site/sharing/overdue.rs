@@ -224,7 +224,7 @@ impl Sharing {
         if failure.kind != ErrorKind::Home || !blocking(self, |sharing| Ok(sharing.reserve.release()?)).await? {
             return Err(failure);
         }
-        let _space_is_for_this = self.plant.ledger.hold_records();
+        let _space_is_for_this = self.plant.ledger.records.hold();
         self.hub.notice(
             NoticeLevel::Error,
             "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory",

@@ -132,7 +132,7 @@ impl Storage {
             let Ok(free) = blocking(&self, |storage| Ok(free_bytes(storage.home.root())?)).await else { continue };
             pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
             if free < reserve && held.is_none() {
-                held = Some(self.plant.ledger.hold_records());
+                held = Some(self.plant.ledger.records.hold());
                 self.tell_room(NoticeLevel::Error, &self.full_text(free));
             }
             if free < reserve.min(LAST) && self.states.is_held() {
@@ -172,12 +172,12 @@ impl Storage {
     /// # Errors
     /// If its notes cannot be read.
     pub(in crate::site) fn fault(&self) -> Result<Option<String>, Failure> {
-        if self.plant.ledger.takes_records().is_err() {
+        if self.plant.ledger.records.takes_records().is_err() {
             return Ok(Some(self.full_text(free_bytes(self.home.root()).unwrap_or(0))));
         }
         let ledger = &self.plant.ledger;
         let missed = ledger.notes.read(&StoreWasGone {})?;
-        let unbound = missed.is_some() && network_pin(ledger)?.is_none();
+        let unbound = missed.is_some() && network_pin(&ledger.rights)?.is_none();
         Ok(missed.filter(|_| unbound).map(|missed| format!("{}; {STORE_LOST}", store_loss(&self.home, missed))))
     }
 }
@@ -205,7 +205,7 @@ impl Storage {
 
     /// Checks once, in the background, if the previous run did not close its files.
     pub(in crate::site) async fn check_after_crash(self: Arc<Self>) {
-        if self.plant.ledger.ended_cleanly() {
+        if self.plant.ledger.inspection.ended_cleanly() {
             return;
         }
         match blocking(&self, contradictions).await {
@@ -228,11 +228,12 @@ fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
     let plant = &storage.plant;
     let mut found: Vec<String> = plant
         .ledger
+        .inspection
         .contradictions()?
         .into_iter()
         .map(|text| format!("after an unclean shutdown, in the ledger: {text}; keep a copy of the home"))
         .collect();
-    for digest in plant.ledger.newest_stored(NEWEST)? {
+    for digest in plant.ledger.inspection.newest_stored(NEWEST)? {
         let blob = plant.ciphertext.get(digest)?;
         if blob.is_none_or(|blob| plant.provider.sm3(&[&blob]) != digest.0) {
             found.push(format!("after an unclean shutdown: record {digest} is not in the store as it was written"));

@@ -74,7 +74,7 @@ impl Storage {
 
     /// What owners whose homes join this gateway had erased, whichever profile is open here.
     async fn sweep_told(self: &Arc<Self>) -> Result<(), Failure> {
-        let named = self.plant.ledger.named_elsewhere();
+        let named = self.plant.ledger.erasures.named_elsewhere();
         if self.seen.0.swap(named, Ordering::AcqRel) != named {
             self.has_named.store(true, Ordering::Release);
         }
@@ -84,7 +84,7 @@ impl Storage {
         let _one_at_a_time = self.naming.lock().await;
         let held = blocking(self, |storage| {
             retention::delete_told(&storage.plant)?;
-            Ok(storage.plant.ledger.held_although_erased()?)
+            Ok(storage.plant.ledger.erasures.held_although_erased()?)
         })
         .await?;
         if self.seen.1.swap(held, Ordering::AcqRel) < held {
@@ -100,7 +100,7 @@ impl Storage {
     async fn look_for_named(self: &Arc<Self>) -> Result<(), Failure> {
         if self.has_named.load(Ordering::Acquire) {
             let _one_at_a_time = self.naming.lock().await;
-            let left = blocking(self, |storage| Ok(storage.plant.ledger.has_named()?)).await?;
+            let left = blocking(self, |storage| Ok(storage.plant.ledger.erasures.has_named()?)).await?;
             self.has_named.store(left, Ordering::Release);
         }
         Ok(())
@@ -203,7 +203,7 @@ impl Storage {
         for _ in 0..ERASING_LOOK.1 {
             digests = blocking(self, move |storage| {
                 while let Some(last) = digests.last() {
-                    let retained = storage.plant.ledger.retained(*last)?;
+                    let retained = storage.plant.ledger.retention.find(*last)?;
                     if retained.is_some_and(|retained| retained.deleted_at.is_none()) {
                         break;
                     }
@@ -228,7 +228,7 @@ fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>,
     let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
     let mut rows = Vec::new();
     for id in &wishes.records {
-        let row = ledger.record_by_id(id)?.filter(|row| row.owner == owner && row.kind.is_content());
+        let row = ledger.records.by_id(id)?.filter(|row| row.owner == owner && row.kind.is_content());
         let unknown = || input(format!("there is no message or attachment '{}' of this profile here", clean(id, 70)));
         rows.push(row.ok_or_else(unknown)?);
     }
@@ -268,7 +268,7 @@ fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> R
         ..RecordQuery::default()
     };
     loop {
-        let page = reader.plant.ledger.list(&query)?;
+        let page = reader.plant.ledger.records.list(&query)?;
         match &wishes.recording {
             Some(recording) => rows.extend(imported(reader, page.rows, recording)?),
             None => rows.extend(page.rows),

@@ -16,7 +16,7 @@ async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
     // No disk has as much left.
     let ground = Ground::with(&[("disk.reserve", "1000000GiB")]);
     let storage = Arc::new(Storage::new(&ground.parts, &reading(&ground.parts)));
-    assert!(storage.fault() == Ok(None) && ground.parts.plant.ledger.takes_records().is_ok());
+    assert!(storage.fault() == Ok(None) && ground.parts.plant.ledger.records.takes_records().is_ok());
     let mut events = ground.parts.hub.events().subscribe();
     let kept = tokio::spawn(Arc::clone(&storage).keep_room());
     let text = loop {
@@ -25,26 +25,26 @@ async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
         }
     };
     assert!(text.contains("less than disk.reserve"), "{text}");
-    assert!(ground.parts.plant.ledger.takes_records().is_err());
+    assert!(ground.parts.plant.ledger.records.takes_records().is_err());
     let told = storage.fault().expect("read").expect("told in the health too");
     assert!(told.contains("no further record is acknowledged"), "{told}");
     ground.parts.life.stop();
     kept.await.expect("ends with the site");
-    assert!(ground.parts.plant.ledger.takes_records().is_ok(), "held by the task alone");
+    assert!(ground.parts.plant.ledger.records.takes_records().is_ok(), "held by the task alone");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn after_an_unclean_end_it_is_told_whether_all_is_sound() {
     let ground = Ground::with(&[]);
     // The first start of a home is not preceded by an end.
-    let clean = ground.parts.plant.ledger.ended_cleanly();
+    let clean = ground.parts.plant.ledger.inspection.ended_cleanly();
     let crate::site::testing::Ground { parts, folder, .. } = ground;
     let (home, config) = (parts.home.clone(), crate::config::Config::clone(&parts.config));
     parts.log.write(&crate::site::testing::profile("alice"), "deed", "", "done").await.expect("the first change");
     // Not closed: as after a crash.
     drop(parts);
     let (parts, _opened, _) = crate::site::parts::Parts::open(home, config, false).expect("opens");
-    assert!(clean && !parts.plant.ledger.ended_cleanly());
+    assert!(clean && !parts.plant.ledger.inspection.ended_cleanly());
     let mut events = parts.hub.events().subscribe();
     Arc::new(Storage::new(&parts, &reading(&parts))).check_after_crash().await;
     let told = tokio::time::timeout(Duration::from_secs(60), events.recv()).await.expect("soon").expect("a notice");

@@ -10,14 +10,14 @@ fn steps(records: u64) -> Vec<i32> {
     let (_home, ledger) = open();
     for batch in 0..records / 100 {
         let one = |n: u64| record(1, u8::try_from(n % 4).expect("small"), batch * 100 + n + 1);
-        ledger.append((0..100).map(one).collect()).expect("acknowledged");
+        ledger.records.append((0..100).map(one).collect()).expect("acknowledged");
     }
-    assert_eq!(ledger.owners(64).expect("owners").len(), 1);
-    assert!(ledger.oldest_unanchored(Address([1; 20])).expect("ages").is_some());
-    let seen = ledger.last_seen(256).expect("signers");
+    assert_eq!(ledger.counts.owners(64).expect("owners").len(), 1);
+    assert!(ledger.counts.oldest_unanchored(Address([1; 20])).expect("ages").is_some());
+    let seen = ledger.counts.last_seen(256).expect("signers");
     assert_eq!(seen.iter().map(|seen| seen.at.0).collect::<Vec<_>>(), [1_000 + records]);
-    assert_eq!(ledger.untold_gaps().expect("gaps"), 0);
-    let counted = ledger.read(|connection| {
+    assert_eq!(ledger.losses.untold().expect("gaps"), 0);
+    let counted = ledger.database.read(|connection| {
         let questions = [OWNERS.to_owned(), OLDEST.to_owned(), last_seen(), UNTOLD.to_owned()];
         // The very statements that were run: they stay in the connection's cache, and one connection is reused.
         questions.iter().map(|sql| Ok(connection.prepare_cached(sql)?.reset_status(VmStep))).collect()

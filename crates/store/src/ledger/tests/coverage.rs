@@ -31,7 +31,7 @@ fn each_part_says_what_there_is_of_it() {
     // 100 to 500 in four parts of 100; /robot2 is another topic, the one at 500 is behind the end.
     let mut records = vec![at(1, 100), at(2, 199), at(3, 310), at(4, 500), held];
     records.push(NewRecord { captured_at: Timestamp(250), ..record(1, 2, 1) });
-    ledger.append(records).expect("acknowledged");
+    ledger.records.append(records).expect("acknowledged");
     let lost = Loss {
         topic: "/robot1/odom".to_owned(),
         first_at: Timestamp(299),
@@ -40,14 +40,14 @@ fn each_part_says_what_there_is_of_it() {
     };
     let elsewhere = loss(LossReason::Memory, 2);
     ledger.losses.count(vec![lost, elsewhere]).expect("counted");
-    let coverage = ledger.coverage(&query(Some(100), 500, 4)).expect("read");
+    let coverage = ledger.counts.coverage(&query(Some(100), 500, 4)).expect("read");
     assert_eq!(strip(&coverage), ["d", "l", "dql", "."]);
     assert_eq!(
         coverage.parts.iter().map(|part| (part.at.0, part.lost)).collect::<Vec<_>>(),
         [(100, 0), (200, 7), (300, 7), (400, 0)]
     );
     assert_eq!((coverage.first, coverage.last), (Some(Timestamp(100)), Some(Timestamp(500))));
-    let whole = ledger.coverage(&query(None, 600, 1)).expect("read");
+    let whole = ledger.counts.coverage(&query(None, 600, 1)).expect("read");
     assert_eq!((whole.since, strip(&whole)), (Timestamp(100), vec!["dql".to_owned()]));
 }
 
@@ -63,15 +63,15 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     };
     // The second one takes turns with its ring, whose recorder is another.
     let records = vec![of(one, 1, 1, 110), of(one, 1, 2, 120), of(other, 2, 1, 310), of(other, 3, 1, 420)];
-    ledger.append(records).expect("acknowledged");
+    ledger.records.append(records).expect("acknowledged");
     let topic = "/robot1/odom".to_owned();
     let lost = Loss { topic, first_at: Timestamp(210), last_at: Timestamp(210), ..loss(LossReason::Transport, 7) };
     ledger.losses.count(vec![lost]).expect("counted");
     let of = |signers: &[SignerId]| {
         let signers = Some(signers.iter().copied().collect());
-        ledger.coverage(&CoverageQuery { signers, ..query(Some(100), 500, 4) }).expect("read")
+        ledger.counts.coverage(&CoverageQuery { signers, ..query(Some(100), 500, 4) }).expect("read")
     };
-    let all = ledger.coverage(&query(Some(100), 500, 4)).expect("read");
+    let all = ledger.counts.coverage(&query(Some(100), 500, 4)).expect("read");
     assert_eq!((strip(&all).concat().as_str(), all.signers.len()), ("dldd", 2));
     let first = of(&[one]);
     assert_eq!(strip(&first).concat(), "d...", "a loss of this site is none of the robot's");
@@ -85,9 +85,13 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
 #[test]
 fn a_topic_without_records_and_a_span_without_length_are_no_errors() {
     let (_home, ledger) = open();
-    let nothing = ledger.coverage(&query(None, 600, 60)).expect("read");
+    let nothing = ledger.counts.coverage(&query(None, 600, 60)).expect("read");
     assert_eq!((nothing.first, nothing.since, strip(&nothing)), (None, Timestamp(600), vec![".".to_owned()]));
-    let turned = ledger.coverage(&query(Some(900), 600, 0)).expect("read");
+    let turned = ledger.counts.coverage(&query(Some(900), 600, 0)).expect("read");
     assert_eq!((turned.since, turned.parts.len()), (Timestamp(600), 1));
-    assert_eq!(ledger.coverage(&query(Some(0), 10, 60)).expect("read").parts.len(), 10, "no part is shorter than 1 ns");
+    assert_eq!(
+        ledger.counts.coverage(&query(Some(0), 10, 60)).expect("read").parts.len(),
+        10,
+        "no part is shorter than 1 ns"
+    );
 }

@@ -28,7 +28,7 @@ fn event(block: u64, kind: RightKind, epoch: u64) -> RightEvent {
 #[test]
 fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
     let (_home, ledger) = bound();
-    let changes = || ledger.write(|session| Ok(session.connection.total_changes())).expect("counted");
+    let changes = || ledger.database.write(|session| Ok(session.connection.total_changes())).expect("counted");
     ledger.rights.keep_rights(vec![event(1, RightKind::Epoch, 1)]).expect("kept");
     let mut costs = std::collections::BTreeSet::new();
     for hundred in 0..60u64 {
@@ -63,6 +63,7 @@ fn what_an_event_ends_is_found_without_what_ended_before() {
     let (_home, ledger) = open();
     let plan = |sql: &'static str| {
         ledger
+            .database
             .read(move |connection| {
                 let mut statement = connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
                 let columns = statement.parameter_count();

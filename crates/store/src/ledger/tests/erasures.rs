@@ -27,7 +27,7 @@ fn statement(report: u8, key: u8) -> Vec<u8> {
 
 fn move_to(ledger: &Ledger, record: &NewRecord, state: RecordState) {
     let digest = record.digest;
-    let moved = ledger.write(move |session| {
+    let moved = ledger.database.write(move |session| {
         let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
         Ok(session.connection.execute(sql, params![state.code(), digest.0])?)
     });
@@ -45,11 +45,11 @@ fn take(ledger: &Ledger, record: &NewRecord, statement: Vec<u8>) -> Result<ToldE
     let anchor = RootSighting { account: Address([8; 20]), root, count: 1, transaction, block: 10, block_hash };
     let report = Digest(statement[..32].try_into().expect("32 bytes"));
     let taken = TakenErased { header: vec![3; 9], report, at: AT, statement };
-    ledger.take_told(record.clone(), (taken, vec![4; 65]), (inclusion, anchor))
+    ledger.erasures.take_told(record.clone(), (taken, vec![4; 65]), (inclusion, anchor))
 }
 
 fn told(ledger: &Ledger, after: u64) -> (Vec<Digest>, Option<u64>) {
-    let page = ledger.erasures(after, 9).expect("read");
+    let page = ledger.erasures.list(after, 9).expect("read");
     (page.erasures.into_iter().map(|(digest, ..)| digest).collect(), page.last)
 }
 
@@ -57,11 +57,11 @@ fn told(ledger: &Ledger, after: u64) -> (Vec<Digest>, Option<u64>) {
 fn what_is_erased_is_told_once_it_is_gone_and_again_when_it_is_stated_anew() {
     let (_home, ledger) = open();
     let records: Vec<NewRecord> = (1..=3).map(|seq| record(1, 1, seq)).collect();
-    ledger.append(records.clone()).expect("acknowledged");
+    ledger.records.append(records.clone()).expect("acknowledged");
     records.iter().for_each(|record| move_to(&ledger, record, Verified));
     let erasure = Erasure { at: AT, by: "alice".to_owned(), reason: "a face".to_owned() };
     let named = records.iter().map(|record| (record.digest, vec![1])).collect();
-    ledger.erase(report(1), &erasure, named).expect("named");
+    ledger.erasures.erase(report(1), &erasure, named).expect("named");
     let stated = |record: &NewRecord, key, account| StatedErasure {
         digest: record.digest,
         statement: statement(1, key),
@@ -69,24 +69,25 @@ fn what_is_erased_is_told_once_it_is_gone_and_again_when_it_is_stated_anew() {
     };
     let signed = |record, key| stated(record, key, Some(vec![4; 65]));
     ledger
-        .keep_erasures(vec![signed(&records[0], 1), signed(&records[1], 1), stated(&records[2], 1, None)])
+        .erasures
+        .keep(vec![signed(&records[0], 1), signed(&records[1], 1), stated(&records[2], 1, None)])
         .expect("kept");
     assert_eq!(told(&ledger, 0), (Vec::new(), None), "its bytes are here still");
     // The second one goes first; whoever reads on from there does not miss the first one.
-    ledger.deleted(&[records[1].digest]).expect("noted");
+    ledger.retention.deleted(&[records[1].digest]).expect("noted");
     let (first, last) = told(&ledger, 0);
     assert_eq!(first, [records[1].digest]);
-    ledger.deleted(&[records[0].digest, records[2].digest]).expect("noted");
+    ledger.retention.deleted(&[records[0].digest, records[2].digest]).expect("noted");
     let (then, last) = told(&ledger, last.expect("a number"));
     assert_eq!(then, [records[0].digest], "and not what the account did not sign for");
     assert_eq!(told(&ledger, last.expect("a number")), (Vec::new(), None));
-    let unstated = |key| ledger.unstated(OWNER, &PublicKey([key; 64]), 9).expect("read");
+    let unstated = |key| ledger.erasures.unstated(OWNER, &PublicKey([key; 64]), 9).expect("read");
     assert_eq!(unstated(1).iter().map(|one| one.digest).collect::<Vec<_>>(), [records[2].digest]);
     assert_eq!(unstated(2).len(), 3, "under another key all of it is stated anew");
-    ledger.keep_erasures(vec![signed(&records[2], 2), signed(&records[1], 2)]).expect("kept");
+    ledger.erasures.keep(vec![signed(&records[2], 2), signed(&records[1], 2)]).expect("kept");
     assert_eq!(told(&ledger, last.expect("a number")).0, [records[2].digest, records[1].digest]);
-    assert_eq!(ledger.erasures(0, 2).map(|page| (page.erasures.len(), page.more)), Ok((2, true)));
-    let retained = ledger.retained(records[0].digest).expect("read").expect("kept");
+    assert_eq!(ledger.erasures.list(0, 2).map(|page| (page.erasures.len(), page.more)), Ok((2, true)));
+    let retained = ledger.retention.find(records[0].digest).expect("read").expect("kept");
     assert_eq!((retained.erased, retained.stated), (Some(erasure), None), "who and why are known here");
 }
 
@@ -94,46 +95,50 @@ fn what_is_erased_is_told_once_it_is_gone_and_again_when_it_is_stated_anew() {
 fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
     let (home, ledger) = open();
     let (copy, absent, gone) = (brought(1), brought(2), brought(3));
-    ledger.append(vec![copy.clone(), gone.clone()]).expect("acknowledged");
-    ledger.deleted(&[gone.digest]).expect("by this home itself");
+    ledger.records.append(vec![copy.clone(), gone.clone()]).expect("acknowledged");
+    ledger.retention.deleted(&[gone.digest]).expect("by this home itself");
     let state = |ledger: &Ledger, record: &NewRecord| {
-        ledger.record(record.digest).expect("read").map(|row| (row.state, row.deleted_at.is_some()))
+        ledger.records.find(record.digest).expect("read").map(|row| (row.state, row.deleted_at.is_some()))
     };
     assert_eq!(take(&ledger, &absent, statement(7, 1)), Ok(ToldErased::Listed));
     assert_eq!(state(&ledger, &absent), Some((RecordState::Mined, true)), "with its anchor, and without bytes");
     assert_eq!(take(&ledger, &copy, statement(7, 1)), Ok(ToldErased::Named));
-    assert_eq!(ledger.named_elsewhere(), 1);
+    assert_eq!(ledger.erasures.named_elsewhere(), 1);
     assert_eq!(state(&ledger, &copy), Some((RecordState::Mined, false)), "what was here without an anchor gets it");
     assert_eq!(take(&ledger, &gone, statement(7, 1)), Ok(ToldErased::Unchanged));
-    assert_eq!(ledger.kept_erasure(gone.digest), Ok(None));
-    assert_eq!(ledger.given_up(OWNER), Ok(2));
+    assert_eq!(ledger.erasures.kept(gone.digest), Ok(None));
+    assert_eq!(ledger.retention.given_up(OWNER), Ok(2));
 
     // What is verified is deleted, also by a run that was not there when it was told.
-    assert_eq!(ledger.told_to_delete(9), Ok(Vec::new()), "its bytes are what is verified");
+    assert_eq!(ledger.erasures.told_to_delete(9), Ok(Vec::new()), "its bytes are what is verified");
     move_to(&ledger, &copy, Verified);
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-    assert_eq!((ledger.has_named(), ledger.told_to_delete(9)), (Ok(true), Ok(vec![copy.digest])));
-    assert_eq!(ledger.erased_among(&[copy.digest, gone.digest]), Ok(vec![copy.digest]), "overwritten, not only freed");
+    assert_eq!((ledger.erasures.has_named(), ledger.erasures.told_to_delete(9)), (Ok(true), Ok(vec![copy.digest])));
+    assert_eq!(
+        ledger.erasures.erased_among(&[copy.digest, gone.digest]),
+        Ok(vec![copy.digest]),
+        "overwritten, not only freed"
+    );
     let again = [&copy, &absent, &gone].map(|record| NewRecord { blob: Some(vec![1]), ..record.clone() });
-    ledger.append(again.to_vec()).expect("acknowledged as known");
+    ledger.records.append(again.to_vec()).expect("acknowledged as known");
     assert_eq!(Ciphertext::of(&ledger).usage(), Ok(Usage::default()), "nobody brings them again");
     let name: IncidentName = "crash".parse().expect("a name");
     ledger.incidents.open(OWNER, &name, &IncidentSpan::default(), None).expect("opened");
-    assert_eq!((ledger.told_to_delete(9), ledger.held_although_erased()), (Ok(Vec::new()), Ok(1)));
+    assert_eq!((ledger.erasures.told_to_delete(9), ledger.erasures.held_although_erased()), (Ok(Vec::new()), Ok(1)));
     ledger.incidents.remove(OWNER, &name).expect("removed");
     assert_eq!(told(&ledger, 0).0, [absent.digest], "what is here is not told to be gone");
-    ledger.deleted(&[copy.digest]).expect("noted");
-    assert_eq!((ledger.told_to_delete(9), ledger.has_named()), (Ok(Vec::new()), Ok(false)));
+    ledger.retention.deleted(&[copy.digest]).expect("noted");
+    assert_eq!((ledger.erasures.told_to_delete(9), ledger.erasures.has_named()), (Ok(Vec::new()), Ok(false)));
     assert_eq!(told(&ledger, 0).0, [absent.digest, copy.digest]);
     assert_eq!(take(&ledger, &copy, statement(8, 2)), Ok(ToldErased::Restated));
-    let retained = ledger.retained(copy.digest).expect("read").expect("accounted for");
+    let retained = ledger.retention.find(copy.digest).expect("read").expect("accounted for");
     assert_eq!((retained.stated, retained.report), (Some(statement(8, 2)), Digest([8; 32])));
-    assert_eq!(ledger.given_up(OWNER), Ok(2), "counted once");
+    assert_eq!(ledger.retention.given_up(OWNER), Ok(2), "counted once");
     // Whoever puts another statement in its place makes nothing of this home's own of it.
     let other = StatedErasure { digest: copy.digest, statement: statement(8, 3), account: None };
-    ledger.keep_erasures(vec![other]).expect("kept");
-    let kept = ledger.kept_erasure(copy.digest).expect("read").expect("kept");
+    ledger.erasures.keep(vec![other]).expect("kept");
+    let kept = ledger.erasures.kept(copy.digest).expect("read").expect("kept");
     assert_eq!((kept.statement, kept.taken), (statement(8, 3), true));
 }
 
@@ -141,27 +146,28 @@ fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
 fn an_owners_word_takes_over_from_a_rule_and_not_from_a_person_of_this_home() {
     let (_home, ledger) = open();
     let (by_rule, by_person) = (brought(1), brought(2));
-    ledger.append(vec![by_rule.clone(), by_person.clone()]).expect("acknowledged");
+    ledger.records.append(vec![by_rule.clone(), by_person.clone()]).expect("acknowledged");
     [&by_rule, &by_person].iter().for_each(|record| move_to(&ledger, record, Verified));
     let erasure = Erasure { at: AT, by: "alice".to_owned(), reason: "a face".to_owned() };
-    ledger.erase(report(1), &erasure, vec![(by_person.digest, vec![1])]).expect("named");
-    let topic = ledger.kept_topics(OWNER).expect("read").into_iter().find(|topic| topic.topic_id == TopicId([4; 16]));
+    ledger.erasures.erase(report(1), &erasure, vec![(by_person.digest, vec![1])]).expect("named");
+    let topic =
+        ledger.retention.topics(OWNER).expect("read").into_iter().find(|topic| topic.topic_id == TopicId([4; 16]));
     let topic = topic.expect("a topic");
-    let due = ledger.oldest(&topic, (Timestamp(0), Timestamp(9_999)), 9).expect("read");
-    ledger.give_up(&topic, report(2), due.into_iter().map(|one| (one, vec![1])).collect()).expect("named");
+    let due = ledger.retention.oldest(&topic, (Timestamp(0), Timestamp(9_999)), 9).expect("read");
+    ledger.retention.give_up(&topic, report(2), due.into_iter().map(|one| (one, vec![1])).collect()).expect("named");
     assert_eq!(take(&ledger, &by_person, statement(7, 1)), Ok(ToldErased::Unchanged));
     assert_eq!(take(&ledger, &by_rule, statement(7, 1)), Ok(ToldErased::Named));
-    assert_eq!(ledger.told_to_delete(9), Ok(vec![by_rule.digest]));
-    assert_eq!(ledger.given_up(OWNER), Ok(2), "counted once");
+    assert_eq!(ledger.erasures.told_to_delete(9), Ok(vec![by_rule.digest]));
+    assert_eq!(ledger.retention.given_up(OWNER), Ok(2), "counted once");
 }
 
 #[test]
 fn the_digest_of_another_owners_record_is_a_contradiction() {
     let (_home, ledger) = open();
     let copy = brought(1);
-    ledger.append(vec![copy.clone()]).expect("acknowledged");
+    ledger.records.append(vec![copy.clone()]).expect("acknowledged");
     let stolen = NewRecord { owner: Address([2; 20]), ..copy.clone() };
     let told = take(&ledger, &stolen, statement(7, 1));
     assert!(matches!(told, Err(StoreError::Conflict { .. })), "{told:?}");
-    assert_eq!((ledger.retained(copy.digest), ledger.kept_erasure(copy.digest)), (Ok(None), Ok(None)));
+    assert_eq!((ledger.retention.find(copy.digest), ledger.erasures.kept(copy.digest)), (Ok(None), Ok(None)));
 }

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::model::Fact;
-use crate::snapshot::renew_ledger;
+use crate::snapshot::{Snapshot, renew_ledger};
 
 const OWNER: Address = Address([1; 20]);
 const RECORDS: u64 = 12;
@@ -72,7 +72,7 @@ struct World {
 impl World {
     fn new() -> Self {
         let (home, ledger) = open();
-        ledger.append((1..=RECORDS).map(|seq| super::record(1, 1, seq)).collect()).expect("acknowledged");
+        ledger.records.append((1..=RECORDS).map(|seq| super::record(1, 1, seq)).collect()).expect("acknowledged");
         let (model, seen) = (Model::default(), BTreeMap::new());
         Self { home, ledger, model, backup: None, id: [0; 16], after: 0, seen }
     }
@@ -81,7 +81,8 @@ impl World {
         let digest = super::record(1, 1, number).digest;
         let sql = format!("UPDATE records SET {column} = ?1 WHERE digest = ?2");
         let value = value.cast_signed();
-        let changed = self.ledger.write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?));
+        let changed =
+            self.ledger.database.write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?));
         changed.expect("changed");
     }
 
@@ -112,7 +113,7 @@ impl World {
                 }
             }
             Step::BackUp => {
-                let (moment, ()) = self.ledger.snapshot_with(|| Ok(())).expect("a moment");
+                let (moment, ()) = Snapshot::of(&self.ledger, || Ok(())).expect("a moment");
                 drop(std::fs::remove_file(self.file("backup.db")));
                 moment.copy_to(&self.file("backup.db")).expect("copied");
                 self.backup = Some(self.model.clone());
@@ -184,8 +185,9 @@ fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
     }
     let notice = NewRecord { kind: RecordKind::Key, ..super::record(1, 4, 1) };
     let digests: Vec<Digest> = records.iter().map(|record| record.digest).collect();
-    ledger.append([records, vec![notice]].concat()).expect("acknowledged");
+    ledger.records.append([records, vec![notice]].concat()).expect("acknowledged");
     ledger
+        .database
         .write(move |session| {
             for digest in &digests {
                 let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
@@ -214,7 +216,7 @@ fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
     assert_eq!(of(&keys, 9).0, [(1, Fact::Stored)]);
     let other = FeedFilter { recorders: vec![RecorderId([9; 16])], ..places(0) };
     assert_eq!(of(&other, 9), (Vec::new(), 7, 7));
-    let own = FeedFilter { recorders: vec![ledger.recorder().of_signer(&SignerId([1; 32]))], ..places(0) };
+    let own = FeedFilter { recorders: vec![ledger.records.recorder().of_signer(&SignerId([1; 32]))], ..places(0) };
     assert_eq!(of(&own, 9).0, all);
     let mut both = places(4);
     both.places.push(FeedPlace { owner: Address([2; 20]), after: 0, topics: None });

@@ -25,7 +25,7 @@ fn losses_are_merged_until_a_gap_record_tells_of_them() {
     ledger.losses.close_gap(&gap, report(1)).expect("told");
     let again = ledger.losses.close_gap(&gap, report(2));
     assert!(matches!(again, Err(StoreError::NotReady { .. })), "{again:?}");
-    assert_eq!(ledger.record(report(2).digest), Ok(None), "nothing of a refused telling stays");
+    assert_eq!(ledger.records.find(report(2).digest), Ok(None), "nothing of a refused telling stays");
     let rest: Vec<_> = std::iter::from_fn(|| {
         let gap = open(9)?;
         ledger.losses.close_gap(&gap, report(10 + gap.count)).expect("told");
@@ -42,13 +42,13 @@ fn losses_are_merged_until_a_gap_record_tells_of_them() {
 #[test]
 fn captured_is_counted_by_itself_and_held_against_the_states() {
     let (_home, ledger) = open();
-    ledger.append((1..=4).map(|seq| record(1, 1, seq)).collect()).expect("acknowledged");
-    ledger.append(vec![record(1, 1, 1), report(9)]).expect("known, and no message");
+    ledger.records.append((1..=4).map(|seq| record(1, 1, seq)).collect()).expect("acknowledged");
+    ledger.records.append(vec![record(1, 1, 1), report(9)]).expect("known, and no message");
     ledger.losses.count(vec![loss(LossReason::Disk, 3), loss(LossReason::Transport, 2)]).expect("counted");
-    let counts = ledger.counts(Some(OWNER)).expect("counts");
+    let counts = ledger.counts.by_state(Some(OWNER)).expect("counts");
     assert_eq!((counts.captured(), counts.acknowledged, counts.lost_in_recorder), (7, 4, 3));
     assert_eq!((counts.lost_in_transport, counts.is_conserved()), (2, true));
     let gone = "UPDATE counters SET records = records - 1 WHERE records > 1";
-    ledger.write(|session| Ok(session.connection.execute(gone, [])?)).expect("written");
-    assert!(!ledger.counts(None).expect("counts").is_conserved(), "a record that no state counts is noticed");
+    ledger.database.write(|session| Ok(session.connection.execute(gone, [])?)).expect("written");
+    assert!(!ledger.counts.by_state(None).expect("counts").is_conserved(), "a record that no state counts is noticed");
 }

@@ -17,7 +17,7 @@ fn names_and_ids_are_found_with_a_site_at_work_and_without() {
     let path = home.path().join("led ger?#%.db");
     let ledger = Ledger::open(&path).expect("opens");
     let records: Vec<NewRecord> = (1..=3).map(|topic| record(1, topic, 7)).collect();
-    ledger.append(records.clone()).expect("acknowledged");
+    ledger.records.append(records.clone()).expect("acknowledged");
     ledger.notes.write(&AddressBook {}, &Vec::new()).expect("kept");
     let look = || {
         let glance = Glance::at(&path).expect("opens");

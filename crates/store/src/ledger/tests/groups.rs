@@ -80,7 +80,7 @@ proptest! {
         asks in prop::collection::vec((ask(), prop::bool::weighted(0.2)), 1..24),
     ) {
         let (home, ledger) = open();
-        ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
+        ledger.records.append(vec![record(1, 1, 1)]).expect("acknowledged");
         let ((begin, begun), (go, wait)) = (mpsc::channel(), mpsc::channel::<()>());
         // The writer thread is blocked until everything is queued, so that it is done in one group.
         let holder = ledger.database.shared.writer.ask(1, move |_| Ok(begin.send(()).is_ok() && wait.recv().is_ok()));
@@ -97,14 +97,14 @@ proptest! {
             prop_assert!(answer != Err(StoreError::Closed));
             let Ask::Append(count) = ask else { continue };
             let count = if kept { *count } else { 0 };
-            prop_assert_eq!(ledger.next_seq(Address([2; 20]), SignerId([2; 32]), TopicId([topic; 16])), Ok(count + 1));
+            prop_assert_eq!(ledger.records.next_seq(Address([2; 20]), SignerId([2; 32]), TopicId([topic; 16])), Ok(count + 1));
             expected += count;
         }
-        prop_assert_eq!(ledger.counts(None).expect("counts").captured(), expected);
-        prop_assert_eq!(ledger.contradictions().expect("looked"), Vec::<String>::new());
+        prop_assert_eq!(ledger.counts.by_state(None).expect("counts").captured(), expected);
+        prop_assert_eq!(ledger.inspection.contradictions().expect("looked"), Vec::<String>::new());
         drop(ledger);
         let again = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-        prop_assert_eq!(again.counts(None).expect("counts").captured(), expected);
+        prop_assert_eq!(again.counts.by_state(None).expect("counts").captured(), expected);
     }
 }
 
@@ -112,12 +112,13 @@ proptest! {
 fn lists_name_every_state_of_a_topic_in_the_order_of_capture() {
     let (_home, ledger) = open();
     let records = own(3, 40);
-    ledger.append(records.clone()).expect("acknowledged");
+    ledger.records.append(records.clone()).expect("acknowledged");
     let digests: Vec<Digest> = records.iter().map(|record| record.digest).collect();
     let (tampered, held) = (&digests[10..20], &digests[30..35]);
-    assert_eq!(ledger.advance(tampered, Stored, RecordState::Tampered), Ok(10));
-    assert_eq!(ledger.advance(held, Stored, RecordState::Quarantined), Ok(5));
-    let found = |query| ledger.list(&query).expect("page").rows.iter().map(|row| row.digest).collect::<Vec<_>>();
+    assert_eq!(ledger.records.advance(tampered, Stored, RecordState::Tampered), Ok(10));
+    assert_eq!(ledger.records.advance(held, Stored, RecordState::Quarantined), Ok(5));
+    let found =
+        |query| ledger.records.list(&query).expect("page").rows.iter().map(|row| row.digest).collect::<Vec<_>>();
     assert_eq!(found(RecordQuery { limit: 100, ..RecordQuery::default() }), digests);
     let newest: Vec<Digest> = digests.iter().rev().copied().take(12).collect();
     assert_eq!(found(RecordQuery { newest_first: true, limit: 12, ..RecordQuery::default() }), newest);

@@ -18,8 +18,8 @@ fn span(since: u64, until: Option<u64>, topics: &[&str]) -> IncidentSpan {
 /// Acknowledges records and moves them into a state, as the line does in many steps.
 fn append_in(ledger: &Ledger, state: RecordState, records: Vec<NewRecord>) {
     let digests: Vec<Digest> = records.iter().map(|record| record.digest).collect();
-    ledger.append(records).expect("acknowledged");
-    let moved = ledger.write(move |session| {
+    ledger.records.append(records).expect("acknowledged");
+    let moved = ledger.database.write(move |session| {
         let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
         let connection = session.connection;
         digests.iter().try_for_each(|digest| Ok(connection.execute(sql, params![state.code(), digest.0]).map(drop)?))
@@ -29,10 +29,10 @@ fn append_in(ledger: &Ledger, state: RecordState, records: Vec<NewRecord>) {
 
 /// Names these records of a topic in a verified retention record.
 fn give_up(ledger: &Ledger, topic: &KeptTopic, limit: usize) {
-    let due = ledger.oldest(topic, (Timestamp(0), Timestamp(2_000)), limit).expect("read");
+    let due = ledger.retention.oldest(topic, (Timestamp(0), Timestamp(2_000)), limit).expect("read");
     let named = due.into_iter().map(|record| (record, vec![1])).collect();
     let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
-    ledger.give_up(topic, report.clone(), named).expect("named");
+    ledger.retention.give_up(topic, report.clone(), named).expect("named");
     append_in(ledger, Verified, vec![report]);
 }
 
@@ -93,8 +93,8 @@ fn coverage_tells_what_there_is_of_each_topic() {
     append_in(&ledger, Verified, vec![record(1, 1, 1), record(1, 1, 5), record(1, 2, 1)]);
     append_in(&ledger, RecordState::Quarantined, vec![record(1, 1, 7)]);
     append_in(&ledger, RecordState::Dropped, vec![record(1, 1, 9)]);
-    ledger.append(vec![record(1, 1, 2), definition]).expect("acknowledged");
-    ledger.append(vec![record(2, 1, 1)]).expect("another owner's");
+    ledger.records.append(vec![record(1, 1, 2), definition]).expect("acknowledged");
+    ledger.records.append(vec![record(2, 1, 1)]).expect("another owner's");
     let lost = Loss {
         topic: "/robot1/odom".to_owned(),
         first_at: Timestamp(900),
@@ -128,21 +128,21 @@ fn what_was_named_and_not_yet_deleted_stays_as_long_as_an_incident_holds_it() {
     let (_home, ledger) = open();
     let old = [record(1, 1, 1), record(1, 1, 2)];
     append_in(&ledger, Verified, old.to_vec());
-    let topic = ledger.kept_topics(OWNER).expect("read").pop().expect("a topic");
+    let topic = ledger.retention.topics(OWNER).expect("read").pop().expect("a topic");
     give_up(&ledger, &topic, 9);
     let both = vec![old[0].digest, old[1].digest];
-    assert_eq!(ledger.to_delete(OWNER, 9), Ok(both.clone()));
+    assert_eq!(ledger.retention.to_delete(OWNER, 9), Ok(both.clone()));
     ledger.incidents.open(OWNER, &name("first"), &span(1_001, Some(1_002), &["/robot1/odom"]), None).expect("opened");
-    assert_eq!(ledger.to_delete(OWNER, 9), Ok(vec![old[1].digest]));
+    assert_eq!(ledger.retention.to_delete(OWNER, 9), Ok(vec![old[1].digest]));
     ledger.incidents.open(OWNER, &name("all"), &span(0, None, &[]), None).expect("opened");
-    assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()), "two overlap");
+    assert_eq!(ledger.retention.to_delete(OWNER, 9), Ok(Vec::new()), "two overlap");
     ledger.incidents.remove(OWNER, &name("first")).expect("removed");
     ledger.incidents.close(OWNER, &name("all")).expect("closed");
-    assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()), "one is left, closed or not");
+    assert_eq!(ledger.retention.to_delete(OWNER, 9), Ok(Vec::new()), "one is left, closed or not");
     ledger.incidents.remove(OWNER, &name("all")).expect("removed");
     ledger.incidents.open(OWNER, &name("other"), &span(0, None, &["/robot2/odom"]), None).expect("opened");
     ledger.incidents.open(Address([2; 20]), &name("all"), &span(0, None, &[]), None).expect("another's");
-    assert_eq!(ledger.to_delete(OWNER, 9), Ok(both));
+    assert_eq!(ledger.retention.to_delete(OWNER, 9), Ok(both));
 }
 
 #[test]
@@ -150,8 +150,8 @@ fn bytes_of_a_stretch_leave_out_what_was_given_up_and_what_was_dropped() {
     let (_home, ledger) = open();
     append_in(&ledger, Verified, vec![record(1, 1, 1), record(1, 1, 2)]);
     append_in(&ledger, RecordState::Dropped, vec![record(1, 1, 4)]);
-    ledger.append(vec![record(1, 1, 3)]).expect("acknowledged");
-    let topic = ledger.kept_topics(OWNER).expect("read").pop().expect("a topic");
+    ledger.records.append(vec![record(1, 1, 3)]).expect("acknowledged");
+    let topic = ledger.retention.topics(OWNER).expect("read").pop().expect("a topic");
     let between =
         |since, until| ledger.incidents.bytes_between(topic.key, (Timestamp(since), Timestamp(until))).expect("read");
     assert_eq!((between(1_001, 1_003), between(0, 9_999), between(1_004, 9_999)), (203, 306, 0));
@@ -162,9 +162,9 @@ fn bytes_of_a_stretch_leave_out_what_was_given_up_and_what_was_dropped() {
 #[test]
 fn a_list_takes_records_of_several_topics() {
     let (_home, ledger) = open();
-    ledger.append(vec![record(1, 1, 1), record(1, 2, 1), record(1, 3, 1)]).expect("acknowledged");
+    ledger.records.append(vec![record(1, 1, 1), record(1, 2, 1), record(1, 3, 1)]).expect("acknowledged");
     let topics = vec!["/robot1/odom".to_owned(), "/robot3/odom".to_owned(), "/none".to_owned()];
-    let page = ledger.list(&RecordQuery { topics, ..RecordQuery::default() }).expect("listed");
+    let page = ledger.records.list(&RecordQuery { topics, ..RecordQuery::default() }).expect("listed");
     let topics: Vec<&str> = page.rows.iter().map(|row| row.topic.as_str()).collect();
     assert_eq!(topics, ["/robot1/odom", "/robot3/odom"]);
 }

@@ -27,8 +27,7 @@ enum Step {
     Replace { picked: Index, kept: usize },
     See { picked: Vec<Index>, own: bool, block: u64 },
     Confirm(u64),
-    Unmine(u64),
-    Unverify(u64),
+    TakeBack(u64),
     Drop { topic: u8, count: u64 },
     Discard(Vec<Index>),
     Reopen { clean: bool },
@@ -52,8 +51,7 @@ fn step() -> impl Strategy<Value = Step> {
         1 => (any::<Index>(), 0usize..4).prop_map(|(picked, kept)| Step::Replace { picked, kept }),
         5 => (picked(), any::<bool>(), block()).prop_map(|(picked, own, block)| Step::See { picked, own, block }),
         3 => block().prop_map(Step::Confirm),
-        1 => block().prop_map(Step::Unmine),
-        1 => block().prop_map(Step::Unverify),
+        2 => block().prop_map(Step::TakeBack),
         1 => (1u8..4, 1u64..9).prop_map(|(topic, count)| Step::Drop { topic, count }),
         1 => picked().prop_map(Step::Discard),
         1 => any::<bool>().prop_map(|clean| Step::Reopen { clean }),
@@ -236,17 +234,17 @@ impl Pair {
         match step {
             Step::Append { owner, topics, data, whole } => {
                 let added = self.model.append(owner, &topics, data, whole);
-                assert_eq!(self.ledger().append(added), Ok(()));
+                assert_eq!(self.ledger().records.append(added), Ok(()));
             }
             Step::AppendTwin(picked) => {
                 let new = picked.get(&self.model.records).new.clone();
-                assert_eq!(self.ledger().append(vec![new.clone()]), Ok(()));
+                assert_eq!(self.ledger().records.append(vec![new.clone()]), Ok(()));
                 let twin = NewRecord { digest: Digest([3; 32]), ..new };
-                assert!(self.ledger().append(vec![twin]).is_err());
+                assert!(self.ledger().records.append(vec![twin]).is_err());
             }
             Step::Advance { picked, from, to } => {
                 let (picked, from, to) = (self.model.pick(&picked), STATES[from], STATES[to]);
-                let answer = self.ledger().advance(&self.model.digests(&picked), from, to);
+                let answer = self.ledger().records.advance(&self.model.digests(&picked), from, to);
                 match answer {
                     Ok(moved) => assert_eq!(moved, self.model.advance(&picked, from, to), "{from:?} {to:?}"),
                     Err(_) => assert!(!rows::may(rows::By::Worker, from, to)),
@@ -306,7 +304,7 @@ impl Pair {
 
     /// The counters equal a full recount, and the conservation law holds.
     fn recount(&self) {
-        let counts = self.ledger().counts(None).expect("counts");
+        let counts = self.ledger().counts.by_state(None).expect("counts");
         let dropped: u64 = self.model.dropped.values().sum();
         for (data, found) in [(true, &counts.data), (false, &counts.others)] {
             let mut model: BTreeMap<RecordState, u64> = BTreeMap::new();
@@ -339,7 +337,7 @@ fn all_rows(ledger: &Ledger, limit: usize) -> Vec<RecordRow> {
     let mut query = RecordQuery { limit, ..RecordQuery::default() };
     let mut rows = Vec::new();
     loop {
-        let page = ledger.list(&query).expect("page");
+        let page = ledger.records.list(&query).expect("page");
         rows.extend(page.rows);
         query.after = Some(match page.next {
             Some(next) => next,

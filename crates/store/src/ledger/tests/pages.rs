@@ -35,7 +35,7 @@ proptest! {
             filters: (1..5).filter(|tag| (u64::from(*topic) + seq / 7).is_multiple_of(*tag)).map(tag).collect(),
             ..record(*owner, *topic, seq)
         }).collect();
-        ledger.append(records.clone()).expect("acknowledged");
+        ledger.records.append(records.clone()).expect("acknowledged");
         let state = stored.map(|stored| if stored { Stored } else { Quarantined });
         let mut query = RecordQuery {
             owner: owner.map(|owner| Address([owner; 20])),
@@ -62,7 +62,7 @@ proptest! {
         }
         let mut found = Vec::new();
         loop {
-            let page = ledger.list(&query).expect("page");
+            let page = ledger.records.list(&query).expect("page");
             prop_assert!(page.rows.len() <= limit);
             found.extend(page.rows.into_iter().map(|row| row.digest));
             let Some(next) = page.next else { break };
@@ -74,11 +74,11 @@ proptest! {
     #[test]
     fn any_text_as_cursor_or_id_is_an_answer_or_a_clear_error(text in ".{0,40}|[0-9a-f]{0,70}") {
         let (_home, ledger) = open();
-        if let Err(error) = ledger.record_by_id(&text) {
+        if let Err(error) = ledger.records.by_id(&text) {
             prop_assert_eq!(error.kind(), ErrorKind::Input);
         }
         let query = RecordQuery { after: Some(text), ..RecordQuery::default() };
-        if let Err(error) = ledger.list(&query) {
+        if let Err(error) = ledger.records.list(&query) {
             prop_assert_eq!(error.kind(), ErrorKind::Input);
         }
     }
@@ -88,9 +88,10 @@ proptest! {
 fn a_record_is_found_by_all_of_its_tags_and_no_other() {
     let (_home, ledger) = open();
     let tagged = NewRecord { filters: vec![tag(1), tag(2)], ..record(1, 1, 1) };
-    ledger.append(vec![tagged.clone(), record(1, 2, 1)]).expect("acknowledged");
+    ledger.records.append(vec![tagged.clone(), record(1, 2, 1)]).expect("acknowledged");
     let found = |filters: Vec<FilterId>| {
         let page = ledger
+            .records
             .list(&RecordQuery { filters: filters.into_iter().map(Into::into).collect(), ..RecordQuery::default() })
             .expect("page");
         page.rows.iter().map(|row| row.digest).collect::<Vec<_>>()
@@ -106,11 +107,11 @@ fn a_choice_finds_the_id_of_all_topics_and_that_of_its_own() {
     let with = |topic: u8, number: u64, seq: u64| NewRecord { filters: vec![tag(number)], ..record(1, topic, seq) };
     // Tag 1 is from IK; 2 and 3 are what the filter keys of topics 1 and 2 make of the same words.
     let rows = [with(1, 1, 1), with(1, 2, 2), with(2, 3, 1), with(2, 2, 2), with(3, 4, 1)];
-    ledger.append(rows.to_vec()).expect("acknowledged");
+    ledger.records.append(rows.to_vec()).expect("acknowledged");
     let by_topic = [(TopicId([1; 16]), tag(2)), (TopicId([2; 16]), tag(3))].into();
     let choice = crate::FilterChoice { id: tag(1), by_topic };
     let found = |filters: Vec<crate::FilterChoice>| {
-        let page = ledger.list(&RecordQuery { filters, ..RecordQuery::default() }).expect("page");
+        let page = ledger.records.list(&RecordQuery { filters, ..RecordQuery::default() }).expect("page");
         page.rows.iter().map(|row| row.digest).collect::<std::collections::BTreeSet<_>>()
     };
     let expected = rows[..3].iter().map(|row| row.digest).collect();

@@ -21,21 +21,21 @@ fn held_records_are_neither_batched_nor_submitted_nor_moved_by_a_worker() {
     let (good, bad) = (record(1, 1, 1), held(2, false));
     ledger.quarantine.append_held(vec![good.clone(), bad.clone()], vec![hold(&bad)]).expect("acknowledged");
     let owner = Address([1; 20]);
-    let leaves = ledger.stored_leaves(owner, 10).expect("leaves");
+    let leaves = ledger.batches.stored_leaves(owner, 10).expect("leaves");
     assert_eq!(leaves.iter().map(|leaf| leaf.digest).collect::<Vec<_>>(), [good.digest]);
-    assert_eq!(ledger.unbatched(owner).expect("read").0, 1);
+    assert_eq!(ledger.batches.unbatched(owner).expect("read").0, 1);
     let batch = NewBatch { owner, root: Hash([1; 32]), leaves: vec![(bad.digest, Vec::new())] };
-    assert!(matches!(ledger.close_batch(batch), Err(StoreError::NotReady { .. })));
+    assert!(matches!(ledger.batches.close(batch), Err(StoreError::NotReady { .. })));
     assert!(matches!(ledger.lanes.submit(transaction(1, &[bad.digest])), Err(StoreError::NotReady { .. })));
-    assert!(matches!(ledger.advance(&[bad.digest], Quarantined, Stored), Err(StoreError::IllegalEdge { .. })));
-    assert_eq!(ledger.mined(&[sighting(&bad, 3)]), Ok(0));
-    assert_eq!((state_of(&ledger, &bad), ledger.mined(&[sighting(&good, 3)])), (Quarantined, Ok(1)));
+    assert!(matches!(ledger.records.advance(&[bad.digest], Quarantined, Stored), Err(StoreError::IllegalEdge { .. })));
+    assert_eq!(ledger.batches.mined(&[sighting(&bad, 3)]), Ok(0));
+    assert_eq!((state_of(&ledger, &bad), ledger.batches.mined(&[sighting(&good, 3)])), (Quarantined, Ok(1)));
     assert_eq!(state_of(&ledger, &good), Mined);
-    let counts = ledger.counts(None).expect("counts");
+    let counts = ledger.counts.by_state(None).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.quarantined, topic.pending), (2, 1, 1));
     // Found damaged, it is never released.
-    assert_eq!(ledger.advance(&[bad.digest], Quarantined, Tampered), Ok(1));
+    assert_eq!(ledger.records.advance(&[bad.digest], Quarantined, Tampered), Ok(1));
     assert_eq!(ledger.quarantine.release(&[bad.digest]), Ok(0));
 }
 
@@ -51,7 +51,7 @@ fn released_ones_go_on_and_discarded_ones_never() {
     let states: Vec<_> = records.iter().map(|record| state_of(&ledger, record)).collect();
     assert_eq!(states, [Stored, Stored, Dropped, Quarantined]);
     assert_eq!(ledger.quarantine.release(&[gone]), Ok(0));
-    let counts = ledger.counts(None).expect("counts");
+    let counts = ledger.counts.by_state(None).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.pending, topic.quarantined, topic.dropped), (4, 2, 1, 1));
     let undecided = HeldQuery { decided: false, ..all() };
@@ -80,7 +80,7 @@ fn a_hold_comes_with_its_record_or_not_at_all() {
     let (good, bad) = (record(1, 1, 1), held(2, false));
     let wrong = ledger.quarantine.append_held(vec![good.clone(), bad.clone()], vec![hold(&good)]);
     assert!(matches!(wrong, Err(StoreError::NotReady { .. })), "{wrong:?}");
-    assert_eq!(ledger.record(bad.digest), Ok(None), "all or none");
+    assert_eq!(ledger.records.find(bad.digest), Ok(None), "all or none");
     for _ in 0..2 {
         ledger.quarantine.append_held(vec![bad.clone()], vec![hold(&bad)]).expect("idempotent");
     }
@@ -102,7 +102,7 @@ fn a_report_counts_each_record_once() {
         .quarantine
         .report(NewRecord { kind: RecordKind::Quarantine, ..record(1, 9, 2) }, vec![records[0].digest]);
     assert!(matches!(twice, Err(StoreError::NotReady { .. })));
-    assert_eq!(ledger.record(record(1, 9, 2).digest), Ok(None), "all or none");
+    assert_eq!(ledger.records.find(record(1, 9, 2).digest), Ok(None), "all or none");
     let due = ledger.quarantine.unreported(Address([1; 20]), 1).expect("read").expect("due");
     assert_eq!(due.records, [(2, records[1].digest)]);
 }

@@ -12,14 +12,14 @@ fn rate(count: u64, since: Instant) -> f64 {
 fn group_commit_beats_one_by_one() {
     let (_home, ledger) = open();
     let alone = Instant::now();
-    (1..=200).for_each(|seq| ledger.append(vec![record(1, 1, seq)]).expect("acknowledged"));
+    (1..=200).for_each(|seq| ledger.records.append(vec![record(1, 1, seq)]).expect("acknowledged"));
     let alone = rate(200, alone);
     let many = Instant::now();
     thread::scope(|scope| {
         for writer in 2..66u8 {
             let ledger = &ledger;
             scope.spawn(move || {
-                (1..=50).for_each(|seq| ledger.append(vec![record(writer, 1, seq)]).expect("acknowledged"));
+                (1..=50).for_each(|seq| ledger.records.append(vec![record(writer, 1, seq)]).expect("acknowledged"));
             });
         }
     });
@@ -27,11 +27,11 @@ fn group_commit_beats_one_by_one() {
     let whole = Instant::now();
     for batch in 0..20 {
         let records = (1..=64).map(|seq| record(1, 2, batch * 64 + seq)).collect();
-        ledger.append(records).expect("acknowledged");
+        ledger.records.append(records).expect("acknowledged");
     }
     let whole = rate(20 * 64, whole);
     println!("ledger: {alone:.0} records/s one by one, {many:.0} from 64 threads, {whole:.0} in batches of 64");
-    assert_eq!(ledger.counts(None).expect("counts").captured(), 200 + 64 * 50 + 20 * 64);
+    assert_eq!(ledger.counts.by_state(None).expect("counts").captured(), 200 + 64 * 50 + 20 * 64);
 }
 
 #[test]
@@ -40,14 +40,14 @@ fn pages_and_counts_of_a_large_ledger() {
     let filling = Instant::now();
     for batch in 0..100u64 {
         let one = |n: u64| record(1, u8::try_from(n % 8).expect("small"), batch * 1_000 + n);
-        ledger.append((1..=1_000).map(one).collect()).expect("acknowledged");
+        ledger.records.append((1..=1_000).map(one).collect()).expect("acknowledged");
     }
     println!("ledger: {:.0} records/s appended in batches of 1,000", rate(100_000, filling));
-    let oldest = ledger.in_state(None, RecordState::Stored, 10_000).expect("page");
+    let oldest = ledger.records.in_state(None, RecordState::Stored, 10_000).expect("page");
     let digests: Vec<Digest> = oldest.iter().map(|row| row.digest).collect();
     let moving = Instant::now();
     let leaves = digests.iter().map(|digest| (*digest, Vec::new())).collect();
-    ledger.close_batch(NewBatch { owner: Address([1; 20]), root: Hash([7; 32]), leaves }).expect("moved");
+    ledger.batches.close(NewBatch { owner: Address([1; 20]), root: Hash([7; 32]), leaves }).expect("moved");
     println!("ledger: {:.0} records/s moved in batches of 10,000", rate(10_000, moving));
 
     let queries = [
@@ -58,12 +58,12 @@ fn pages_and_counts_of_a_large_ledger() {
     ];
     for (name, query) in queries {
         let started = Instant::now();
-        let found = (0..50).map(|_| ledger.list(&query).expect("page").rows.len()).sum::<usize>();
+        let found = (0..50).map(|_| ledger.records.list(&query).expect("page").rows.len()).sum::<usize>();
         println!("ledger: {name}, 100 of 100,000: {:.2} ms", started.elapsed().as_secs_f64() * 20.0);
         assert_eq!(found, 5_000);
     }
     let started = Instant::now();
-    let captured = (0..50).map(|_| ledger.counts(None).expect("counts").captured()).sum::<u64>();
+    let captured = (0..50).map(|_| ledger.counts.by_state(None).expect("counts").captured()).sum::<u64>();
     println!("ledger: counts of 100,000: {:.3} ms", started.elapsed().as_secs_f64() * 20.0);
     assert_eq!(captured, 5_000_000);
 
@@ -85,7 +85,7 @@ fn every_query_uses_an_index() {
         "SELECT * FROM transactions WHERE state = 0 AND account = x'00' ORDER BY nonce".to_owned(),
     ];
     for sql in plans {
-        let plan = ledger.read(|connection| {
+        let plan = ledger.database.read(|connection| {
             let mut statement = connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
             let lines = statement.query_map([], |row| row.get::<_, String>(3))?;
             Ok(lines.collect::<Result<Vec<_>, _>>()?.join("; "))

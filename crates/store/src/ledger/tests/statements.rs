@@ -8,13 +8,13 @@ use super::*;
 fn records_come_in_the_order_of_their_digests_in_the_question() {
     let (_home, ledger) = open();
     let records = [record(1, 1, 1), record(1, 2, 1), record(2, 1, 1)];
-    ledger.append(records.to_vec()).expect("acknowledged");
+    ledger.records.append(records.to_vec()).expect("acknowledged");
     let [first, second, third] = records.map(|record| record.digest);
     let asked = [third, Digest([9; 32]), first, second, first];
-    let found = ledger.records(&asked).expect("read");
+    let found = ledger.records.find_all(&asked).expect("read");
     let digests: Vec<_> = found.iter().map(|row| row.as_ref().map(|row| row.digest)).collect();
     assert_eq!(digests, [Some(third), None, Some(first), Some(second), Some(first)]);
-    let alone: Vec<_> = asked.map(|digest| ledger.record(digest).expect("read")).to_vec();
+    let alone: Vec<_> = asked.map(|digest| ledger.records.find(digest).expect("read")).to_vec();
     assert_eq!(found, alone);
 }
 
@@ -22,7 +22,7 @@ fn records_come_in_the_order_of_their_digests_in_the_question() {
 #[test]
 fn statements_are_planned_once_and_memory_is_not_counted() {
     let (_home, ledger) = open();
-    ledger.append((1..=9).map(|seq| record(1, 1, seq)).collect()).expect("acknowledged");
+    ledger.records.append((1..=9).map(|seq| record(1, 1, seq)).collect()).expect("acknowledged");
     // Beside `batches` stand indices of a part of it.
     let sql = "SELECT leaf FROM records JOIN leaves ON record = n JOIN batches ON key = batch WHERE digest = ?1";
     let planned_again = |connection: &Connection| -> Result<i32, StoreError> {
@@ -32,10 +32,10 @@ fn statements_are_planned_once_and_memory_is_not_counted() {
         }
         Ok(connection.prepare_cached(sql)?.get_status(rusqlite::StatementStatus::RePrepare))
     };
-    assert_eq!(ledger.read(planned_again).expect("read"), 0);
+    assert_eq!(ledger.database.read(planned_again).expect("read"), 0);
     let plain = Connection::open(ledger.path()).expect("opens");
     assert!(planned_again(&plain).expect("read") >= 8, "as it is without the setting");
-    let counts = ledger.read(|connection| {
+    let counts = ledger.database.read(|connection| {
         let mut options = connection.prepare("PRAGMA compile_options")?;
         let options: Vec<String> = options.query_map([], |row| row.get(0))?.collect::<Result<_, _>>()?;
         Ok(options.iter().any(|option| option == "DEFAULT_MEMSTATUS=0"))

@@ -158,8 +158,8 @@ fn close(ground: &Ground, number: u8) -> Hash {
         blob: None,
     };
     let ledger = &ground.parts.plant.ledger;
-    ledger.append(vec![record]).expect("acknowledged");
-    ledger.close_batch(NewBatch { owner, root, leaves: vec![(digest, Vec::new())] }).expect("closed");
+    ledger.records.append(vec![record]).expect("acknowledged");
+    ledger.batches.close(NewBatch { owner, root, leaves: vec![(digest, Vec::new())] }).expect("closed");
     root
 }
 

@@ -208,7 +208,7 @@ fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>, Failur
         ..RecordQuery::default()
     };
     loop {
-        let page = reader.plant.ledger.list(&query)?;
+        let page = reader.plant.ledger.records.list(&query)?;
         for row in page.rows {
             let Some(opened) = reader.own_contents(&row)? else { continue };
             let has = |key: &str, value: &str| opened.head.tags.get(key).is_some_and(|found| found == value);

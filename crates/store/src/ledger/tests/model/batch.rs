@@ -57,7 +57,7 @@ impl Pair {
         let leaves = digests.into_iter().enumerate().map(|(place, digest)| (digest, tree.path(place))).collect();
         let root = tree.root();
         let owner = self.model.records[picked[0]].new.owner;
-        let answer = self.ledger().close_batch(NewBatch { owner, root, leaves });
+        let answer = self.ledger().batches.close(NewBatch { owner, root, leaves });
         if self.model.batches.iter().any(|batch| batch.root == root) {
             return assert_eq!(answer, Ok(()), "closing it again changes nothing");
         }
@@ -99,9 +99,9 @@ impl Pair {
         }
         let of_another_size = RootSighting { count: seen.count + 1, ..seen };
         let ledger = self.ledger();
-        assert_eq!(ledger.anchored(&[of_another_size]), Ok(0), "the chain's count is another");
-        assert_eq!(ledger.anchored(&[seen]), Ok(changed));
-        assert_eq!(ledger.anchored(&[seen]), Ok(0), "seen again");
+        assert_eq!(ledger.batches.anchored(&[of_another_size]), Ok(0), "the chain's count is another");
+        assert_eq!(ledger.batches.anchored(&[seen]), Ok(changed));
+        assert_eq!(ledger.batches.anchored(&[seen]), Ok(0), "seen again");
     }
 
     pub(super) fn compare_batches(&self) {
@@ -111,6 +111,7 @@ impl Pair {
                 assert_eq!(known.batch, Some(number));
                 let found = self
                     .ledger()
+                    .records
                     .placed(known.new.digest)
                     .expect("read")
                     .and_then(|placed| placed.place)
@@ -128,11 +129,11 @@ impl Pair {
         };
         for owner in 1..3 {
             let address = Address([owner; 20]);
-            let found = self.ledger().waiting_batches(address, 100).expect("read");
+            let found = self.ledger().batches.waiting(address, 100).expect("read");
             assert_eq!(found.iter().map(|batch| batch.root).collect::<Vec<_>>(), waiting(owner));
             let stored = |known: &&Known| known.new.owner == address && known.state == Stored;
             let stored = self.model.records.iter().filter(stored).count() as u64;
-            assert_eq!(self.ledger().unbatched(address).expect("read").0, stored);
+            assert_eq!(self.ledger().batches.unbatched(address).expect("read").0, stored);
         }
     }
 }

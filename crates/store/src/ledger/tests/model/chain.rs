@@ -44,7 +44,7 @@ impl Pair {
                 let seen: Vec<Sighting> =
                     self.model.pick(&picked).iter().map(|i| self.sighting(*i, own, block)).collect();
                 let changed = seen.iter().map(|sighting| self.model.see(sighting)).sum();
-                assert_eq!(self.ledger().mined(&seen), Ok(changed));
+                assert_eq!(self.ledger().batches.mined(&seen), Ok(changed));
             }
             Step::Confirm(block) => {
                 let ready = |known: &&mut Known| known.state == Mined && known.block.is_some_and(|at| at <= block);
@@ -53,15 +53,12 @@ impl Pair {
                     known.state = Confirmed;
                     confirmed += 1;
                 }
-                assert_eq!(self.ledger().confirm(block).map(|times| times.len()), Ok(confirmed));
+                assert_eq!(self.ledger().batches.confirm(block).map(|times| times.len()), Ok(confirmed));
             }
-            Step::Unmine(block) => {
-                let moved = self.model.take_back(block, &[Mined, Confirmed]);
-                assert_eq!(self.ledger().unmine(block), Ok(moved));
-            }
-            Step::Unverify(block) => {
-                let moved = self.model.take_back(block, &[Verified]);
-                assert_eq!(self.ledger().unverify(block), Ok(moved));
+            Step::TakeBack(block) => {
+                let verified = self.model.take_back(block, &[Verified]);
+                let moved = verified + self.model.take_back(block, &[Mined, Confirmed]);
+                assert_eq!(self.ledger().batches.take_back(block), Ok((moved, verified)));
             }
             _ => {}
         }
