@@ -353,8 +353,8 @@ fn a_program_that_replaces_its_participant_loses_nothing_repeats_nothing_and_hol
 /// Topics of the nodes that come and go, and how long each of them stays.
 const CROWD: u64 = 100;
 const STAY: Duration = Duration::from_secs(10);
-/// What the peaks of the reading program in two parts of a run may differ by without growth, KiB. It holds a thousand messages
-/// of each topic at most, for which nine minutes are needed at two a second; a run of less than fifteen fails.
+/// What the peaks of the reading program in two parts of a run may differ by without growth, KiB. In the first ten minutes its
+/// heaps, one for each thread of two participants, come to their size; a run of less than fifteen may fail.
 const NOISE: u64 = 1024;
 /// It replaces its participant about every minute and a half, so that each part of the run has whole spans of that in it.
 const OF_A_CROWD: u64 = 1000;
