@@ -24,7 +24,7 @@ use crate::paths::Home;
 use crate::service::command::BackUp;
 use crate::service::failure::input;
 use crate::service::{Failure, SecretText, restoring};
-use crate::term::ask;
+use crate::term;
 
 /// Prefix and suffix of these files' names; the time they were written is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
@@ -149,7 +149,7 @@ impl Successor {
         for _ in 0..ATTEMPTS {
             let again = refusal.as_ref().map_or("", |_| "That one does not open it. ");
             let question = format!("{again}Passphrase of profile '{}'", self.profile);
-            let typed = ask::secret(&question).ok().flatten().ok_or_else(none_given)?;
+            let typed = term::secret(&question).ok().flatten().ok_or_else(none_given)?;
             let typed = SecretText::new(typed.to_string());
             match opens(&keyring, &typed) {
                 Ok(()) => return Ok(typed),

@@ -13,7 +13,7 @@ use crate::paths::Home;
 use crate::service::command::ChangePassphrase;
 use crate::service::{Failure, SecretText};
 use crate::store::{atomic_write, files};
-use crate::term::ask;
+use crate::term;
 use authros_output::Output;
 
 /// The longest passphrase read, bytes.
@@ -114,7 +114,7 @@ pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(),
 }
 
 fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
-    let answer = ask::secret(question)
+    let answer = term::secret(question)
         .map_err(|error| Failure::new(ErrorKind::Input, format!("the terminal does not answer: {error}")))?;
     let answer = answer.ok_or_else(|| {
         Failure::new(ErrorKind::Usage, format!("no passphrase was given; type it at a terminal, or pass {option}"))

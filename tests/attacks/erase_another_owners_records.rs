@@ -88,7 +88,7 @@ fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> Vec<
         ErasureNotice { digest: *first, ..of_other.clone() },
         ErasureNotice { account_signature: of_other.account_signature, ..genuine.clone() },
         ErasureNotice { left: of_other.left.clone(), ..genuine.clone() },
-        with(Fetched { proof: Vec::new(), ..one.clone() }),
+        with(Fetched { proof: vec![9], ..one.clone() }),
         with(Fetched { proof: other.proof.clone(), ..one.clone() }),
         notice(provider, (*first, &elsewhere), (&hers.signing, &hers.eoa)),
         notice(provider, (digest, &unsent), (&hers.signing, &hers.eoa)),

@@ -47,8 +47,9 @@ impl Tells for Tease {
             return None;
         }
         let id = if self.is_always_another.load(Ordering::Acquire) { [page.to_be_bytes()[7]; 16] } else { [7; 16] };
-        let upto = asked.places.iter().map(|(_, number)| number + 1).max().unwrap_or(1);
-        Some(FeedPage::new(id, (u64::MAX, upto), Vec::new(), Vec::new()))
+        let upto = asked.places.iter().map(|place| place.after + 1).max().unwrap_or(1);
+        let page = FeedPage::new(id, (u64::MAX, upto), Vec::new(), Vec::new());
+        Some(FeedPage { is_anew: id != asked.id, ..page })
     }
 }
 

@@ -8,8 +8,7 @@ use authros::crypto::{
     provider, random_bytes, seal, token, topic_id, topic_key,
 };
 use authros::gateway::{
-    Applicant, Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, Fetched, Follow, GatewayError, Trust,
-    Upload,
+    Applicant, Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, Fetched, GatewayError, Trust, Upload,
 };
 use authros::model::head::Compression;
 use authros::model::{
@@ -155,13 +154,14 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// # Errors
 /// The gateway's refusal.
 pub async fn told(client: &mut Client, feed: &Feed) -> Result<Vec<FeedEntry>, GatewayError> {
-    let (mut follow, mut told) = (Follow::new(feed.clone()), Vec::new());
+    let (mut feed, mut told) = (Feed { wait: PATIENCE, ..feed.clone() }, Vec::new());
     // A busy gateway may not know its newest block in this very moment.
-    while let Some(page) = follow.next(client, PATIENCE).await? {
+    loop {
+        let page = client.feed(&feed).await?;
         if let (Some((_, code)), true) = (page.refused.first(), page.entries.is_empty()) {
             return Err(GatewayError::Refused(*code));
         }
-        follow.took(&page, page.upto);
+        feed.after(&page);
         told.extend(page.entries.iter().cloned());
         if page.upto == page.head {
             break;
@@ -172,20 +172,19 @@ pub async fn told(client: &mut Client, feed: &Feed) -> Result<Vec<FeedEntry>, Ga
 
 /// Waits until all of these are told of there.
 pub async fn until_verified(client: &mut Client, feed: Feed, digests: &[Digest]) {
-    let (mut follow, end) = (Follow::new(feed), Instant::now() + Duration::from_secs(60));
+    let (mut feed, end) = (Feed { wait: Duration::from_secs(1), ..feed }, Instant::now() + Duration::from_secs(60));
     let mut left: Vec<Digest> = digests.to_vec();
     while !left.is_empty() {
         assert!(Instant::now() < end, "not verified in time: {left:?}");
-        if let Some(page) = follow.next(client, Duration::from_secs(1)).await.expect("her own") {
-            follow.took(&page, page.upto);
-            left.retain(|digest| !page.entries.iter().any(|entry| entry.digest == *digest));
-        }
+        let page = client.feed(&feed).await.expect("her own");
+        feed.after(&page);
+        left.retain(|digest| !page.entries.iter().any(|entry| entry.digest == *digest));
     }
 }
 
-/// A follower who is told of one record after the other, as they come.
+/// A follower who gets one record after the other, as they come.
 pub struct Live {
-    follow: Follow,
+    feed: Feed,
     told: VecDeque<FeedEntry>,
 }
 
@@ -195,14 +194,15 @@ impl Live {
     /// # Errors
     /// The gateway's refusal.
     pub async fn begin(client: &mut Client, feed: Feed) -> Result<Self, GatewayError> {
-        let mut follow = Follow::new(feed);
-        while let Some(page) = follow.next(client, PATIENCE).await? {
-            follow.took(&page, page.upto);
+        let mut feed = Feed { wait: PATIENCE, ..feed };
+        loop {
+            let page = client.feed(&feed).await?;
+            feed.after(&page);
             if page.upto == page.head {
                 break;
             }
         }
-        Ok(Self { follow, told: VecDeque::new() })
+        Ok(Self { feed, told: VecDeque::new() })
     }
 
     /// The next record.
@@ -230,10 +230,10 @@ impl Live {
             if left.is_zero() {
                 return Err(GatewayError::TimedOut);
             }
-            if let Some(page) = self.follow.next(client, left.min(Duration::from_secs(20))).await? {
-                self.follow.took(&page, page.upto);
-                self.told.extend(page.entries);
-            }
+            self.feed.wait = left.min(Duration::from_secs(20));
+            let page = client.feed(&self.feed).await?;
+            self.feed.after(&page);
+            self.told.extend(page.entries);
         }
     }
 }

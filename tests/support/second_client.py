@@ -162,10 +162,11 @@ class Session:
         return whole
 
     def page(self, feed, owner, after):
-        """The next page: its feed, head, upto, and entries."""
-        body = feed + bytes(2) + bytes(1) + bytes(1) + bytes(1) + struct.pack(">H", 1) + owner + struct.pack(">Q", after)
+        """The next page: its feed, whether that is read anew, head, upto, and entries. By whichever grant is in force."""
+        body = feed + bytes(2) + bytes(1) + bytes(1) + bytes(1) + struct.pack(">H", 1) + owner + struct.pack(">2Q", after, 0)
         answer = Reader(self.ask(FEED, body))
-        feed, head, upto = answer.take(16), answer.number(8), answer.number(8)
+        feed, anew, head, upto = answer.take(16), answer.number(1), answer.number(8), answer.number(8)
+        need(anew in (0, 1), "whether a feed is read anew")
         need(answer.number(2) == 0, "this owner gives nothing")
         entries, told = [], b""
         for _ in range(answer.number(2)):
@@ -179,7 +180,7 @@ class Session:
         if entries:
             signed = b"AuthROS/feed/1" + self.domain + time + struct.pack(">H", len(entries)) + told
             need(sm2_verify(self.identity, signed, der(signature)), "the signature of a page")
-        return feed, head, upto, entries
+        return feed, anew, head, upto, entries
 
     def records(self, digests):
         """What there is of each: (code of what it is, record)."""
@@ -239,8 +240,8 @@ def main(address, domain, fingerprint, name, transport_key, token, owner):
     session = Session(address, hexed(domain), hexed(fingerprint), name.encode(), hexed(transport_key), hexed(token))
     feed, upto, records = bytes(16), 0, []
     while True:
-        found, head, next_upto, entries = session.page(feed, hexed(owner), upto)
-        feed, upto = found, max(upto if found == feed else 0, next_upto)
+        feed, anew, head, next_upto, entries = session.page(feed, hexed(owner), upto)
+        upto = max(0 if anew else upto, next_upto)
         fetched = session.records([entry["digest"] for entry in entries]) if entries else []
         records += [checked(session, entry, *found) for entry, found in zip(entries, fetched)]
         if upto == head:

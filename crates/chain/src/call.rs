@@ -10,7 +10,7 @@ use serde::Deserialize;
 use crate::ChainError;
 use crate::model::bytes::unhex;
 use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token};
+use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
 
 /// The most grantees in one [`Call::Wrap`] (contract limit).
 pub const MOST_WRAPS: usize = 32;
@@ -18,7 +18,8 @@ pub const MOST_WRAPS: usize = 32;
 pub const LONGEST_ENVELOPE: usize = 4096;
 
 /// A change of the contract's state, made by the sender of the transaction.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, strum::IntoStaticStr)]
+#[strum(serialize_all = "camelCase")]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Call {
     /// Registers the sender at epoch 1. The envelope wraps the epoch's key for the sender; empty if it seals nothing.
@@ -79,32 +80,7 @@ pub enum Call {
 impl Call {
     /// The name of the contract's function.
     pub fn name(&self) -> &'static str {
-        match self {
-            Self::Register { .. } => "register",
-            Self::RotateKeys { .. } => "rotateKeys",
-            Self::DataUpload { .. } => "dataUpload",
-            Self::AuthorityGrant { .. } => "authorityGrant",
-            Self::Wrap { .. } => "wrap",
-            Self::AuthorityRevoke { .. } => "authorityRevoke",
-            Self::Rotate { .. } => "rotate",
-            Self::Anchor { .. } => "anchor",
-            Self::Lend { .. } => "lend",
-            Self::Recall { .. } => "recall",
-            Self::Admit { .. } => "admit",
-            Self::SetOpen { .. } => "setOpen",
-            Self::Suspend { .. } => "suspend",
-            Self::Restore { .. } => "restore",
-            Self::Dismiss { .. } => "dismiss",
-            Self::Pause { .. } => "pause",
-            Self::Resume => "resume",
-            Self::ProposeSuccession { .. } => "proposeSuccession",
-            Self::CancelSuccession { .. } => "cancelSuccession",
-            Self::CompleteSuccession { .. } => "completeSuccession",
-            Self::NameRecovery { .. } => "nameRecovery",
-            Self::Extend { .. } => "extend",
-            Self::Nominate { .. } => "nominate",
-            Self::AcceptAdministrator => "acceptAdministrator",
-        }
+        self.into()
     }
 
     /// The call data.
@@ -215,6 +191,78 @@ fn wrap(epoch: u64, envelopes: &[(Address, Vec<u8>)]) -> Result<Vec<AbiToken>, C
     Ok(vec![AbiToken::Array(grantees), number(epoch), AbiToken::Array(bytes.collect::<Result<_, _>>()?)])
 }
 
+/// Values that the contract gave, in its order.
+pub(super) struct Values(std::vec::IntoIter<AbiToken>);
+
+impl Values {
+    pub(super) fn new(values: Vec<AbiToken>) -> Self {
+        Self(values.into_iter())
+    }
+
+    pub(super) fn address(&mut self) -> Option<Address> {
+        self.0.next()?.into_address().map(|address| Address(address.0))
+    }
+
+    /// The zero address means nobody.
+    #[allow(clippy::option_option, reason = "no word left is another thing than nobody")]
+    pub(super) fn somebody(&mut self) -> Option<Option<Address>> {
+        self.address().map(|address| (address.0 != [0; 20]).then_some(address))
+    }
+
+    pub(super) fn flag(&mut self) -> Option<bool> {
+        self.0.next()?.into_bool()
+    }
+
+    pub(super) fn number(&mut self) -> Option<u64> {
+        self.0.next()?.into_uint()?.try_into().ok()
+    }
+
+    pub(super) fn moment(&mut self) -> Option<Timestamp> {
+        self.number().map(Timestamp::from_seconds)
+    }
+
+    /// 0 means no end.
+    #[allow(clippy::option_option, reason = "no word left is another thing than no end")]
+    pub(super) fn end(&mut self) -> Option<Option<Timestamp>> {
+        self.number().map(|seconds| (seconds != 0).then(|| Timestamp::from_seconds(seconds)))
+    }
+
+    pub(super) fn word(&mut self) -> Option<[u8; 32]> {
+        self.0.next()?.into_fixed_bytes()?.try_into().ok()
+    }
+
+    pub(super) fn hash(&mut self) -> Option<Hash> {
+        self.word().map(Hash)
+    }
+
+    pub(super) fn digest(&mut self) -> Option<Digest> {
+        self.word().map(Digest)
+    }
+
+    pub(super) fn token(&mut self) -> Option<Token> {
+        self.word().map(Token)
+    }
+
+    pub(super) fn device(&mut self) -> Option<SignerId> {
+        self.word().map(SignerId)
+    }
+
+    pub(super) fn bytes(&mut self) -> Option<Vec<u8>> {
+        self.0.next()?.into_bytes()
+    }
+
+    pub(super) fn identity(&mut self) -> Option<Identity> {
+        Identity::parse(&self.bytes()?).ok()
+    }
+
+    /// No topics mean all.
+    pub(super) fn scope(&mut self) -> Option<Scope> {
+        let ids = self.0.next()?.into_array()?.into_iter();
+        let topics = ids.map(|id| TopicId::from_slice(&id.into_fixed_bytes()?)).collect::<Option<Vec<_>>>()?;
+        Some(if topics.is_empty() { Scope::All } else { Scope::Topics(topics) })
+    }
+}
+
 // The compiled contract built into this program.
 
 const ARTEFACT: &str = include_str!("../../../contracts/AuthROS.json");
@@ -260,9 +308,6 @@ pub fn artefact() -> Result<&'static Artefact, ChainError> {
 
 impl Artefact {
     /// A function of the contract.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if there is none of that name.
     pub fn function(&self, name: &str) -> Result<&Function, ChainError> {
         self.abi.function(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))
     }
@@ -277,9 +322,6 @@ impl Artefact {
     }
 
     /// The first topic of an event.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if there is none of that name.
     pub fn event_signature(&self, name: &str) -> Result<Hash, ChainError> {
         let event = self.abi.event(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))?;
         Ok(Hash(event.signature().0))
@@ -301,7 +343,6 @@ impl Artefact {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::TopicId;
 
     #[test]
     fn limits_are_told_before_anything_is_sent() {

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-use ethers::types::{H160, TransactionRequest, U64, U256};
+use ethers::types::{H160, H256, U64, U256};
 use ethers::utils::keccak256;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ use crate::call::artefact;
 use crate::crypto::EoaSecret;
 use crate::model::bytes::unhex;
 use crate::model::{Address, Domain, Hash, Wei, clean};
-use crate::sender::{RawReceipt, sign_request, wallet};
+use crate::transaction::{RawReceipt, Unsigned, created_address};
 use crate::transport::Transport;
 use crate::{
     BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, Policy, Priced, STARVING, Shortfall, Wait, embedded, fees,
@@ -45,19 +45,36 @@ pub(super) struct Inner {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct RawBlock {
-    number: U64,
-    hash: ethers::types::H256,
-    timestamp: U64,
-    #[serde(default)]
-    difficulty: Value,
-    #[serde(default)]
-    extra_data: String,
-    #[serde(default)]
-    mix_hash: String,
-    #[serde(default)]
+    pub number: U64,
+    pub hash: H256,
+    pub parent_hash: Option<H256>,
+    pub timestamp: U64,
+    pub difficulty: Option<Value>,
+    pub extra_data: Option<String>,
+    mix_hash: Option<String>,
     pub base_fee_per_gas: Option<U256>,
-    #[serde(default)]
     gas_limit: Option<U256>,
+    pub gas_used: Option<U256>,
+    pub logs_bloom: Option<Value>,
+    #[serde(default)]
+    pub transactions: Vec<Value>,
+}
+
+impl Inner {
+    fn new(transport: Transport, chain_id: u64, genesis: Hash) -> Self {
+        Self {
+            transport,
+            chain_id,
+            genesis,
+            client: "unknown".to_owned(),
+            consensus: "unknown",
+            confirmations: 1,
+            contract: RwLock::default(),
+            gas: Mutex::default(),
+            block_room: Mutex::default(),
+            makes_blooms: OnceLock::new(),
+        }
+    }
 }
 
 impl Chain {
@@ -83,46 +100,24 @@ impl Chain {
             Endpoint::Embedded { .. } => transport.embedded().map_or("poa", |chain| chain.consensus().word()),
             Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
-        let inner = Inner {
-            transport,
-            chain_id: chain_id.as_u64(),
-            genesis: Hash(genesis.hash.0),
-            client,
-            consensus,
-            confirmations: options.confirmations,
-            contract: RwLock::new(None),
-            gas: Mutex::default(),
-            block_room: Mutex::default(),
-            makes_blooms: OnceLock::new(),
-        };
+        let inner = Inner::new(transport, chain_id.as_u64(), Hash(genesis.hash.0));
+        let inner = Inner { client, consensus, confirmations: options.confirmations, ..inner };
         let chain = Self { inner: Arc::new(inner) };
-        chain.settle_contract(options.contract, options.pinned).await?;
+        match (options.contract, options.pinned) {
+            (contract, Some(pin)) => chain.hold_against(contract, pin).await?,
+            (Some(contract), None) => {
+                chain.use_contract(contract).await?;
+            }
+            (None, None) => {}
+        }
         Ok(chain)
     }
 
     /// What a pin says of a chain that cannot be asked, and why; every request fails.
     pub fn absent(pin: Pin, why: String) -> Self {
-        let inner = Inner {
-            transport: Transport::absent(ChainError::Absent { why }),
-            chain_id: pin.chain_id,
-            genesis: pin.genesis,
-            client: "unknown".to_owned(),
-            consensus: "unknown",
-            confirmations: 1,
-            contract: RwLock::new(Some(pin)),
-            gas: Mutex::default(),
-            block_room: Mutex::default(),
-            makes_blooms: OnceLock::new(),
-        };
-        Self { inner: Arc::new(inner) }
-    }
-
-    async fn settle_contract(&self, contract: Option<Address>, pinned: Option<Pin>) -> Result<(), ChainError> {
-        match (contract, pinned) {
-            (_, Some(pin)) => self.hold_against(contract, pin).await,
-            (Some(contract), None) => self.use_contract(contract).await.map(|_| ()),
-            (None, None) => Ok(()),
-        }
+        let transport = Transport::absent(ChainError::Absent { why });
+        let inner = Inner::new(transport, pin.chain_id, pin.genesis);
+        Self { inner: Arc::new(Inner { contract: RwLock::new(Some(pin)), ..inner }) }
     }
 
     /// Asks again for chain id, genesis block and contract code, and compares them with those in use.
@@ -171,9 +166,6 @@ impl Chain {
     }
 
     /// Uses an existing contract, after checking that its code is this program's.
-    ///
-    /// # Errors
-    /// [`ChainError::NotTheContract`], or an error of the node.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
         let code_hash = artefact()?.code_hash;
         if self.code_hash(contract).await? != Some(code_hash) {
@@ -184,16 +176,13 @@ impl Chain {
     }
 
     /// Whether a contract of this program is at an address.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn has_contract(&self, contract: Address) -> Result<bool, ChainError> {
         Ok(self.code_hash(contract).await? == Some(artefact()?.code_hash))
     }
 
     /// The address of the contract that an account creates with its transaction of this nonce.
     pub fn created_by(&self, account: Address, nonce: u64) -> Address {
-        Address(ethers::utils::get_contract_address(H160(account.0), nonce).0)
+        created_address(account, nonce)
     }
 
     /// The domain of a contract on this chain.
@@ -237,7 +226,6 @@ impl Chain {
         self.pin().map(|pin| pin.contract).ok_or(ChainError::NoContract)
     }
 
-    /// The chain id.
     pub fn chain_id(&self) -> u64 {
         self.inner.chain_id
     }
@@ -270,21 +258,21 @@ impl Chain {
     }
 
     /// The newest block.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn head(&self) -> Result<BlockRef, ChainError> {
-        let block: RawBlock = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
-        Ok(block.reference())
+        Ok(self.newest().await?.reference())
     }
 
     /// The block of that number; `None` above the head.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn block(&self, number: u64) -> Result<Option<BlockRef>, ChainError> {
-        let block: Option<RawBlock> = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
-        Ok(block.as_ref().map(RawBlock::reference))
+        Ok(self.raw_block(number).await?.as_ref().map(RawBlock::reference))
+    }
+
+    pub(super) async fn raw_block(&self, number: u64) -> Result<Option<RawBlock>, ChainError> {
+        self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await
+    }
+
+    pub(super) async fn newest(&self) -> Result<RawBlock, ChainError> {
+        self.rpc("eth_getBlockByNumber", json!(["latest", false])).await
     }
 }
 
@@ -308,11 +296,12 @@ async fn rpc<R: DeserializeOwned>(transport: &Transport, method: &str, parameter
 fn consensus(latest: &RawBlock, client: &str) -> &'static str {
     /// Written into the mix hash by QBFT and IBFT.
     const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
-    let difficulty = latest.difficulty.as_str().unwrap_or("0x0");
+    let difficulty = latest.difficulty.as_ref().and_then(Value::as_str).unwrap_or("0x0");
+    let extra = latest.extra_data.as_ref().map_or(0, String::len);
     let client = client.to_lowercase();
     if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
         "dev"
-    } else if latest.mix_hash == BYZANTINE || latest.extra_data.len() >= 2 + 2 * 97 {
+    } else if latest.mix_hash.as_deref() == Some(BYZANTINE) || extra >= 2 + 2 * 97 {
         "poa"
     } else if difficulty == "0x0" {
         "pos"
@@ -419,9 +408,6 @@ pub struct Deployment {
 
 impl Chain {
     /// Deploys the contract with open registration and [`DEFAULT_DELAY`], waits until it is mined, and uses it.
-    ///
-    /// # Errors
-    /// See [`Chain::deploy_with`].
     pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
         Ok(self.deploy_with(eoa, DEFAULT_DELAY, Policy::default()).await?.pin)
     }
@@ -439,9 +425,9 @@ impl Chain {
         policy: Policy,
     ) -> Result<Deployment, ChainError> {
         let artefact = artefact()?;
-        let data = artefact.creation(true, delay.as_secs())?;
+        let input = artefact.creation(true, delay.as_secs())?;
         let nonce = self.nonce(eoa.address(), true).await?;
-        let creation = TransactionRequest::new().nonce(nonce).data(data).value(0u64).chain_id(self.chain_id());
+        let creation = Unsigned { nonce, input, ..Unsigned::default() };
         let (receipt, raised) = self.create(eoa, creation, policy).await?;
         let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
             let reason = "the deployment failed; the network must run the Istanbul fork or newer";
@@ -459,24 +445,26 @@ impl Chain {
     async fn create(
         &self,
         eoa: &EoaSecret,
-        creation: TransactionRequest,
+        creation: Unsigned,
         policy: Policy,
     ) -> Result<(RawReceipt, Option<u128>), ChainError> {
         let market = self.market().await?;
-        let mut price = affordable(policy.fresh(&market))?;
-        let data = creation.data.clone().unwrap_or_default();
-        let gas = match self.estimate(eoa.address(), None, &data).await {
+        let mut price = match policy.fresh(&market) {
+            Priced::At(price) => price,
+            Priced::Capped { needed, cap } => return Err(ChainError::TooDear { needed: Wei(needed), cap: Wei(cap) }),
+        };
+        let gas = match self.estimate(eoa.address(), None, &creation.input).await {
             Err(ChainError::InsufficientFunds) => {
                 // What a creation costs (Yellow Paper, appendix G), its constructor aside.
-                let gas = 53_000 + 216 * data.len() as u64;
+                let gas = 53_000 + 216 * creation.input.len() as u64;
                 return Err(self.poor(eoa, price, gas).await);
             }
             estimate => fees::with_margin(estimate?).min(self.room().unwrap_or(u64::MAX)),
         };
-        let creation = creation.gas(gas);
         let (mut sent, mut wait): (Vec<Hash>, _) = (Vec::new(), Wait::from(market.head.number, STARVING));
         loop {
-            let signed = sign_request(&wallet(eoa)?, creation.clone().gas_price(price))?;
+            let terms = Unsigned { gas_price: price, gas_limit: gas, ..creation.clone() };
+            let signed = terms.sign(eoa, self.chain_id())?;
             match self.broadcast(&signed.raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown) => {}
                 Err(ChainError::InsufficientFunds) => return Err(self.poor(eoa, price, gas).await),
@@ -524,12 +512,5 @@ impl Chain {
             Ok(held) => ChainError::NoEther(Shortfall { account: eoa.address(), held: Wei(held), needed }),
             Err(error) => error,
         }
-    }
-}
-
-fn affordable(price: Priced) -> Result<u128, ChainError> {
-    match price {
-        Priced::At(price) => Ok(price),
-        Priced::Capped { needed, cap } => Err(ChainError::TooDear { needed: Wei(needed), cap: Wei(cap) }),
     }
 }

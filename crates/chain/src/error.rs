@@ -126,18 +126,7 @@ impl ChainError {
             Self::Tampered { .. } => ErrorKind::Tampered,
             Self::File { .. } => ErrorKind::Home,
             Self::Internal(_) => ErrorKind::Internal,
-            Self::Swapped { .. }
-            | Self::Gone { .. }
-            | Self::NotTheContract(_)
-            | Self::Reverted { .. }
-            | Self::AlreadyKnown
-            | Self::NonceTooLow
-            | Self::Underpriced
-            | Self::InsufficientFunds
-            | Self::NoEther(_)
-            | Self::TooDear { .. }
-            | Self::BlockTooSmall { .. }
-            | Self::Rejected { .. } => ErrorKind::Refused,
+            _ => ErrorKind::Refused,
         }
     }
 

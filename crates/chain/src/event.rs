@@ -2,16 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use ethers::abi::Token as AbiToken;
 use ethers::abi::ethereum_types::BloomInput;
-use ethers::types::{Bloom, H256, U64};
+use ethers::types::{Bloom, H256};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
 
-use crate::call::artefact;
+use crate::call::{Values, artefact};
+use crate::connect::RawBlock;
 use crate::model::bytes::unhex;
-use crate::model::{Address, Digest, GrantTerms, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
+use crate::model::{Address, Digest, GrantTerms, Hash, Identity, SignerId, Timestamp, Token};
 use crate::reader::RawLog;
 use crate::{BlockRef, Chain, ChainError, EventAt};
 
@@ -74,30 +74,26 @@ impl Event {
     /// The owner or account that the event is about.
     pub fn account(&self) -> Option<Address> {
         match self {
-            Self::Registered { owner, .. }
-            | Self::KeysRotated { owner, .. }
-            | Self::DataUploaded { owner, .. }
-            | Self::Granted { terms: GrantTerms { owner, .. }, .. }
-            | Self::Wrapped { owner, .. }
-            | Self::Revoked { owner, .. }
-            | Self::Rotated { owner, .. }
-            | Self::Extended { owner, .. }
-            | Self::RecoveryNamed { owner, .. }
-            | Self::Lent { owner, .. }
-            | Self::Recalled { owner, .. } => Some(*owner),
-            Self::Anchored { account, .. }
-            | Self::Admitted { account }
-            | Self::Dismissed { account }
-            | Self::Suspended { account }
-            | Self::Restored { account } => Some(*account),
-            Self::Succeeded { lost, .. }
-            | Self::SuccessionProposed { lost, .. }
-            | Self::SuccessionCancelled { lost, .. } => Some(*lost),
-            Self::OpenChanged { .. }
-            | Self::PausedUntil { .. }
-            | Self::DelayFixed { .. }
-            | Self::AdministratorNominated { .. }
-            | Self::AdministratorChanged { .. } => None,
+            Self::Registered { owner: about, .. }
+            | Self::KeysRotated { owner: about, .. }
+            | Self::DataUploaded { owner: about, .. }
+            | Self::Granted { terms: GrantTerms { owner: about, .. }, .. }
+            | Self::Wrapped { owner: about, .. }
+            | Self::Revoked { owner: about, .. }
+            | Self::Rotated { owner: about, .. }
+            | Self::Extended { owner: about, .. }
+            | Self::RecoveryNamed { owner: about, .. }
+            | Self::Lent { owner: about, .. }
+            | Self::Recalled { owner: about, .. }
+            | Self::Anchored { account: about, .. }
+            | Self::Admitted { account: about }
+            | Self::Dismissed { account: about }
+            | Self::Suspended { account: about }
+            | Self::Restored { account: about }
+            | Self::Succeeded { lost: about, .. }
+            | Self::SuccessionProposed { lost: about, .. }
+            | Self::SuccessionCancelled { lost: about, .. } => Some(*about),
+            _ => None,
         }
     }
 
@@ -113,142 +109,64 @@ impl Event {
         let topics = topics.iter().map(|topic| H256(topic.0)).collect();
         let log =
             event.parse_log(ethers::abi::RawLog { topics, data: data.to_vec() }).map_err(|error| error.to_string())?;
-        let mut fields =
-            Fields(log.params.into_iter().map(|parameter| parameter.value).collect::<Vec<_>>().into_iter());
-        fields.event(&event.name).ok_or_else(|| format!("a malformed event {}", event.name))
+        let mut values = Values::new(log.params.into_iter().map(|parameter| parameter.value).collect());
+        named(&event.name, &mut values).ok_or_else(|| format!("a malformed event {}", event.name))
     }
 }
 
-/// The parameters of an event, in the contract's order.
-struct Fields(std::vec::IntoIter<AbiToken>);
-
-impl Fields {
-    fn event(&mut self, name: &str) -> Option<Event> {
-        Some(match name {
-            "Registered" => {
-                let (owner, _) = (self.address()?, self.word()?);
-                Event::Registered { owner, identity: self.identity()?, epoch: 1 }
-            }
-            "KeysRotated" => Event::KeysRotated {
-                owner: self.address()?,
-                keys: self.number()?,
-                identity: self.identity()?,
-                envelope: self.bytes()?,
-            },
-            "DataUploaded" => self.uploaded()?,
-            "Granted" => self.granted()?,
-            "Wrapped" => Event::Wrapped {
-                owner: self.address()?,
-                grantee: self.address()?,
-                epoch: self.number()?,
-                envelope: self.bytes()?,
-            },
-            "Revoked" => Event::Revoked {
-                owner: self.address()?,
-                grantee: self.address()?,
-                epoch: self.number()?,
-                token: Token(self.word()?),
-            },
-            "Rotated" => Event::Rotated { owner: self.address()?, epoch: self.number()?, token: Token(self.word()?) },
-            "Anchored" => Event::Anchored {
-                account: self.address()?,
-                root: Hash(self.word()?),
-                count: self.number()?,
-                previous: Hash(self.word()?),
-            },
-            "Lent" => {
-                Event::Lent { owner: self.address()?, device: SignerId(self.word()?), until: end(self.number()?) }
-            }
-            "Recalled" => Event::Recalled { owner: self.address()?, device: SignerId(self.word()?) },
-            "Extended" => {
-                Event::Extended { owner: self.address()?, grantee: self.address()?, expiry: end(self.number()?) }
-            }
-            "RecoveryNamed" => {
-                Event::RecoveryNamed { owner: self.address()?, recovery: self.somebody()?, from: self.moment()? }
-            }
-            other => return self.administration(other),
-        })
-    }
-
-    fn administration(&mut self, name: &str) -> Option<Event> {
-        Some(match name {
-            "Admitted" => Event::Admitted { account: self.address()? },
-            "Dismissed" => Event::Dismissed { account: self.address()? },
-            "OpenChanged" => Event::OpenChanged { open: self.0.next()?.into_bool()? },
-            "Suspended" => Event::Suspended { account: self.address()? },
-            "Restored" => Event::Restored { account: self.address()? },
-            "PausedUntil" => Event::PausedUntil { until: self.moment()? },
-            "SuccessionProposed" => Event::SuccessionProposed {
-                lost: self.address()?,
-                successor: self.address()?,
-                recovery: self.somebody()?,
-                due: self.moment()?,
-            },
-            "SuccessionCancelled" => Event::SuccessionCancelled { lost: self.address()?, by: self.address()? },
-            "DelayFixed" => Event::DelayFixed { seconds: self.number()? },
-            "Succeeded" => Event::Succeeded { lost: self.address()?, successor: self.address()? },
-            "AdministratorNominated" => Event::AdministratorNominated { nominee: self.address()? },
-            "AdministratorChanged" => {
-                Event::AdministratorChanged { previous: self.address()?, administrator: self.address()? }
-            }
+/// An event by its name and the kinds of its values, in the contract's order.
+macro_rules! of_values {
+    ($name:ident, $values:ident; $($event:ident { $($field:ident: $kind:ident),* })*) => {
+        match $name {
+            $(stringify!($event) => Event::$event { $($field: $values.$kind()?),* },)*
             _ => return None,
-        })
-    }
-
-    fn uploaded(&mut self) -> Option<Event> {
-        Some(Event::DataUploaded {
-            owner: self.address()?,
-            digest: Digest(self.word()?),
-            token: Token(self.word()?),
-            epoch: self.number()?,
-            number: self.number()?,
-            timestamp: self.bytes()?.try_into().ok().map(|bytes| Timestamp(u64::from_be_bytes(bytes))),
-        })
-    }
-
-    fn granted(&mut self) -> Option<Event> {
-        let (owner, grantee, epoch) = (self.address()?, self.address()?, self.number()?);
-        let expiry = end(self.number()?);
-        let ids = self.0.next()?.into_array()?.into_iter();
-        let topics = ids.map(|id| TopicId::from_slice(&id.into_fixed_bytes()?)).collect::<Option<Vec<_>>>()?;
-        let scope = if topics.is_empty() { Scope::All } else { Scope::Topics(topics) };
-        Some(Event::Granted { terms: GrantTerms { owner, grantee, epoch, expiry, scope }, envelope: self.bytes()? })
-    }
-
-    fn address(&mut self) -> Option<Address> {
-        self.0.next()?.into_address().map(|address| Address(address.0))
-    }
-
-    /// The zero address means nobody.
-    #[allow(clippy::option_option, reason = "no word left is another thing than nobody")]
-    fn somebody(&mut self) -> Option<Option<Address>> {
-        self.address().map(|address| (address.0 != [0; 20]).then_some(address))
-    }
-
-    fn moment(&mut self) -> Option<Timestamp> {
-        self.number().map(Timestamp::from_seconds)
-    }
-
-    fn number(&mut self) -> Option<u64> {
-        self.0.next()?.into_uint()?.try_into().ok()
-    }
-
-    fn word(&mut self) -> Option<[u8; 32]> {
-        self.0.next()?.into_fixed_bytes()?.try_into().ok()
-    }
-
-    fn bytes(&mut self) -> Option<Vec<u8>> {
-        self.0.next()?.into_bytes()
-    }
-
-    fn identity(&mut self) -> Option<Identity> {
-        Identity::parse(&self.bytes()?).ok()
-    }
+        }
+    };
 }
 
-/// 0 means no end.
-pub(super) fn end(seconds: u64) -> Option<Timestamp> {
-    (seconds != 0).then(|| Timestamp::from_seconds(seconds))
+fn named(name: &str, values: &mut Values) -> Option<Event> {
+    Some(match name {
+        "Registered" => {
+            let (owner, _) = (values.address()?, values.token()?);
+            Event::Registered { owner, identity: values.identity()?, epoch: 1 }
+        }
+        "DataUploaded" => Event::DataUploaded {
+            owner: values.address()?,
+            digest: values.digest()?,
+            token: values.token()?,
+            epoch: values.number()?,
+            number: values.number()?,
+            timestamp: values.bytes()?.try_into().ok().map(|bytes| Timestamp(u64::from_be_bytes(bytes))),
+        },
+        "Granted" => {
+            let (owner, grantee, epoch) = (values.address()?, values.address()?, values.number()?);
+            let (expiry, scope) = (values.end()?, values.scope()?);
+            Event::Granted { terms: GrantTerms { owner, grantee, epoch, expiry, scope }, envelope: values.bytes()? }
+        }
+        _ => of_values! { name, values;
+            KeysRotated { owner: address, keys: number, identity: identity, envelope: bytes }
+            Extended { owner: address, grantee: address, expiry: end }
+            RecoveryNamed { owner: address, recovery: somebody, from: moment }
+            Wrapped { owner: address, grantee: address, epoch: number, envelope: bytes }
+            Revoked { owner: address, grantee: address, epoch: number, token: token }
+            Rotated { owner: address, epoch: number, token: token }
+            Anchored { account: address, root: hash, count: number, previous: hash }
+            Lent { owner: address, device: device, until: end }
+            Recalled { owner: address, device: device }
+            Admitted { account: address }
+            Dismissed { account: address }
+            OpenChanged { open: flag }
+            Suspended { account: address }
+            Restored { account: address }
+            PausedUntil { until: moment }
+            SuccessionProposed { lost: address, successor: address, recovery: somebody, due: moment }
+            SuccessionCancelled { lost: address, by: address }
+            DelayFixed { seconds: number }
+            Succeeded { lost: address, successor: address }
+            AdministratorNominated { nominee: address }
+            AdministratorChanged { previous: address, administrator: address }
+        },
+    })
 }
 
 // The events of one block, asked for by its hash and held against its header. A node that does not have the block must
@@ -275,7 +193,6 @@ pub enum Completeness {
 /// The contract's events in one block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BlockEvents {
-    /// The block.
     pub block: BlockRef,
     /// Hash of the block before it.
     pub parent: Hash,
@@ -287,31 +204,14 @@ pub struct BlockEvents {
 
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct RawHeader {
-    number: U64,
-    hash: H256,
-    parent_hash: H256,
-    timestamp: U64,
-    #[serde(default)]
-    logs_bloom: Value,
-    #[serde(default)]
-    transactions: Vec<Value>,
-}
-
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(rename_all = "camelCase")]
 struct RawLogs {
     block_hash: H256,
     logs: Vec<RawLog>,
 }
 
-impl RawHeader {
-    fn block(&self) -> BlockRef {
-        BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp: self.timestamp.as_u64() }
-    }
-
+impl RawBlock {
     fn bloom(&self) -> Option<Bloom> {
-        let bytes = unhex(self.logs_bloom.as_str()?)?;
+        let bytes = unhex(self.logs_bloom.as_ref()?.as_str()?)?;
         (bytes.len() == Bloom::len_bytes()).then(|| Bloom::from_slice(&bytes))
     }
 
@@ -335,23 +235,19 @@ fn covers(logs: &[RawLog], named: &[H256]) -> bool {
 
 impl Chain {
     /// The contract's events in block `number`; `None` if those asked do not have the block, or not all of it yet.
-    ///
-    /// # Errors
-    /// [`ChainError::NoContract`], or an error of the node.
     pub async fn block_events(&self, number: u64) -> Result<Option<BlockEvents>, ChainError> {
-        let Some(header) = self.header(number).await? else { return Ok(None) };
+        let Some(header) = self.raw_block(number).await? else { return Ok(None) };
+        let missing = || self.misunderstood("eth_getBlockByNumber", "it has no parent");
+        let parent = header.parent_hash.ok_or_else(missing)?;
         let Some((mut logs, completeness)) = self.logs_under(&header).await? else { return Ok(None) };
         logs.sort_by_key(|log| log.log_index);
-        let block = header.block();
+        let block = header.reference();
         let mut events = logs.iter().map(|log| self.decode(log)).collect::<Result<Vec<_>, _>>()?;
         events.iter_mut().for_each(|event| event.timestamp = Some(block.timestamp));
-        Ok(Some(BlockEvents { block, parent: Hash(header.parent_hash.0), events, completeness }))
+        Ok(Some(BlockEvents { block, parent: Hash(parent.0), events, completeness }))
     }
 
     /// Like [`Chain::block_events`] for blocks `from` to `to`, in order; for [`AT_ONCE`] of them at most.
-    ///
-    /// # Errors
-    /// See [`Chain::block_events`].
     pub async fn each_block(&self, from: u64, to: u64) -> Result<Vec<Option<BlockEvents>>, ChainError> {
         let mut asked = JoinSet::new();
         for number in from..=to.min(from + AT_ONCE - 1) {
@@ -377,11 +273,7 @@ impl Chain {
         self.transport().embedded().is_some()
     }
 
-    async fn header(&self, number: u64) -> Result<Option<RawHeader>, ChainError> {
-        self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await
-    }
-
-    async fn logs_under(&self, header: &RawHeader) -> Result<Option<(Vec<RawLog>, Completeness)>, ChainError> {
+    async fn logs_under(&self, header: &RawBlock) -> Result<Option<(Vec<RawLog>, Completeness)>, ChainError> {
         let named = self.named_by(header).await?;
         if named.as_ref().is_some_and(Vec::is_empty) {
             return Ok(Some((Vec::new(), Completeness::Whole)));
@@ -400,7 +292,8 @@ impl Chain {
             return Ok(Some((logs, Completeness::Whole)));
         }
         match (by_hash, by_number) {
-            (Ok(one), Ok(other)) => Ok(Some((longer(one, other), Completeness::Doubtful))),
+            (Ok(one), Ok(other)) if other.len() <= one.len() => Ok(Some((one, Completeness::Doubtful))),
+            (Ok(_), Ok(longer)) => Ok(Some((longer, Completeness::Doubtful))),
             (Ok(logs), Err(_)) | (Err(_), Ok(logs)) => Ok(Some((logs, Completeness::Doubtful))),
             // It refuses: it does not have the block.
             (Err(ChainError::Rejected { .. }), Err(_)) => Ok(None),
@@ -409,7 +302,7 @@ impl Chain {
     }
 
     /// The events that a header's bloom names; `None` if this node's blooms say nothing.
-    async fn named_by(&self, header: &RawHeader) -> Result<Option<Vec<H256>>, ChainError> {
+    async fn named_by(&self, header: &RawBlock) -> Result<Option<Vec<H256>>, ChainError> {
         if !self.makes_blooms().await? {
             return Ok(None);
         }
@@ -423,7 +316,7 @@ impl Chain {
         if let Some(known) = self.inner.makes_blooms.get() {
             return Ok(*known);
         }
-        let Some(header) = self.header(pin.deployed_at).await? else { return Ok(false) };
+        let Some(header) = self.raw_block(pin.deployed_at).await? else { return Ok(false) };
         let names = header.bloom().is_some_and(|bloom| bloom.contains_input(BloomInput::Raw(&pin.contract.0)));
         Ok(*self.inner.makes_blooms.get_or_init(|| names))
     }
@@ -437,7 +330,7 @@ impl Chain {
     }
 
     /// The contract's logs as all receipts of a block have them; `None` if one is not there.
-    async fn logs_of_receipts(&self, header: &RawHeader) -> Result<Option<Vec<RawLog>>, ChainError> {
+    async fn logs_of_receipts(&self, header: &RawBlock) -> Result<Option<Vec<RawLog>>, ChainError> {
         let contract = self.contract()?;
         let Some(receipts) = self.receipts_of(header).await? else { return Ok(None) };
         let is_whole = receipts.len() == header.transactions.len() && !receipts.is_empty();
@@ -448,7 +341,7 @@ impl Chain {
         Ok(Some(logs.filter(|log| log.address.0 == contract.0).collect()))
     }
 
-    async fn receipts_of(&self, header: &RawHeader) -> Result<Option<Vec<RawLogs>>, ChainError> {
+    async fn receipts_of(&self, header: &RawBlock) -> Result<Option<Vec<RawLogs>>, ChainError> {
         let hash = Hash(header.hash.0).to_string();
         if let Ok(Some(all)) = self.rpc::<Option<Vec<RawLogs>>>("eth_getBlockReceipts", json!([hash])).await {
             return Ok(Some(all));
@@ -482,13 +375,10 @@ fn settled(
     Some((logs.clone(), completeness))
 }
 
-fn longer(one: Vec<RawLog>, other: Vec<RawLog>) -> Vec<RawLog> {
-    if other.len() > one.len() { other } else { one }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ethers::abi::Token as AbiToken;
     use proptest::prelude::*;
 
     proptest! {

@@ -2,16 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use ethers::types::transaction::eip2718::TypedTransaction;
-use ethers::types::{H160, TransactionRequest, U256};
-use ethers::utils::rlp;
+use ethers::types::U256;
 use serde_json::json;
 
 use crate::call::artefact;
-use crate::connect::RawBlock;
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Wei};
-use crate::sender::{sign_request, wallet};
+use crate::transaction::{Transaction, Unsigned};
 use crate::{BlockRef, Call, Chain, ChainError, SignedTransaction};
 
 /// The highest tip on top of the base fee, wei.
@@ -62,11 +59,8 @@ impl Offered {
 
 impl Chain {
     /// The newest block and the current gas price.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn market(&self) -> Result<Market, ChainError> {
-        let block: RawBlock = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
+        let block = self.newest().await?;
         self.note_room(block.room());
         let quoted: U256 = self.rpc("eth_gasPrice", json!([])).await?;
         let base = block.base_fee_per_gas.filter(|base| !base.is_zero());
@@ -79,27 +73,18 @@ impl Chain {
     }
 
     /// Wei held by an account, saturating at the largest number.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn wealth(&self, account: Address) -> Result<u128, ChainError> {
         Ok(u128::try_from(self.balance(account).await?).unwrap_or(u128::MAX))
     }
 
     /// What the account holds, and what its next call needs at this price; the node's own estimate may be higher.
-    ///
-    /// # Errors
-    /// Errors of the node, [`ChainError::Input`].
     pub async fn shortfall(&self, account: Address, call: &Call, price: u128) -> Result<Shortfall, ChainError> {
-        let gas = call.known_cost(&call.encode()?);
+        let gas = known_cost(call.name(), &call.encode()?);
         let needed = Wei(price.saturating_mul(u128::from(gas)));
         Ok(Shortfall { account, held: Wei(self.wealth(account).await?), needed })
     }
 
     /// Like [`Chain::sign`], at a given price in wei per gas.
-    ///
-    /// # Errors
-    /// See [`Chain::sign`].
     pub async fn sign_at(
         &self,
         eoa: &EoaSecret,
@@ -108,18 +93,13 @@ impl Chain {
         price: u128,
     ) -> Result<SignedTransaction, ChainError> {
         let contract = self.contract()?;
-        let data = call.encode()?;
-        let wallet = wallet(eoa)?;
-        let gas = self.gas_for(eoa.address(), contract, call, &data).await?;
-        let mut request = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price).data(data).value(0u64);
-        request.to = Some(H160(contract.0).into());
-        sign_request(&wallet, request.chain_id(self.chain_id()))
+        let input = call.encode()?;
+        let gas_limit = self.gas_for(eoa.address(), contract, call, &input).await?;
+        let (to, value) = (Some(contract), alloy_primitives::U256::ZERO);
+        Unsigned { nonce, gas_price: price, gas_limit, to, value, input }.sign(eoa, self.chain_id())
     }
 
     /// Signs a transfer of `wei` to `to`, without data. Nothing is sent.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if it cannot be signed.
     pub fn sign_transfer(
         &self,
         eoa: &EoaSecret,
@@ -128,9 +108,9 @@ impl Chain {
         wei: u128,
         price: u128,
     ) -> Result<SignedTransaction, ChainError> {
-        let mut request = TransactionRequest::new().nonce(nonce).gas(TRANSFER_GAS).gas_price(price).value(wei);
-        request.to = Some(H160(to.0).into());
-        sign_request(&wallet(eoa)?, request.chain_id(self.chain_id()))
+        let (to, value) = (Some(to), alloy_primitives::U256::from(wei));
+        let terms = Unsigned { nonce, gas_price: price, gas_limit: TRANSFER_GAS, to, value, input: Vec::new() };
+        terms.sign(eoa, self.chain_id())
     }
 
     /// Signs the call in `raw` again, with another nonce or price, and with gas that is estimated anew: the estimate of
@@ -145,64 +125,46 @@ impl Chain {
         nonce: u64,
         price: u128,
     ) -> Result<SignedTransaction, ChainError> {
-        let request = decode(raw)?;
-        let data = request.data.clone().unwrap_or_default();
-        let gas = match function_of(&data) {
+        let terms = decode(raw)?;
+        let gas_limit = match function_of(&terms.input) {
             Some(function) => {
                 // It may fail because an earlier transaction of the lane is in no block yet.
-                let estimate = self.estimate(eoa.address(), Some(self.contract()?), &data).await.unwrap_or(0);
-                limit(estimate, known_cost(&function, &data), self.room())?
+                let estimate = self.estimate(eoa.address(), Some(self.contract()?), &terms.input).await.unwrap_or(0);
+                limit(estimate, known_cost(function, &terms.input), self.room())?
             }
             None => TRANSFER_GAS,
         };
-        let request = request.nonce(nonce).gas_price(price).gas(gas).chain_id(self.chain_id());
-        sign_request(&wallet(eoa)?, request)
+        Unsigned { nonce, gas_price: price, gas_limit, ..terms }.sign(eoa, self.chain_id())
     }
 }
 
 /// The name of the contract's function that call data is for.
-fn function_of(data: &[u8]) -> Option<String> {
+fn function_of(data: &[u8]) -> Option<&'static str> {
     let selector = data.get(..4)?;
-    let abi = &artefact().ok()?.abi;
-    abi.functions().find(|function| function.short_signature() == selector).map(|function| function.name.clone())
+    let mut functions = artefact().ok()?.abi.functions();
+    functions.find(|function| function.short_signature() == selector).map(|function| function.name.as_str())
 }
 
 /// The gas terms of signed legacy bytes.
-///
-/// # Errors
-/// [`ChainError::Input`] if they are not a legacy transaction.
 pub fn offered(raw: &[u8]) -> Result<Offered, ChainError> {
-    let request = decode(raw)?;
-    let price = request.gas_price.and_then(|price| u128::try_from(price).ok());
-    let gas = request.gas.and_then(|gas| u64::try_from(gas).ok());
-    let value = request.value.map_or(0, |value| u128::try_from(value).unwrap_or(u128::MAX));
-    price.zip(gas).map(|(price, gas)| Offered { price, gas, value }).ok_or_else(no_transaction)
+    let terms = decode(raw)?;
+    Ok(Offered { price: terms.gas_price, gas: terms.gas_limit, value: terms.value.saturating_to() })
 }
 
 /// Whether two signed legacy transactions make the same call, regardless of nonce and price.
 pub fn is_same_call(one: &[u8], other: &[u8]) -> bool {
-    let call = |raw| decode(raw).ok().map(|request| (request.to, request.value, request.data));
+    let call = |raw| decode(raw).ok().map(|terms| (terms.to, terms.value, terms.input));
     call(one).is_some_and(|found| call(other) == Some(found))
 }
 
 /// The call data of signed legacy bytes.
-///
-/// # Errors
-/// [`ChainError::Input`] if they are not a legacy transaction.
 pub fn call_data(raw: &[u8]) -> Result<Vec<u8>, ChainError> {
-    Ok(decode(raw)?.data.map(|data| data.to_vec()).unwrap_or_default())
+    Ok(decode(raw)?.input)
 }
 
-fn decode(raw: &[u8]) -> Result<TransactionRequest, ChainError> {
-    let (transaction, _) = TypedTransaction::decode_signed(&rlp::Rlp::new(raw)).map_err(|_| no_transaction())?;
-    match transaction {
-        TypedTransaction::Legacy(request) => Ok(TransactionRequest { from: None, ..request }),
-        _ => Err(no_transaction()),
-    }
-}
-
-fn no_transaction() -> ChainError {
-    ChainError::Input("the stored bytes are not a legacy transaction; check the ledger with `authros audit`".into())
+fn decode(raw: &[u8]) -> Result<Unsigned, ChainError> {
+    let what = "the stored bytes are not a legacy transaction; check the ledger with `authros audit`";
+    Transaction::parse(raw).map(|parsed| parsed.unsigned).map_err(|_| ChainError::Input(what.into()))
 }
 
 // What transactions may cost: the operator's floor and cap, and when a waiting one is worth a higher price.
@@ -320,7 +282,6 @@ impl Wait {
 /// What an account holds, and what it needs for its next transaction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Shortfall {
-    /// The account.
     pub account: Address,
     /// Its ether.
     pub held: Wei,
@@ -382,13 +343,6 @@ pub(super) fn with_margin(estimate: u64) -> u64 {
     estimate.saturating_add(estimate / 4)
 }
 
-impl Call {
-    /// The most gas that this call uses, as far as is known.
-    pub(super) fn known_cost(&self, data: &[u8]) -> u64 {
-        known_cost(self.name(), data)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -409,20 +363,17 @@ mod tests {
     #[test]
     fn signed_again_only_price_nonce_and_hash_differ() {
         let eoa = EoaSecret::from_slice(&[7; 32]).expect("key");
-        let wallet = wallet(&eoa).expect("wallet");
-        let mut request = TransactionRequest::new().nonce(3).gas(50_000).gas_price(9u64).data(vec![1, 2, 3]);
-        request = request.value(0u64).chain_id(31_337u64);
-        request.to = Some(H160([5; 20]).into());
-        let first = sign_request(&wallet, request.clone()).expect("signs");
-        let again =
-            sign_request(&wallet, decode(&first.raw).expect("decodes").nonce(4).gas_price(11u64).chain_id(31_337u64));
-        let again = again.expect("signs");
+        let (to, input) = (Some(Address([5; 20])), vec![1, 2, 3]);
+        let terms = Unsigned { nonce: 3, gas_limit: 50_000, gas_price: 9, to, input, ..Unsigned::default() };
+        let first = terms.clone().sign(&eoa, 31_337).expect("signs");
+        let again = Unsigned { nonce: 4, gas_price: 11, ..decode(&first.raw).expect("decodes") };
+        let again = again.sign(&eoa, 31_337).expect("signs");
         assert_ne!(first.hash, again.hash);
         assert_eq!(offered(&again.raw), Ok(Offered { price: 11, gas: 50_000, value: 0 }));
         assert_eq!((again.nonce, again.gas_limit, again.gas_price), (4, 50_000, 11));
         assert!(is_same_call(&first.raw, &again.raw));
         assert_eq!(call_data(&again.raw), Ok(vec![1, 2, 3]));
-        let other = sign_request(&wallet, request.data(vec![1, 2])).expect("signs");
+        let other = Unsigned { input: vec![1, 2], ..terms }.sign(&eoa, 31_337).expect("signs");
         assert!(!is_same_call(&first.raw, &other.raw));
         assert!(!is_same_call(&[1], &[1]) && offered(&[0xc0]).is_err() && call_data(&[]).is_err());
         assert_eq!(offered(&first.raw).map(|offered| offered.cost_at(2)), Ok(100_000));

@@ -4,15 +4,14 @@
 //! block by accident. The contract's code needs Istanbul and no later fork.
 
 use std::collections::HashSet;
-use std::fmt;
 use std::str::FromStr;
 
 use ethers::types::U256;
-use ethers::utils::rlp::RlpStream;
 use serde_json::{Value, json};
 
 use super::ChainError;
 use crate::model::{Address, Timestamp, bytes::hex, clean};
+use crate::transaction::List;
 
 /// How to run three nodes with such a file.
 pub const GUIDE: &str = include_str!("../../../contracts/genesis/README.md");
@@ -33,7 +32,8 @@ const VANITY: usize = 32;
 const SEAL: usize = 65;
 
 /// The consensus of the network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::Display, strum::EnumString)]
+#[strum(serialize_all = "lowercase", parse_err_fn = unknown_kind, parse_err_ty = ChainError)]
 pub enum GenesisKind {
     /// Proof of authority in geth (and in Besu until it was removed there).
     Clique,
@@ -65,24 +65,8 @@ pub struct Genesis {
     pub allocations: Vec<Allocation>,
 }
 
-impl fmt::Display for GenesisKind {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Clique => "clique",
-            Self::Ethash => "ethash",
-            Self::Qbft => "qbft",
-        })
-    }
-}
-
-impl FromStr for GenesisKind {
-    type Err = ChainError;
-
-    fn from_str(text: &str) -> Result<Self, ChainError> {
-        let all = [Self::Clique, Self::Ethash, Self::Qbft];
-        let found = all.into_iter().find(|kind| kind.to_string() == text);
-        found.ok_or_else(|| ChainError::Input(format!("'{}' is not clique, ethash or qbft", clean(text, 40))))
-    }
+fn unknown_kind(text: &str) -> ChainError {
+    ChainError::Input(format!("'{}' is not clique, ethash or qbft", clean(text, 40)))
 }
 
 impl FromStr for Allocation {
@@ -115,7 +99,10 @@ impl Genesis {
         .map_err(|error| ChainError::Internal(format!("the template of {}: {error}", self.kind)))?;
         let extra = match self.kind {
             GenesisKind::Ethash => vanity.to_vec(),
-            GenesisKind::Clique => clique_extra(&vanity, &signers),
+            // The signers in ascending order, and an empty seal (EIP-225).
+            GenesisKind::Clique => {
+                [&vanity[..], &signers.iter().flat_map(|one| one.0).collect::<Vec<_>>(), &[0; SEAL]].concat()
+            }
             GenesisKind::Qbft => qbft_extra(&vanity, &signers),
         };
         file["config"]["chainId"] = self.chosen_id()?.into();
@@ -187,24 +174,15 @@ impl Genesis {
     }
 }
 
-/// Vanity, the signers in ascending order, an empty seal (EIP-225).
-fn clique_extra(vanity: &[u8; VANITY], signers: &[Address]) -> Vec<u8> {
-    let signers = signers.iter().flat_map(|signer| signer.0);
-    vanity.iter().copied().chain(signers).chain([0; SEAL]).collect()
-}
-
 /// RLP of \[vanity, \[validators\], no votes, round 0, no seals\].
 fn qbft_extra(vanity: &[u8; VANITY], validators: &[Address]) -> Vec<u8> {
-    let mut list = RlpStream::new_list(5);
-    list.append(&&vanity[..]).begin_list(validators.len());
-    for validator in validators {
-        list.append(&validator.as_bytes());
-    }
-    list.begin_list(0).append(&0u8).begin_list(0);
-    list.out().to_vec()
+    let nothing: [u64; 0] = [];
+    let validators = validators.iter().fold(List::default(), |list, validator| list.add(&validator.0)).end();
+    List::default().add(vanity).add_encoded(&validators).add(&nothing.to_vec()).add(&0u8).add(&nothing.to_vec()).end()
 }
 
-fn noise<const N: usize>() -> Result<[u8; N], ChainError> {
+/// Random bytes.
+pub fn noise<const N: usize>() -> Result<[u8; N], ChainError> {
     let mut noise = [0; N];
     getrandom::fill(&mut noise).map_err(|error| ChainError::Internal(format!("no randomness: {error}")))?;
     Ok(noise)

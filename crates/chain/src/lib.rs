@@ -14,11 +14,11 @@ mod genesis;
 mod reader;
 pub mod relay;
 mod sealing;
-mod sender;
 pub mod serve;
 mod state_proof;
 #[cfg(test)]
 mod tests;
+mod transaction;
 mod transport;
 pub mod web;
 
@@ -59,7 +59,6 @@ pub enum Endpoint {
         /// is refused.
         consensus: Option<Consensus>,
     },
-    /// A node.
     Node {
         /// `http://…`, `https://…`, `ws://…`, `wss://…`, `ipc:/path` or `/path.ipc`.
         url: String,
@@ -127,7 +126,6 @@ pub struct Chain {
 pub struct BlockRef {
     /// Block number.
     pub number: u64,
-    /// Its hash.
     pub hash: Hash,
     /// Seconds since 1970, as the sealer of the block stated it.
     pub timestamp: u64,
@@ -140,7 +138,6 @@ pub struct ChainStatus {
     pub kind: String,
     /// `poa`, `pow`, `pos` or `dev`, as far as a block shows it.
     pub consensus: String,
-    /// Chain id.
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
@@ -161,9 +158,7 @@ pub struct ChainStatus {
 /// A transaction, ready to be stored and sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SignedTransaction {
-    /// Its hash.
     pub hash: Hash,
-    /// Its nonce.
     pub nonce: u64,
     /// The bytes for [`Chain::broadcast`].
     pub raw: Vec<u8>,
@@ -176,13 +171,11 @@ pub struct SignedTransaction {
 /// The result of a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
-    /// Its block.
     pub block: u64,
     /// Its block's hash: if it changes later, there was a reorg.
     pub block_hash: Hash,
     /// Whether it took effect.
     pub success: bool,
-    /// Gas used.
     pub gas_used: u64,
     /// Why it failed, in plain words, if that can be determined.
     pub reason: Option<String>,
@@ -195,7 +188,6 @@ pub struct Receipt {
 pub struct EventAt {
     /// Block number.
     pub block: u64,
-    /// Block hash.
     pub block_hash: Hash,
     /// Block time, seconds, if the node includes it with the event.
     pub timestamp: Option<u64>,

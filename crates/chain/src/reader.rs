@@ -7,10 +7,10 @@ use ethers::types::{Bytes, H160, H256, U64, U256};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::call::{address, artefact, word};
+use crate::call::{Values, address, artefact, word};
 use crate::connect::POLL;
 use crate::error::decode_revert_hex;
-use crate::event::{AT_ONCE, end};
+use crate::event::AT_ONCE;
 use crate::model::bytes::{hex, unhex};
 use crate::model::{Address, Digest, Hash, Identity, Token};
 use crate::{AccountState, BlockRef, Call, Chain, ChainError, ChainStatus, Event, EventAt, GrantState, QueryAnswer};
@@ -31,9 +31,6 @@ pub struct Nonces {
 
 impl Chain {
     /// The chain's properties and, for `account`, its holdings.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
         let mut status = ChainStatus {
             kind: self.kind().to_owned(),
@@ -71,9 +68,6 @@ impl Chain {
 
     /// The next nonce of an account; `pending` counts transactions not yet mined. If a node keeps no pending state, the
     /// mined nonce is returned.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn nonce(&self, account: Address, pending: bool) -> Result<u64, ChainError> {
         let ask = |tag: &'static str| self.rpc::<U64>("eth_getTransactionCount", json!([account.to_string(), tag]));
         let nonce = match ask(if pending { "pending" } else { "latest" }).await {
@@ -126,89 +120,76 @@ impl Chain {
         }
     }
 
-    async fn view(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Result<Answer<'_>, ChainError> {
+    async fn view<T>(
+        &self,
+        from: Address,
+        name: &str,
+        arguments: &[AbiToken],
+        read: impl FnOnce(&mut Values) -> Option<T>,
+    ) -> Result<T, ChainError> {
         let artefact = artefact()?;
         let data = artefact.encode(name, arguments)?;
         let output = self.eth_call(from, self.contract()?, &data, "latest").await?;
         let values = artefact.function(name)?.decode_output(&output);
         let values = values.map_err(|error| self.misunderstood(name, &error.to_string()))?;
-        Ok(Answer { chain: self, name: name.to_owned(), values: values.into_iter() })
+        read(&mut Values::new(values)).ok_or_else(|| self.misunderstood(name, "a value has the wrong type"))
     }
 
     /// The state of a registered account; `None` if it is not registered.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn account(&self, owner: Address) -> Result<Option<AccountState>, ChainError> {
-        let mut answer = self.view(owner, "accountOf", &[address(owner)]).await?;
-        let identity = answer.take(AbiToken::into_bytes)?;
-        let epoch = answer.number()?;
-        if epoch == 0 {
-            return Ok(None);
-        }
-        let identity = Identity::parse(&identity).map_err(|error| answer.wrong(&error.to_string()))?;
-        let token = Token(answer.word()?);
-        let suspended = answer.flag()?;
-        let (keys, count) = (answer.number()?, answer.number()?);
-        let last = Digest(answer.word()?);
-        let last = (count > 0).then_some(last);
-        Ok(Some(AccountState { identity, epoch, token, suspended, keys, count, last }))
+        let read = |values: &mut Values| {
+            let (identity, epoch) = (values.bytes()?, values.number()?);
+            if epoch == 0 {
+                return Some(None);
+            }
+            let (identity, token) = (Identity::parse(&identity).ok()?, values.token()?);
+            let (suspended, keys, count) = (values.flag()?, values.number()?, values.number()?);
+            let last = values.digest()?;
+            let last = (count > 0).then_some(last);
+            Some(Some(AccountState { identity, epoch, token, suspended, keys, count, last }))
+        };
+        self.view(owner, "accountOf", &[address(owner)], read).await
     }
 
     /// The paper's dataQuery, as `from` would be answered. A node does not authenticate `from`.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn data_query(&self, from: Address, token: Token, owner: Address) -> Result<QueryAnswer, ChainError> {
         let arguments = [AbiToken::Bytes(token.0.to_vec()), address(owner)];
-        let mut answer = self.view(from, "dataQuery", &arguments).await?;
-        let authorised = answer.flag()?;
-        Ok(QueryAnswer { authorised, epoch: answer.number()?, count: answer.number()?, last: Digest(answer.word()?) })
+        let read = |values: &mut Values| {
+            let (authorised, epoch) = (values.flag()?, values.number()?);
+            Some(QueryAnswer { authorised, epoch, count: values.number()?, last: values.digest()? })
+        };
+        self.view(from, "dataQuery", &arguments, read).await
     }
 
     /// Whether an owner uploaded this digest individually (not in a batch).
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn anchored(&self, owner: Address, digest: Digest) -> Result<bool, ChainError> {
         Ok(self.uploaded_at(owner, digest).await?.is_some())
     }
 
     /// The block in which an owner uploaded this digest individually.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn uploaded_at(&self, owner: Address, digest: Digest) -> Result<Option<u64>, ChainError> {
-        let mut answer = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)]).await?;
-        let block = answer.number()?;
+        let block = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)], Values::number).await?;
         Ok((block != 0).then_some(block))
     }
 
     /// The block in which an account first anchored a root, and the number of its leaves.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn root_anchored(&self, account: Address, root: Hash) -> Result<Option<(u64, u64)>, ChainError> {
-        let mut answer = self.view(account, "anchorOf", &[address(account), word(root.0)]).await?;
-        let (block, count) = (answer.number()?, answer.number()?);
-        Ok((block != 0).then_some((block, count)))
+        let read = |values: &mut Values| Some((values.number()?, values.number()?));
+        let found = self.view(account, "anchorOf", &[address(account), word(root.0)], read).await?;
+        Ok((found.0 != 0).then_some(found))
     }
 
     /// The root that an account anchored last; zero before the first.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn anchor_head(&self, account: Address) -> Result<Hash, ChainError> {
-        self.view(account, "headOf", &[address(account)]).await?.word().map(Hash)
+        self.view(account, "headOf", &[address(account)], Values::hash).await
     }
 
     /// An owner's grant to an account; `None` if there never was one.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn grant(&self, owner: Address, grantee: Address) -> Result<Option<GrantState>, ChainError> {
-        let mut answer = self.view(owner, "grantOf", &[address(owner), address(grantee)]).await?;
-        let state = GrantState { active: answer.flag()?, epoch: answer.number()?, expiry: end(answer.number()?) };
+        let read = |values: &mut Values| {
+            Some(GrantState { active: values.flag()?, epoch: values.number()?, expiry: values.end()? })
+        };
+        let state = self.view(owner, "grantOf", &[address(owner), address(grantee)], read).await?;
         Ok((state.epoch != 0).then_some(state))
     }
 
@@ -220,9 +201,6 @@ impl Chain {
     }
 
     /// Writes the embedded chain, as it is between two blocks, to a new file; `false` for other chains.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub async fn copy_to(&self, path: std::path::PathBuf) -> Result<bool, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.copy_to(path).await.map(|()| true),
@@ -253,35 +231,6 @@ impl Chain {
     }
 }
 
-/// The values that a view returned, in order.
-struct Answer<'a> {
-    chain: &'a Chain,
-    name: String,
-    values: std::vec::IntoIter<AbiToken>,
-}
-
-impl Answer<'_> {
-    fn wrong(&self, reason: &str) -> ChainError {
-        self.chain.misunderstood(&self.name, reason)
-    }
-
-    fn take<T>(&mut self, convert: impl FnOnce(AbiToken) -> Option<T>) -> Result<T, ChainError> {
-        self.values.next().and_then(convert).ok_or_else(|| self.wrong("a value has the wrong type"))
-    }
-
-    fn flag(&mut self) -> Result<bool, ChainError> {
-        self.take(AbiToken::into_bool)
-    }
-
-    fn number(&mut self) -> Result<u64, ChainError> {
-        self.take(|value| value.into_uint()?.try_into().ok())
-    }
-
-    fn word(&mut self) -> Result<[u8; 32], ChainError> {
-        self.take(|value| value.into_fixed_bytes()?.try_into().ok())
-    }
-}
-
 /// The reason why a mined transaction failed: from the receipt if the node includes it (ours and Besu), otherwise by
 /// running it again on the block before.
 pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option<String> {
@@ -304,22 +253,15 @@ pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option
 
 impl Chain {
     /// Transactions and gas of blocks `from` to `to`, inclusive.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn work(&self, from: u64, to: u64) -> Result<(u64, u64), ChainError> {
         let (mut transactions, mut gas) = (0, 0);
         for number in from..=to {
-            let block: Value = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
-            transactions += block.get("transactions").and_then(Value::as_array).map_or(0, |list| list.len() as u64);
-            gas += block.get("gasUsed").and_then(Value::as_str).map_or(0, quantity);
+            let Some(block) = self.raw_block(number).await? else { break };
+            transactions += block.transactions.len() as u64;
+            gas += block.gas_used.map_or(0, |gas| gas.low_u64());
         }
         Ok((transactions, gas))
     }
-}
-
-fn quantity(text: &str) -> u64 {
-    u64::from_str_radix(text.trim_start_matches("0x"), 16).unwrap_or(0)
 }
 
 // News from the chain: blocks and events.
@@ -360,17 +302,11 @@ fn wide(contract: Address, from: u64, to: u64, topics: &Value) -> Value {
 
 impl Chain {
     /// The contract's events in blocks `from` to `to` (at most the head), in order.
-    ///
-    /// # Errors
-    /// [`ChainError::NoContract`], or an error of the node.
     pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         self.collect(from, to, &Value::Null).await
     }
 
     /// Like [`Chain::events`], without uploads and anchors: the events from which rights are rebuilt.
-    ///
-    /// # Errors
-    /// See [`Chain::events`].
     pub async fn changes(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let changes = artefact()?.abi.events().filter(|event| !ANCHORS.contains(&event.name.as_str()));
         let wanted: Vec<String> = changes.map(|event| Hash(event.signature().0).to_string()).collect();
@@ -380,9 +316,6 @@ impl Chain {
     }
 
     /// Every anchor of one root in blocks `from` to `to`, by any account, in the chain's order.
-    ///
-    /// # Errors
-    /// See [`Chain::events`].
     pub async fn anchors_of(&self, root: Hash, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let name = artefact()?.event_signature("Anchored")?.to_string();
         let mut found = self.collect(from, to, &json!([name, null, root.to_string()])).await?;
@@ -399,17 +332,9 @@ impl Chain {
         let (mut next, mut chunk) = (from, CHUNK);
         while next <= to && next < near {
             let last = to.min(near - 1).min(next + chunk - 1);
-            match self.filtered(&wide(contract, next, last, topics)).await {
-                Ok(logs) => {
-                    for log in logs {
-                        found.push(self.decode(&log)?);
-                    }
-                    next = last + 1;
-                    chunk = CHUNK.min(chunk * 2);
-                }
-                Err(_) if last > next => chunk = self.half(next, last).await?,
-                Err(error) => return Err(error),
-            }
+            let Some(logs) = self.portion(contract, (next, last), topics, &mut chunk).await? else { continue };
+            found.extend(logs.iter().map(|log| self.decode(log)).collect::<Result<Vec<_>, _>>()?);
+            (next, chunk) = (last + 1, CHUNK.min(chunk * 2));
         }
         while next <= to {
             let last = to.min(next + AT_ONCE - 1);
@@ -432,23 +357,34 @@ impl Chain {
         let (mut next, mut chunk) = (0, head + 1);
         while next <= head {
             let last = head.min(next + chunk - 1);
-            match self.filtered(&wide(contract, next, last, &topics)).await {
-                Ok(logs) => match logs.first() {
-                    Some(log) => return Ok(Some(log.block_number.as_u64())),
-                    None => next = last + 1,
-                },
-                Err(_) if last > next => chunk = self.half(next, last).await?,
-                Err(error) => return Err(error),
+            match self.portion(contract, (next, last), &topics, &mut chunk).await? {
+                Some(logs) if logs.is_empty() => next = last + 1,
+                Some(logs) => return Ok(logs.first().map(|log| log.block_number.as_u64())),
+                None => {}
             }
         }
         Ok(None)
     }
 
-    /// Half of the blocks that were too many: nodes and what stands before them say so in words, with a web page, or with
-    /// silence. One that is away does not answer a small question either.
-    async fn half(&self, next: u64, last: u64) -> Result<u64, ChainError> {
-        self.head().await?;
-        Ok((last - next).div_ceil(2))
+    /// A contract's logs in some blocks; `None` if those were too many, and then `chunk` becomes half of them. Nodes and
+    /// what stands before them say so in words, with a web page, or with silence; one that is away does not answer a small
+    /// question either.
+    async fn portion(
+        &self,
+        contract: Address,
+        (from, to): (u64, u64),
+        topics: &Value,
+        chunk: &mut u64,
+    ) -> Result<Option<Vec<RawLog>>, ChainError> {
+        match self.filtered(&wide(contract, from, to, topics)).await {
+            Ok(logs) => Ok(Some(logs)),
+            Err(_) if to > from => {
+                self.head().await?;
+                *chunk = (to - from).div_ceil(2);
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
     }
 
     /// The logs that match a filter, of the contract that it names.
@@ -474,9 +410,6 @@ impl Chain {
     }
 
     /// The head as soon as it is above `after`, or the current one when `patience` is over.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn next_block(&self, after: u64, patience: Duration) -> Result<BlockRef, ChainError> {
         if let Some(embedded) = self.transport().embedded() {
             let mut news = embedded.head();

@@ -11,40 +11,19 @@ use async_trait::async_trait;
 use serde_json::{Value, json};
 
 use crate::call::Call;
-use crate::embedded::Transaction;
 use crate::model::bytes::unhex;
 use crate::model::{Address, Identity, clean};
+use crate::transaction::Transaction;
 use crate::transport::{JsonRpcError, TransportError};
 use crate::{Chain, Pin};
 
 /// Only what this program's own client needs is passed on: reads and raw transactions. Nothing here signs, keeps state
 /// at the node, or reaches its settings and keys. [`rules`] say what passes for whom.
-const METHODS: [&str; 24] = [
-    "clique_getSigners",
-    "eth_blockNumber",
-    "eth_call",
-    "eth_chainId",
-    "eth_estimateGas",
-    "eth_feeHistory",
-    "eth_gasPrice",
-    "eth_getBalance",
-    "eth_getBlockByHash",
-    "eth_getBlockByNumber",
-    "eth_getCode",
-    "eth_getLogs",
-    "eth_getProof",
-    "eth_getStorageAt",
-    "eth_getTransactionByHash",
-    "eth_getTransactionCount",
-    "eth_getTransactionReceipt",
-    "eth_maxPriorityFeePerGas",
-    "eth_sendRawTransaction",
-    "eth_syncing",
-    "ibft_getValidatorsByBlockNumber",
-    "net_version",
-    "qbft_getValidatorsByBlockNumber",
-    "web3_clientVersion",
-];
+const METHODS: &str = "clique_getSigners eth_blockNumber eth_call eth_chainId eth_estimateGas eth_feeHistory eth_gasPrice \
+    eth_getBalance eth_getBlockByHash eth_getBlockByNumber eth_getCode eth_getLogs eth_getProof eth_getStorageAt \
+    eth_getTransactionByHash eth_getTransactionCount eth_getTransactionReceipt eth_maxPriorityFeePerGas \
+    eth_sendRawTransaction eth_syncing ibft_getValidatorsByBlockNumber net_version qbft_getValidatorsByBlockNumber \
+    web3_clientVersion";
 /// The longest signed transaction passed on, bytes: the limit of old geth.
 pub const LONGEST_RAW: usize = 32 * 1024;
 /// The longest error text of a node passed on, characters.
@@ -131,7 +110,7 @@ pub fn weight(method: &str) -> u32 {
 /// # Errors
 /// [`RelayError::NotAllowed`].
 pub fn check(method: &str, parameters: &Value) -> Result<(), RelayError> {
-    let known = METHODS.binary_search(&method).is_ok();
+    let known = METHODS.split(' ').any(|known| known == method);
     let length = || parameters.get(0).and_then(Value::as_str).map_or(0, str::len);
     let fits = method != "eth_sendRawTransaction" || length() <= 2 + 2 * LONGEST_RAW;
     if known && parameters.is_array() && fits { Ok(()) } else { Err(RelayError::NotAllowed) }
@@ -140,9 +119,6 @@ pub fn check(method: &str, parameters: &Value) -> Result<(), RelayError> {
 impl Chain {
     /// Passes another party's request on to this chain, over this process's own connection. Whether it may pass is for
     /// [`examine`] to say.
-    ///
-    /// # Errors
-    /// [`RelayError`].
     pub async fn relay(&self, method: &str, parameters: &Value) -> Result<Value, RelayError> {
         check(method, parameters)?;
         Ok(self.transport().request_for_another(method, parameters.clone()).await?)
@@ -343,13 +319,14 @@ mod tests {
 
     #[test]
     fn only_reading_and_raw_transactions_pass() {
-        assert!(METHODS.is_sorted());
-        for method in METHODS {
+        for method in METHODS.split(' ') {
             assert_eq!(check(method, &json!([])), Ok(()), "{method}");
             assert_eq!(check(method, &json!({})), Err(RelayError::NotAllowed), "{method} with an object");
         }
         for never in [
             "",
+            " ",
+            "eth_call eth_chainId",
             "eth_accounts",
             "eth_newFilter",
             "eth_sendTransaction",

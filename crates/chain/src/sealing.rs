@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use ethers::types::U64;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::connect::RawBlock;
 use crate::model::Address;
 use crate::model::bytes::unhex;
 use crate::{Chain, ChainError, Consensus};
@@ -51,9 +51,9 @@ impl Chain {
     }
 
     async fn difficulty(&self) -> Result<Option<String>, ChainError> {
-        let block: Value = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
-        let difficulty = block.get("difficulty").and_then(Value::as_str).and_then(|text| text.strip_prefix("0x"));
-        Ok(difficulty.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
+        let difficulty = self.newest().await?.difficulty;
+        let digits = difficulty.as_ref().and_then(Value::as_str).and_then(|text| text.strip_prefix("0x"));
+        Ok(digits.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
     }
 
     /// The shortest of the newest intervals between two blocks, milliseconds. The first block has no time of its own.
@@ -88,18 +88,14 @@ impl Chain {
                 Ok(_) | Err(_) => {}
             }
         }
-        let named = validators_in(&self.extra_data("latest").await?);
+        let extra = |block: RawBlock| block.extra_data.as_deref().and_then(unhex).unwrap_or_default();
+        let named = validators_in(&extra(self.newest().await?));
         if !named.is_empty() {
             return Ok(named);
         }
-        let genesis = self.extra_data("0x0").await?;
+        let genesis = self.raw_block(0).await?.map(extra).unwrap_or_default();
         let named = validators_in(&genesis);
         Ok(if named.is_empty() { listed(&genesis) } else { named })
-    }
-
-    async fn extra_data(&self, block: &str) -> Result<Vec<u8>, ChainError> {
-        let block: Value = self.rpc("eth_getBlockByNumber", json!([block, false])).await?;
-        Ok(block.get("extraData").and_then(Value::as_str).and_then(unhex).unwrap_or_default())
     }
 }
 
@@ -181,9 +177,6 @@ impl SealedBy {
 
 impl Chain {
     /// Who seals this chain, as the node reports it: the caller has to trust that node.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn sealed_by(&self) -> Result<SealedBy, ChainError> {
         let sealing = self.sealing().await?;
         let (client, consensus) = (&self.inner.client, self.inner.consensus);
@@ -203,19 +196,8 @@ const LUCK: u32 = 10;
 /// Under proof of stake a proposer may miss its turn.
 const MISSED: u32 = 2;
 
-/// A block as it is measured.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct RawSealed {
-    timestamp: U64,
-    gas_used: U64,
-}
-
 impl Chain {
     /// How long after a block the next one is due; `None` if nothing is due, or if the newest blocks do not show it.
-    ///
-    /// # Errors
-    /// Errors of the node.
     pub async fn due_within(&self) -> Result<Option<Duration>, ChainError> {
         // Where one program is the whole chain, its answer is the chain's word: there is nobody to be cut off from.
         let is_alone = self.transport().embedded().is_some() || self.inner.client.starts_with("AuthROS/");
@@ -226,11 +208,8 @@ impl Chain {
         let mut sealed = Vec::new();
         // The genesis block's time is anybody's choice.
         for number in head.saturating_sub(MEASURED).max(1)..=head {
-            let asked = json!([format!("{number:#x}"), false]);
-            let Some(block) = self.rpc::<Option<RawSealed>>("eth_getBlockByNumber", asked).await? else {
-                return Ok(None);
-            };
-            sealed.push((block.timestamp.as_u64(), block.gas_used.is_zero()));
+            let Some(block) = self.raw_block(number).await? else { return Ok(None) };
+            sealed.push((block.timestamp.as_u64(), block.gas_used.is_none_or(|gas| gas.is_zero())));
         }
         Ok(due(self.inner.consensus, &sealed))
     }

@@ -1,12 +1,12 @@
 //! What an evidence bundle needs from a chain: block headers as they were hashed, and proofs of the contract's storage.
 
-use ethers::utils::rlp::RlpStream;
 use serde_json::{Value, json};
 
 use crate::merkle::{Inclusion, LONGEST_PATH};
 use crate::model::bytes::unhex;
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Hash};
+use crate::transaction::List;
 use crate::{Chain, ChainError};
 use authros_evidence::{BlockHeader, Slot};
 
@@ -15,39 +15,11 @@ const MOST_SLOTS: usize = 32;
 /// A generous limit for a trie node, bytes: a branch of sixteen hashes, or a leaf.
 const LONGEST_NODE: usize = 1024;
 
-/// A header's fields in order, by their names in JSON; those of later forks come last, and if one is missing so are all
-/// after it.
-const FIELDS: [(&str, Kind); 21] = [
-    ("parentHash", Kind::Bytes),
-    ("sha3Uncles", Kind::Bytes),
-    ("miner", Kind::Bytes),
-    ("stateRoot", Kind::Bytes),
-    ("transactionsRoot", Kind::Bytes),
-    ("receiptsRoot", Kind::Bytes),
-    ("logsBloom", Kind::Bytes),
-    ("difficulty", Kind::Number),
-    ("number", Kind::Number),
-    ("gasLimit", Kind::Number),
-    ("gasUsed", Kind::Number),
-    ("timestamp", Kind::Number),
-    ("extraData", Kind::Bytes),
-    ("mixHash", Kind::Bytes),
-    ("nonce", Kind::Bytes),
-    ("baseFeePerGas", Kind::Number),
-    ("withdrawalsRoot", Kind::Bytes),
-    ("blobGasUsed", Kind::Number),
-    ("excessBlobGas", Kind::Number),
-    ("parentBeaconBlockRoot", Kind::Bytes),
-    ("requestsHash", Kind::Bytes),
-];
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    /// As it is.
-    Bytes,
-    /// Without leading zeros.
-    Number,
-}
+/// A header's fields in order, by their names in JSON, numbers after a `#`. Those of later forks come last, and if one is
+/// missing so are all after it.
+const FIELDS: &str = "parentHash sha3Uncles miner stateRoot transactionsRoot receiptsRoot logsBloom #difficulty #number \
+    #gasLimit #gasUsed #timestamp extraData mixHash nonce #baseFeePerGas withdrawalsRoot #blobGasUsed #excessBlobGas \
+    parentBeaconBlockRoot requestsHash";
 
 impl Chain {
     /// A block's header, RLP, exactly as hashed; `None` if there is no such block.
@@ -103,17 +75,14 @@ fn without_miner(block: &Value) -> Option<Value> {
 }
 
 fn encode(block: &Value) -> Option<Vec<u8>> {
-    let text = |name: &str| block.get(name).and_then(Value::as_str);
-    let there = FIELDS.iter().take_while(|(name, _)| text(name).is_some()).count();
-    let mut list = RlpStream::new_list(there);
-    for (name, kind) in FIELDS.iter().take(there) {
-        let bytes = match kind {
-            Kind::Bytes => unhex(text(name)?)?,
-            Kind::Number => number(text(name)?)?,
-        };
-        list.append(&bytes);
+    let (mut list, mut there) = (List::default(), 0);
+    for field in FIELDS.split(' ') {
+        let name = field.trim_start_matches('#');
+        let Some(text) = block.get(name).and_then(Value::as_str) else { break };
+        list = list.add(&if name == field { unhex(text)? } else { number(text)? }[..]);
+        there += 1;
     }
-    (there >= 15).then(|| list.out().to_vec())
+    (there >= 15).then(|| list.end())
 }
 
 fn number(text: &str) -> Option<Vec<u8>> {
@@ -136,9 +105,7 @@ const VERSION: u8 = 1;
 pub struct AnchorProof {
     /// Who anchored it.
     pub account: Address,
-    /// The transaction.
     pub transaction: Hash,
-    /// Its block.
     pub block: u64,
     /// That block's hash.
     pub block_hash: Hash,
@@ -166,9 +133,6 @@ impl AnchorProof {
     }
 
     /// From its encoding; each proof has exactly one.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.u8("version")? != VERSION {

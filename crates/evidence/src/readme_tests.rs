@@ -3,8 +3,10 @@
 
 use crate as authros_evidence;
 
-use authros_crypto::{ProviderName, SmKeyPair, provider};
-use authros_evidence::{Bundle, ClaimedChain, Outcome, Packing, Trust, pack, verify};
+use authros_crypto::SmKeyPair;
+use authros_crypto::{ProviderName, provider};
+use authros_evidence::ClaimedChain;
+use authros_evidence::{Bundle, Outcome, Packing, Trust, pack, verify};
 use authros_model::{Address, Hash};
 
 fn example() -> Result<(), Box<dyn std::error::Error>> {

@@ -39,7 +39,7 @@ pub struct BoundDevice {
 impl BoundDevice {
     /// Whether a request for the feed is for nothing but `owner`'s notices to this device.
     pub fn asks_for_notices(&self, owner: &Address, feed: &Feed) -> bool {
-        let is_owners = feed.places.iter().all(|(asked, _)| asked == owner);
+        let is_owners = feed.places.iter().all(|place| place.owner == *owner);
         is_owners && feed.topics == [self.notices] && feed.kind == Some(RecordKind::Key)
     }
 

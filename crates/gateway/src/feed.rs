@@ -1,16 +1,16 @@
-//! The feed: what a gateway holds for a reader, in the order of the gateway's own numbers. A page is asked for with [`Feed`],
-//! answered with [`FeedPage`] and signed, and [`Follow`] keeps a follower's place. A place is the id of a feed and, for each owner, a
-//! number: nothing ever appears behind it. Another id, or a number beyond the head, means that the feed is read anew.
+//! The feed: what a gateway holds for a reader, in the order of the gateway's own numbers. A page is asked for with [`Feed`], and
+//! answered with a [`FeedPage`], signed. A place is the id of a feed and, for each owner, a number: nothing ever appears behind it.
+//! [`Feed::after`] moves it on. The gateway says where a place is not of its feed, and reads it anew.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use crate::client::Client;
 use crate::command::answer::{LONGEST_PROOF, read_code};
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
-use crate::error::{Code, GatewayError};
+use crate::error::Code;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Digest, Domain, Fact, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId};
+use crate::model::{
+    Address, Digest, Domain, Fact, Hash, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId,
+};
 
 /// The most entries on a page: with their proofs they fit into one frame.
 pub const MOST_ENTRIES: usize = 256;
@@ -24,8 +24,27 @@ pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 /// The id of a feed; zeros where none is known yet.
 pub type FeedId = [u8; 16];
 
+/// An owner who is followed: owner (20) || number (8) || grant (8).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Place {
+    /// The owner.
+    pub owner: Address,
+    /// Rows up to this number were told.
+    pub after: u64,
+    /// The beginning of the hash of the transaction of the grant by which these rows count as told. A gateway that knows another
+    /// grant as the one in force tells nothing of this owner; 0 = whichever is in force, and the reader's own records.
+    pub grant: u64,
+}
+
+impl Place {
+    /// How a grant is named, by its transaction.
+    pub fn grant_of(transaction: &Hash) -> u64 {
+        transaction.0.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
+    }
+}
+
 /// What to tell next: feed id (16) || wait (2, milliseconds) || kind (1, 0 for any) || topics (1), 16 each || recorders (1), 16 each ||
-/// owners (2), each: owner (20) || number (8).
+/// owners (2), each a [`Place`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Feed {
     /// The feed that the places belong to.
@@ -38,23 +57,33 @@ pub struct Feed {
     pub topics: Vec<TopicId>,
     /// Numbered by one of these; empty for any. It is how a device asks for its own: nobody else knows them.
     pub recorders: Vec<RecorderId>,
-    /// The owners, each with the number after which.
-    pub places: Vec<(Address, u64)>,
+    /// The owners.
+    pub places: Vec<Place>,
 }
 
 impl Feed {
     /// Everything of one owner, from the beginning.
     pub fn of(owner: Address) -> Self {
         let (wait, topics, recorders) = (Duration::ZERO, Vec::new(), Vec::new());
-        Self { id: FeedId::default(), wait, kind: None, topics, recorders, places: vec![(owner, 0)] }
+        Self {
+            id: FeedId::default(),
+            wait,
+            kind: None,
+            topics,
+            recorders,
+            places: vec![Place { owner, after: 0, grant: 0 }],
+        }
     }
 
-    /// The same request after a page that had nothing to tell.
-    pub(crate) fn after(&mut self, page: &FeedPage) {
-        for (_, number) in &mut self.places {
-            *number = page.place(self.id, *number);
+    /// The same request after a page, with which everything on it was dealt with. Returns whether the feed is read anew.
+    pub fn after(&mut self, page: &FeedPage) -> bool {
+        for place in &mut self.places {
+            let told = if page.is_anew { 0 } else { place.after };
+            let is_refused = page.refused.iter().any(|(owner, _)| *owner == place.owner);
+            place.after = if is_refused { told } else { told.max(page.upto) };
         }
         self.id = page.id;
+        page.is_anew
     }
 
     pub(crate) fn encode(&self) -> Vec<u8> {
@@ -67,9 +96,10 @@ impl Feed {
         self.recorders.iter().take(MOST_NAMED).for_each(|recorder| out.extend_from_slice(&recorder.0));
         let owners = u16::try_from(self.places.len().min(MOST_OWNERS)).unwrap_or(0);
         out.extend_from_slice(&owners.to_be_bytes());
-        for (owner, number) in self.places.iter().take(MOST_OWNERS) {
+        for Place { owner, after, grant } in self.places.iter().take(MOST_OWNERS) {
             out.extend_from_slice(&owner.0);
-            out.extend_from_slice(&number.to_be_bytes());
+            out.extend_from_slice(&after.to_be_bytes());
+            out.extend_from_slice(&grant.to_be_bytes());
         }
         out
     }
@@ -92,7 +122,10 @@ impl Feed {
         if !(1..=MOST_OWNERS).contains(&count) || wait > LONGEST_WAIT {
             return Err(WireError::Value("owner count or wait"));
         }
-        let mut place = || Ok((Address(reader.array("owner")?), reader.u64("number")?));
+        let mut place = || {
+            let (owner, after) = (Address(reader.array("owner")?), reader.u64("number")?);
+            Ok(Place { owner, after, grant: reader.u64("grant")? })
+        };
         let places = (0..count).map(|_| place()).collect::<Result<_, WireError>>()?;
         Ok(Self { id, wait, kind, topics, recorders, places })
     }
@@ -176,12 +209,14 @@ pub(crate) fn read_proof(reader: &mut Reader<'_>) -> Result<Vec<u8>, WireError> 
     Ok(reader.take(length, "proof")?.to_vec())
 }
 
-/// A page: feed id (16) || head (8) || upto (8) || refused owners (2), each: owner (20) || code (2) || entries (2), each as above ||
-/// time (8) || signature (64).
+/// A page: feed id (16) || anew (1) || head (8) || upto (8) || refused owners (2), each: owner (20) || code (2) || entries (2), each
+/// as above || time (8) || signature (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeedPage {
-    /// The feed.
+    /// The feed's id, for the next request.
     pub id: FeedId,
+    /// Whether the places asked from are not of this feed: the page begins at its beginning.
+    pub is_anew: bool,
     /// The highest number given so far.
     pub head: u64,
     /// All that was asked for up to this number is on this page or before it.
@@ -199,19 +234,13 @@ pub struct FeedPage {
 impl FeedPage {
     /// Not signed yet.
     pub fn new(id: FeedId, (head, upto): (u64, u64), refused: Vec<(Address, Code)>, entries: Vec<FeedEntry>) -> Self {
-        Self { id, head, upto, refused, entries, time: Timestamp::now(), signature: Signature([0; 64]) }
-    }
-
-    /// Where somebody goes on who was at a number of the feed `id` when he got this page.
-    fn place(&self, id: FeedId, number: u64) -> u64 {
-        let number = if self.id == id && number <= self.head { number } else { 0 };
-        number.max(self.upto)
+        Self { id, is_anew: false, head, upto, refused, entries, time: Timestamp::now(), signature: Signature([0; 64]) }
     }
 
     /// Whether it is worth an answer before the time is over.
     pub(crate) fn tells(&self, asked: &Feed) -> bool {
         let is_behind = self.upto < self.head;
-        !self.entries.is_empty() || !self.refused.is_empty() || self.id != asked.id || is_behind
+        !self.entries.is_empty() || !self.refused.is_empty() || self.is_anew || self.id != asked.id || is_behind
     }
 
     /// The bytes signed, after the domain: time (8) || count (2) || for each entry: digest (32) || fact (1) || SM3 of its proof (32,
@@ -254,7 +283,8 @@ impl FeedPage {
     pub(crate) fn encode(&self) -> Vec<u8> {
         let (refused, entries) = (self.refused.iter().take(MOST_OWNERS), self.entries.iter().take(MOST_ENTRIES));
         let count = |length: usize| u16::try_from(length).unwrap_or(0).to_be_bytes();
-        let mut out = [&self.id[..], &self.head.to_be_bytes(), &self.upto.to_be_bytes()].concat();
+        let mut out =
+            [&self.id[..], &[u8::from(self.is_anew)], &self.head.to_be_bytes(), &self.upto.to_be_bytes()].concat();
         out.extend_from_slice(&count(refused.len()));
         for (owner, code) in refused {
             out.extend_from_slice(&owner.0);
@@ -268,7 +298,11 @@ impl FeedPage {
     }
 
     pub(crate) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let (id, head, upto) = (reader.array("feed id")?, reader.u64("head")?, reader.u64("upto")?);
+        let (id, anew) = (reader.array("feed id")?, reader.u8("anew")?);
+        let (head, upto) = (reader.u64("head")?, reader.u64("upto")?);
+        if anew > 1 {
+            return Err(WireError::Value("anew"));
+        }
         let count = bounded(reader.u16("refused count")?, MOST_OWNERS, "refused count")?;
         let mut one = || Ok((Address(reader.array("owner")?), read_code(reader)?));
         let refused = (0..count).map(|_| one()).collect::<Result<_, WireError>>()?;
@@ -280,7 +314,7 @@ impl FeedPage {
             return Err(WireError::Value("number"));
         }
         let (time, signature) = (Timestamp(reader.u64("time")?), Signature(reader.array("signature")?));
-        Ok(Self { id, head, upto, refused, entries, time, signature })
+        Ok(Self { id, is_anew: anew == 1, head, upto, refused, entries, time, signature })
     }
 }
 
@@ -293,137 +327,15 @@ fn signed_bytes(domain: &Domain, statement: &[u8]) -> Vec<u8> {
     [&b"AuthROS/feed/1"[..], &domain.0, statement].concat()
 }
 
-/// The first pause before the gateway is asked again about an owner whose records it does not give, and the longest.
-const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
-
-/// An owner whose records the gateway did not give when it was asked.
-#[derive(Debug, Clone, Copy)]
-struct Resting {
-    again: Instant,
-    pause: Duration,
-}
-
-/// A follower's place in a gateway's feed: which owners, and how far each is told. It outlives sessions.
-#[derive(Debug, Clone)]
-pub struct Follow {
-    filter: Feed,
-    places: BTreeMap<Address, u64>,
-    resting: BTreeMap<Address, Resting>,
-    /// Whom the last page is about.
-    asked: BTreeSet<Address>,
-}
-
-impl Follow {
-    /// From the beginning, with the kind, topics and recorders of `filter` and its owners.
-    pub fn new(filter: Feed) -> Self {
-        let places = filter.places.iter().copied().collect();
-        Self { filter, places, resting: BTreeMap::new(), asked: BTreeSet::new() }
-    }
-
-    /// The feed that its places belong to.
-    pub fn id(&self) -> FeedId {
-        self.filter.id
-    }
-
-    /// How far each owner is told.
-    pub fn places(&self) -> &BTreeMap<Address, u64> {
-        &self.places
-    }
-
-    /// Follows an owner, from after a number of this feed; one that is followed already stays where it is.
-    pub fn add(&mut self, owner: Address, after: u64) {
-        self.places.entry(owner).or_insert(after);
-    }
-
-    /// Follows an owner no longer.
-    pub fn remove(&mut self, owner: &Address) {
-        self.places.remove(owner);
-        self.resting.remove(owner);
-    }
-
-    /// The longest pause after which the gateway is asked again about an owner whose records it does not give; zero if there
-    /// is none.
-    pub fn longest_rest(&self) -> Duration {
-        self.resting.values().map(|resting| resting.pause).max().unwrap_or_default()
-    }
-
-    /// Owners whose records the gateway did not give when it was asked last.
-    pub fn resting(&self) -> impl Iterator<Item = &Address> {
-        self.resting.keys()
-    }
-
-    /// Asks for the next page; it counts once [`Self::took`] says so. Nobody is asked if every owner rests.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn next(&mut self, client: &mut Client, wait: Duration) -> Result<Option<FeedPage>, GatewayError> {
-        let now = Instant::now();
-        let rests = |owner: &Address| self.resting.get(owner).is_some_and(|resting| resting.again > now);
-        let places = self.places.iter().filter(|(owner, _)| !rests(owner));
-        let mut places: Vec<_> = places.map(|(owner, number)| (*owner, *number)).collect();
-        if places.is_empty() {
-            return Ok(None);
-        }
-        // Who is behind comes first, where there are more than fit into one request.
-        places.sort_by_key(|(_, number)| *number);
-        places.truncate(MOST_OWNERS);
-        let first = self.resting.values().map(|resting| resting.again.saturating_duration_since(now)).min();
-        let wait = wait.min(first.unwrap_or(wait));
-        self.asked = places.iter().map(|(owner, _)| *owner).collect();
-        let page = client.feed(&Feed { wait, places, ..self.filter.clone() }).await?;
-        for (owner, _) in &page.refused {
-            if self.asked.remove(owner) {
-                self.rest(*owner);
-            }
-        }
-        self.resting.retain(|owner, _| !self.asked.contains(owner));
-        Ok(Some(page))
-    }
-
-    fn rest(&mut self, owner: Address) {
-        let before = self.resting.get(&owner).map_or(PAUSES.0 / 2, |resting| resting.pause);
-        let pause = (before * 2).min(PAUSES.1);
-        self.resting.insert(owner, Resting { again: Instant::now() + pause, pause });
-    }
-
-    /// Asks for records of these recorders from now on.
-    pub fn set_recorders(&mut self, recorders: Vec<RecorderId>) {
-        self.filter.recorders = recorders;
-    }
-
-    /// Everything on a page was dealt with, as far as this number of it. Returns whether the feed is another one than it was.
-    pub fn took(&mut self, page: &FeedPage, upto: u64) -> bool {
-        let is_other = page.id != self.filter.id;
-        let is_anew = is_other || self.places.values().any(|number| *number > page.head);
-        for (owner, number) in &mut self.places {
-            let known = if is_other || *number > page.head { 0 } else { *number };
-            *number = if self.asked.contains(owner) { known.max(upto.min(page.upto)) } else { known };
-        }
-        self.filter.id = page.id;
-        is_anew
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::crypto::{ProviderName, provider};
+    use crate::tests::fixtures;
 
     fn entry(number: u64, proof: u8) -> FeedEntry {
-        FeedEntry {
-            number,
-            fact: Fact::Verified,
-            digest: Digest([u8::try_from(number).expect("small"); 32]),
-            owner: Address([2; 20]),
-            recorder: RecorderId([3; 16]),
-            seq: 4,
-            topic_id: TopicId([5; 16]),
-            epoch: 6,
-            captured_at: Timestamp(7),
-            length: 8,
-            kind: RecordKind::Data,
-            proof: vec![proof; 40],
-        }
+        let digest = Digest([u8::try_from(number).expect("small"); 32]);
+        FeedEntry { digest, kind: RecordKind::Data, ..fixtures::entry(number, Fact::Verified, vec![proof; 40]) }
     }
 
     fn page(entries: Vec<FeedEntry>) -> FeedPage {
@@ -466,36 +378,22 @@ mod tests {
     #[test]
     fn a_place_moves_on_and_begins_anew_with_another_feed_or_a_head_before_it() {
         let (one, other) = (Address([1; 20]), Address([2; 20]));
-        let mut follow = Follow::new(Feed::of(one));
-        follow.asked = BTreeSet::from([one, other]);
-        follow.took(&page(vec![entry(7, 1)]), 7);
-        follow.add(other, 0);
-        assert_eq!((follow.id(), follow.places()), ([9; 16], &BTreeMap::from([(one, 7), (other, 0)])));
-        follow.took(&FeedPage { upto: 20, ..page(Vec::new()) }, 12);
-        assert_eq!(follow.places(), &BTreeMap::from([(one, 12), (other, 12)]), "as far as was dealt with");
-        follow.asked.remove(&other);
-        follow.took(&FeedPage { upto: 20, ..page(Vec::new()) }, 20);
-        assert_eq!(
-            follow.places(),
-            &BTreeMap::from([(one, 20), (other, 12)]),
-            "nothing was told of who was not asked about"
+        let mut feed = Feed::of(one);
+        feed.places.push(Place { owner: other, after: 0, grant: 7 });
+        let numbers = |feed: &Feed| feed.places.iter().map(|place| place.after).collect::<Vec<_>>();
+        assert!(
+            feed.after(&FeedPage { is_anew: true, ..page(vec![entry(7, 1)]) }),
+            "the first page is of a feed that was not known"
         );
-        // Restored from a backup: another id; or its head is before what was told.
-        follow.took(&FeedPage { id: [8; 16], ..page(vec![entry(3, 1)]) }, 3);
-        assert_eq!(follow.places(), &BTreeMap::from([(one, 3), (other, 0)]));
-        follow.took(&FeedPage { id: [8; 16], head: 2, upto: 2, ..page(Vec::new()) }, 2);
-        assert_eq!(follow.places(), &BTreeMap::from([(one, 2), (other, 0)]));
-    }
-
-    #[test]
-    fn who_is_refused_rests_longer_each_time() {
-        let (owner, mut follow) = (Address([1; 20]), Follow::new(Feed::of(Address([1; 20]))));
-        let pauses: Vec<u128> = (0..6)
-            .map(|_| {
-                follow.rest(owner);
-                follow.longest_rest().as_millis()
-            })
-            .collect();
-        assert_eq!(pauses, [500, 1_000, 2_000, 4_000, 8_000, 10_000]);
+        assert_eq!((feed.id, numbers(&feed)), ([9; 16], vec![7, 7]));
+        let refused = vec![(other, Code::NotAuthorised)];
+        assert!(!feed.after(&FeedPage { upto: 20, refused, ..page(Vec::new()) }));
+        assert_eq!(numbers(&feed), [20, 7], "nothing was told of who is refused");
+        // The gateway was started again.
+        assert!(!feed.after(&FeedPage { id: [8; 16], upto: 21, ..page(Vec::new()) }));
+        assert_eq!((feed.id, numbers(&feed)), ([8; 16], vec![21, 21]));
+        // Restored from a backup.
+        assert!(feed.after(&FeedPage { id: [7; 16], is_anew: true, ..page(vec![entry(3, 1)]) }));
+        assert_eq!(numbers(&feed), [3, 3]);
     }
 }

@@ -37,7 +37,7 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
     let may = match request {
         // Its own records, or notices to it; whether devices of its owner signed them the desk decides.
         Request::Feed(feed) => {
-            let own = !feed.recorders.is_empty() && feed.places.iter().all(|(owner, _)| *owner == caller.account);
+            let own = !feed.recorders.is_empty() && feed.places.iter().all(|place| place.owner == caller.account);
             own || device.asks_for_notices(&caller.account, feed)
         }
         Request::Notice(Notice::Grant(_) | Notice::Revoke(_)) | Request::Relay(_) => false,

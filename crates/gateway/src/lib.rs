@@ -39,7 +39,7 @@ pub use command::{
 };
 pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 pub use error::GatewayError;
-pub use feed::{Feed, FeedEntry, FeedPage, Follow};
+pub use feed::{Feed, FeedEntry, FeedPage, Place};
 pub use hello::{Context, NetworkName};
 pub use limits::Limits;
 pub use receipt::Receipt;

@@ -1,6 +1,6 @@
 use super::*;
 
-mod fixtures;
+pub(crate) mod fixtures;
 mod flipped_bits;
 mod hostile;
 mod loopback;

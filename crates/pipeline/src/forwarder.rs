@@ -4,7 +4,7 @@
 
 mod line;
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -18,9 +18,9 @@ use crate::chain::merkle::Leaf;
 use crate::crypto::{CryptoError, GatewayAccess};
 use crate::gateway::feed::{FeedId, MOST_NAMED};
 use crate::gateway::{
-    Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, FeedPage, Follow, GatewayError, Trust,
+    Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, FeedPage, GatewayError, Place, Trust,
 };
-use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, Token};
+use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, RecorderId, Token};
 use crate::store::notes::ProofsTaken;
 use crate::store::{KeptStanding, RecordRow};
 use crate::{PipelineError, Plant};
@@ -83,7 +83,7 @@ pub enum Link {
     InPlace(String),
     /// It does not answer; meanwhile the outbox grows.
     Away(String),
-    /// It answers but refuses this robot as such; it is asked again at long intervals.
+    /// It answers but refuses this robot as such; the robot tries again at long intervals.
     Refused(String),
 }
 
@@ -320,19 +320,36 @@ const MOST_PAGES: usize = 8;
 /// After how many checks of the feed the gateway is asked whether it still has what it signed for.
 const SWEEP: u32 = 60;
 
-/// What a robot is told of its records: the gateway's feed, cut to what was numbered here.
+/// What a robot learns of its records: the gateway's feed, cut to what was numbered here.
 #[derive(Debug)]
 struct Proofs {
-    follow: Follow,
     owner: Address,
-    /// The lowest number of an entry that could not be dealt with: its proof does not hold, or its receipt was lost.
-    held: Option<u64>,
-    /// When the feed is read again from there.
-    again: Instant,
-    pause: Duration,
+    id: FeedId,
+    /// The highest number up to which anything was told: rows of a recorder that was not known by then come after it.
+    newest: u64,
+    /// Who numbered what waits here: every start of a ring is another one.
+    recorders: BTreeMap<RecorderId, Told>,
     /// Where the next look for lost records begins, while one is under way.
     sweep: Option<i64>,
     swept: Option<Instant>,
+}
+
+/// How far the feed is read for one recorder.
+#[derive(Debug, Clone, Copy, Default)]
+struct Told {
+    place: u64,
+    /// The lowest number of an entry that could not be dealt with: its proof does not hold, or its receipt was lost.
+    held: Option<u64>,
+    /// When the feed is read again from there.
+    again: Option<Instant>,
+    pause: Duration,
+}
+
+impl Told {
+    /// The number up to which all is dealt with.
+    fn done(&self) -> u64 {
+        self.held.map_or(self.place, |held| self.place.min(held.saturating_sub(1)))
+    }
 }
 
 impl Proofs {
@@ -340,46 +357,72 @@ impl Proofs {
     fn load(plant: &Plant, owner: Address) -> Self {
         let kept = plant.ledger.notes.read(&ProofsTaken { owner });
         let kept = kept.inspect_err(|error| plant.observer.alert(true, error.to_string()));
-        let (id, number) = kept.ok().flatten().unwrap_or_default();
-        let filter = Feed { id, places: vec![(owner, number)], ..Feed::of(owner) };
-        let (follow, again) = (Follow::new(filter), Instant::now());
-        Self { follow, owner, held: None, again, pause: Duration::ZERO, sweep: None, swept: None }
-    }
-
-    fn place(&self) -> u64 {
-        self.follow.places().get(&self.owner).copied().unwrap_or(0)
+        let (id, newest) = kept.ok().flatten().unwrap_or_default();
+        Self { owner, id, newest, recorders: BTreeMap::new(), sweep: None, swept: None }
     }
 
     /// The number up to which all is dealt with.
     fn done(&self) -> u64 {
-        self.held.map_or(self.place(), |held| held.saturating_sub(1))
+        self.recorders.values().map(Told::done).min().unwrap_or(self.newest)
+    }
+
+    /// Follows these recorders, and goes back for what was held, when it is time and the rest was told.
+    fn follow(&mut self, recorders: &BTreeSet<RecorderId>, now: Instant) {
+        self.recorders.retain(|recorder, _| recorders.contains(recorder));
+        for recorder in recorders {
+            let told = self.recorders.entry(*recorder).or_insert(Told { place: self.newest, ..Told::default() });
+            match told.held {
+                _ if told.place < self.newest => {}
+                Some(held) if told.again.is_none_or(|again| again <= now) => {
+                    (told.place, told.held) = (held.saturating_sub(1), None);
+                }
+                Some(_) => {}
+                None => told.pause = Duration::ZERO,
+            }
+        }
+    }
+
+    /// What to ask for: of those of whom everything was told so far, and of those who are behind. One never waits for the other.
+    fn groups(&self) -> [Vec<RecorderId>; 2] {
+        let mut sorted: Vec<(&RecorderId, &Told)> = self.recorders.iter().collect();
+        sorted.sort_by_key(|(_, told)| told.place);
+        let (behind, live): (Vec<_>, Vec<_>) = sorted.into_iter().partition(|(_, told)| told.place < self.newest);
+        [live, behind].map(|group| group.into_iter().take(MOST_NAMED).map(|(recorder, _)| *recorder).collect())
+    }
+
+    /// The request for the next page about a group; nothing if it is empty.
+    fn asks(&self, group: &[RecorderId]) -> Option<Feed> {
+        let after = group.iter().filter_map(|recorder| self.recorders.get(recorder)).map(|told| told.place).min()?;
+        let places = vec![Place { owner: self.owner, after, grant: 0 }];
+        Some(Feed { id: self.id, recorders: group.to_vec(), places, ..Feed::of(self.owner) })
+    }
+
+    /// A page was dealt with. Returns whether the feed is another one than it was.
+    fn took(&mut self, page: &FeedPage, asked: &Feed) -> bool {
+        if page.is_anew {
+            self.newest = 0;
+            self.recorders.values_mut().for_each(|told| *told = Told::default());
+        }
+        for recorder in &asked.recorders {
+            self.recorders.entry(*recorder).and_modify(|told| told.place = told.place.max(page.upto));
+        }
+        (self.id, self.newest) = (page.id, self.newest.max(page.upto));
+        page.is_anew
     }
 
     /// Something on a page has to be looked at again.
-    fn hold(&mut self, number: u64, first_pause: Duration) {
-        if self.held.is_none() {
-            self.pause = (self.pause * 2).clamp(first_pause, LONGEST_HOLD);
-            self.again = Instant::now() + self.pause;
+    fn hold(&mut self, (recorder, number): (RecorderId, u64), first_pause: Duration) {
+        let Some(told) = self.recorders.get_mut(&recorder) else { return };
+        if told.held.is_none() {
+            told.pause = (told.pause * 2).clamp(first_pause, LONGEST_HOLD);
+            told.again = Some(Instant::now() + told.pause);
         }
-        self.held = Some(self.held.map_or(number, |held| held.min(number)));
-    }
-
-    /// Goes back to what was held, when it is time.
-    fn go_back(&mut self) {
-        match self.held {
-            Some(held) if self.again <= Instant::now() => {
-                self.follow.remove(&self.owner);
-                self.follow.add(self.owner, held.saturating_sub(1));
-                self.held = None;
-            }
-            Some(_) => {}
-            None => self.pause = Duration::ZERO,
-        }
+        told.held = Some(told.held.map_or(number, |held| held.min(number)));
     }
 }
 
 /// The longest pause before an entry whose proof does not hold is looked at again.
-const LONGEST_HOLD: Duration = Duration::from_secs(60);
+const LONGEST_HOLD: Duration = Duration::from_secs(600);
 
 impl Line<'_> {
     /// Takes what the gateway's feed tells of this robot's records, and asks now and then whether the gateway still has what it
@@ -389,14 +432,16 @@ impl Line<'_> {
         if block_in_place(|| ledger.forwarding.undecided(None, 1))?.rows.is_empty() {
             return Ok(false);
         }
-        let recorders = block_in_place(|| ledger.forwarding.recorders(MOST_NAMED))?;
-        self.proofs.follow.set_recorders(recorders);
-        self.proofs.go_back();
-        for _ in 0..MOST_PAGES {
-            let Some(page) = self.proofs.follow.next(client, Duration::ZERO).await? else { break };
-            block_in_place(|| self.told(&page))?;
-            if page.upto == page.head {
-                break;
+        let recorders = block_in_place(|| ledger.forwarding.recorders())?;
+        self.proofs.follow(&recorders, Instant::now());
+        for group in self.proofs.groups() {
+            for _ in 0..MOST_PAGES {
+                let Some(asked) = self.proofs.asks(&group) else { break };
+                let page = client.feed(&asked).await?;
+                block_in_place(|| self.told(&page, &asked))?;
+                if page.upto == page.head {
+                    break;
+                }
             }
         }
         self.sweep(client).await?;
@@ -404,7 +449,7 @@ impl Line<'_> {
     }
 
     /// A page of the feed.
-    fn told(&mut self, page: &FeedPage) -> Result<(), PipelineError> {
+    fn told(&mut self, page: &FeedPage, asked: &Feed) -> Result<(), PipelineError> {
         let ledger = &self.outbox.plant.ledger;
         let told: Vec<&FeedEntry> = page.entries.iter().filter(|entry| entry.fact != Fact::Stored).collect();
         let rows = ledger.records.find_all(&told.iter().map(|entry| entry.digest).collect::<Vec<_>>())?;
@@ -413,10 +458,10 @@ impl Line<'_> {
             match row {
                 Some(row) if row.state == RecordState::Submitted => match self.holds(&row, &entry.proof) {
                     true => proofs.push((row.digest, entry.proof.clone())),
-                    false => doubted.push(entry.number),
+                    false => doubted.push((row.recorder, entry.number)),
                 },
                 // Its receipt was lost: it is sent again, and then this counts.
-                Some(row) if row.state == RecordState::Stored => early.push(entry.number),
+                Some(row) if row.state == RecordState::Stored => early.push((row.recorder, entry.number)),
                 _ => {}
             }
         }
@@ -441,16 +486,16 @@ impl Line<'_> {
             self.moved = true;
         }
         self.decide(&verified, &[], &[])?;
-        let before = (self.proofs.follow.id(), self.proofs.done());
-        if self.proofs.follow.took(page, page.upto) && before.0 != FeedId::default() {
+        let before = (self.proofs.id, self.proofs.done());
+        if self.proofs.took(page, asked) && before.0 != FeedId::default() {
             // It was restored from a backup: what it signed for since may be gone.
-            (self.proofs.held, self.proofs.sweep) = (None, Some(0));
+            self.proofs.sweep = Some(0);
         }
         let first_pause = self.outbox.pace.check;
-        doubted.into_iter().chain(early).for_each(|number| self.proofs.hold(number, first_pause));
-        let (id, done) = (self.proofs.follow.id(), self.proofs.done());
-        if (id, done) != before && (!page.entries.is_empty() || id != before.0) {
-            ledger.notes.write(&ProofsTaken { owner: self.proofs.owner }, &(id, done))?;
+        doubted.into_iter().chain(early).for_each(|entry| self.proofs.hold(entry, first_pause));
+        let now = (self.proofs.id, self.proofs.done());
+        if now != before && (!page.entries.is_empty() || now.0 != before.0) {
+            ledger.notes.write(&ProofsTaken { owner: self.proofs.owner }, &now)?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! The one way in for records that were not sealed here: a reader's, an owner's uploads to a gateway, and what their owners had
-//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words whoever brings it; then the record is stored as if it had been captured here.
-//! A gateway that lies gets nothing in.
+//! erased. Every claim of a proof is compared with the chain, in the same steps and with the same words, no matter who brings it;
+//! then the record is stored as if it had been captured here. A gateway that lies gets nothing in.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -24,8 +24,6 @@ use crate::{Network, Owner, PipelineError, Plant, chain_proofs};
 const TAG: u64 = 16;
 /// How often the watcher's position is checked.
 const LOOK: Duration = Duration::from_millis(50);
-/// A gateway's node may be so many blocks ahead of the one here.
-const AHEAD: u64 = 256;
 /// The most anchors cached.
 const MOST_ANCHORS: usize = 4096;
 
@@ -65,6 +63,12 @@ pub enum Reason {
     /// The statement is by another key.
     #[error("that it was erased is not stated with its owner's key")]
     NotStated,
+    /// Another owner's record with a number of this home.
+    #[error("it claims to be numbered here, and is not from here")]
+    NumberedHere,
+    /// It does not open.
+    #[error("{0}")]
+    Unopened(Box<PipelineError>),
 }
 
 /// A record that is not taken in.
@@ -106,10 +110,19 @@ where
     PipelineError: From<E>,
 {
     fn from(error: E) -> Self {
-        match error.into() {
+        match PipelineError::from(error) {
             PipelineError::Crypto(CryptoError::FalseName(what)) => Self::Refused(Reason::FalseName(what)),
             PipelineError::Crypto(error) => Self::Refused(Reason::Crypto(error)),
-            error => Self::Failed(error),
+            // A grant may have ended just now, and a key may follow.
+            PipelineError::NotGranted { .. } | PipelineError::UnknownEpoch(_) | PipelineError::Refused(_) => {
+                Self::Later
+            }
+            error @ (PipelineError::Store(_)
+            | PipelineError::Chain(_)
+            | PipelineError::Unsteady
+            | PipelineError::NodeBehind { .. }) => Self::Failed(error),
+            // Anything else follows from what came: it must not keep the others away.
+            error => Self::Refused(Reason::Unopened(Box::new(error))),
         }
     }
 }
@@ -195,8 +208,7 @@ async fn block_of(network: &Network, proof: &AnchorProof) -> Result<(u64, Hash),
         return Ok(found);
     }
     // Two nodes do not have a block at the same moment, and the newest ones may be replaced.
-    let (block, head) = (proof.block, network.chain.head().await?.number);
-    if block.saturating_add(network.confirmations) > head && block <= head.saturating_add(AHEAD) {
+    if proof.block.saturating_add(network.confirmations) > network.chain.head().await?.number {
         return Err(Stop::Later);
     }
     // The block may have come after the first question and before the second.
@@ -232,15 +244,38 @@ impl Intake<'_> {
         if signer_id(signer) != header.signer {
             return Err(Reason::AnotherSigner.into());
         }
-        let proof = AnchorProof::parse(proof).map_err(|_| Reason::NoProof)?;
-        let proof = self.anchors.confirm(self.network, header, digest, proof).await?;
-        self.wait_for(proof.block).await?;
-        let at = Moment::of_block(proof.block, self.network.ask_time(proof.block).await?);
-        let right = may_sign(&self.network.directory, header.owner, header.signer, at);
+        if proof.is_empty() {
+            // The chain took its block back since it was told of.
+            return Err(Stop::Later);
+        }
+        let told = AnchorProof::parse(proof).map_err(|_| Reason::NoProof)?;
+        let (mut proof, mut right) = self.judge(header, digest, told.clone()).await?;
+        if right.is_err() {
+            // The directory may be of blocks that the chain replaced, until it is built anew; and so may what is cached of its anchor.
+            let read = block_in_place(|| self.plant.ledger.trail.cursor())?;
+            if read.is_none_or(|(block, _)| block < self.network.directory.newest()) {
+                return Err(Stop::Later);
+            }
+            self.anchors.forget();
+            (proof, right) = self.judge(header, digest, told).await?;
+        }
         if let SigningRight::Device(_) = right.map_err(|why| Reason::NoRight(Box::new(why)))? {
             block_in_place(|| self.plant.ledger.bindings.keep_signer(header.signer, *signer))?;
         }
         Ok(proof)
+    }
+
+    /// The record's anchor, and its signer's right there.
+    async fn judge(
+        &self,
+        header: &Header,
+        digest: Digest,
+        proof: AnchorProof,
+    ) -> Result<(AnchorProof, Result<SigningRight, NoRight>), Stop> {
+        let proof = self.anchors.confirm(self.network, header, digest, proof).await?;
+        self.wait_for(proof.block).await?;
+        let at = Moment::of_block(proof.block, self.network.ask_time(proof.block).await?);
+        Ok((proof, may_sign(&self.network.directory, header.owner, header.signer, at)))
     }
 
     /// Waits until the watcher here has read a block's events: rights follow from them.
@@ -275,8 +310,12 @@ impl Intake<'_> {
         if header.owner != owner {
             return Err(Reason::AnotherOwner.into());
         }
+        let is_new = || block_in_place(|| self.plant.ledger.records.find(digest)).map(|row| row.is_none());
+        if owner != reader.address && self.plant.ledger.records.recorder().has(&header.recorder) && is_new()? {
+            return Err(Reason::NumberedHere.into());
+        }
         let proof = self.examine(&header, digest, (&record.signer, &record.proof)).await?;
-        let is_new = block_in_place(|| self.plant.ledger.records.find(digest))?.is_none();
+        let is_new = is_new()?;
         if is_new {
             self.keep(reader, header, digest, record, proof.block).await?;
         }
@@ -302,7 +341,7 @@ impl Intake<'_> {
     fn prove(&self, owner: Address, digest: Digest, proof: AnchorProof) -> Result<bool, Stop> {
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let ledger = &self.plant.ledger;
-        if ledger.records.find(digest)?.is_none_or(|row| row.state != RecordState::Stored) {
+        if !is_wanted(ledger.records.find(digest)?.as_ref(), false) {
             return Ok(false);
         }
         let Some(inclusion) = inclusion else {
@@ -314,7 +353,7 @@ impl Intake<'_> {
             inclusion,
             RootSighting { account, root, count, transaction, block, block_hash },
         ) {
-            // The chain replaced that block since it was asked: it is asked again.
+            // The chain replaced that block after it had answered; the next try asks anew.
             Err(StoreError::Replaced { .. }) => {
                 self.anchors.forget();
                 Err(Stop::Later)
@@ -445,12 +484,19 @@ pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish,
         return Ok(Wish::Pass);
     }
     Ok(match block_in_place(|| reader.plant.ledger.records.find(entry.digest))? {
-        Some(row) if entry.fact == Fact::Verified && row.state == RecordState::Stored => Wish::Ask,
+        Some(row) if is_wanted(Some(&row), entry.fact == Fact::Erased) => Wish::Ask,
         Some(_) => Wish::Pass,
         None if block_in_place(|| reader.topic_key(&row_of_entry(entry))).is_ok() => Wish::Ask,
         None if entry.epoch > newest => Wish::Later,
         None => Wish::Pass,
     })
+}
+
+/// Whether a record that a gateway tells of is to be asked for: it is not here, or no block with its anchor is known here. After the
+/// chain replaced blocks the gateway may have placed it in another batch.
+pub fn is_wanted(row: Option<&RecordRow>, is_erased: bool) -> bool {
+    use RecordState::{Batched, Stored, Submitted};
+    row.is_none_or(|row| !is_erased && matches!(row.state, Stored | Batched | Submitted))
 }
 
 /// As a row that the ledger does not have yet: enough to find keys and open it.

@@ -15,7 +15,7 @@ use crate::crypto::{
     Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, LastNotice, Names, Notice, Provider,
     SealedEnrolment, SignedPolicy, notice_topic, open,
 };
-use crate::gateway::{Client, Code, Feed, FeedEntry, Fetched, Follow, GatewayError};
+use crate::gateway::{Client, Code, Feed, FeedEntry, Fetched, GatewayError};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
 use crate::store::Notes;
 
@@ -24,6 +24,12 @@ use super::{Author, Observer, PipelineError, disk_ring};
 
 /// How long to wait after a gateway could not tell who may read, or a notice could not be stored.
 const AGAIN: Duration = Duration::from_secs(2);
+/// The shortest time between two looks: records that are uploaded need not wait for more.
+const LOOK: Duration = Duration::from_secs(1);
+/// Pages read in one look.
+const MOST_PAGES: usize = 32;
+/// The most notices remembered before they are taken.
+const MOST_NEWER: usize = 1024;
 
 /// Takes the policies that an owner sets for a robot, after their signer was checked with the record.
 pub trait PolicyTaker: Send + Sync {
@@ -50,7 +56,9 @@ pub struct Notices {
     has_ring: Arc<AtomicBool>,
     policies: Arc<dyn PolicyTaker>,
     /// Where it is in the gateway's feed; it begins anew with each start.
-    follow: Follow,
+    follow: Feed,
+    /// What was told and not taken yet.
+    newer: Vec<FeedEntry>,
     /// Nothing is asked before.
     rests_until: Option<Instant>,
 }
@@ -78,6 +86,7 @@ impl Notices {
             has_ring: Arc::new(AtomicBool::new(true)),
             policies,
             follow,
+            newer: Vec::new(),
             rests_until: None,
         }
     }
@@ -117,36 +126,52 @@ impl Notices {
         }
     }
 
-    /// Reads the feed to its end, and takes newer notices in order: they may be of several kinds.
+    /// Reads on, and at the feed's end takes newer notices in order: they may be of several kinds. What could not be taken is not
+    /// read again, only tried.
     async fn look(&mut self, client: &mut Client) -> Result<(), ForwardError> {
-        let mut newer: Vec<FeedEntry> = Vec::new();
-        while let Some(page) = self.follow.next(client, Duration::ZERO).await? {
-            self.follow.took(&page, page.upto);
-            newer.extend(page.entries.into_iter().filter(|entry| self.may_be_newer(entry)));
-            if page.upto == page.head {
-                break;
+        self.rest(LOOK);
+        for _ in 0..MOST_PAGES {
+            let page = client.feed(&self.follow).await?;
+            if self.follow.after(&page) {
+                self.newer.clear();
+            }
+            let newer: Vec<FeedEntry> = page.entries.into_iter().filter(|entry| self.may_be_newer(entry)).collect();
+            self.newer.extend(newer);
+            if page.upto == page.head || self.newer.len() >= MOST_NEWER {
+                return self.take_newer(client).await;
             }
         }
+        self.rests_until = None;
+        Ok(())
+    }
+
+    async fn take_newer(&mut self, client: &mut Client) -> Result<(), ForwardError> {
         let last = self.sealed.enrolment.last_notice.map(|last| last.recorder);
-        newer.sort_unstable_by_key(|entry| {
+        self.newer.sort_unstable_by_key(|entry| {
             let is_other = last.is_some_and(|last| last != entry.recorder);
-            (entry.epoch, is_other, if is_other { entry.captured_at.0 } else { 0 }, entry.seq)
+            std::cmp::Reverse((entry.epoch, is_other, if is_other { entry.captured_at.0 } else { 0 }, entry.seq))
         });
-        for entry in newer {
-            let record = client.fetch(&entry.digest).await?;
-            if !self.hear(&entry, &record) {
+        while let Some(entry) = self.newer.last().cloned() {
+            let is_done = match client.records(&[entry.digest]).await?.pop() {
+                Some(Ok(record)) => self.hear(&entry, &record),
+                // Its bytes are gone there, and with them what it says; its owner sends another one.
+                Some(Err(GatewayError::Refused(Code::NotFound))) => true,
+                // Altered on the way, or there: that must not stop what is uploaded.
+                Some(Err(_)) | None => false,
+            };
+            if !is_done {
                 // Those behind it would count as newer, and it would never be taken.
-                self.rest();
+                self.rest(AGAIN);
                 return Ok(());
             }
+            self.newer.pop();
         }
         Ok(())
     }
 
-    /// Nothing is asked for a moment; then the feed is read from its beginning.
-    fn rest(&mut self) {
-        self.follow = from_the_beginning(&self.sealed.enrolment);
-        self.rests_until = Some(Instant::now() + AGAIN);
+    /// Nothing is asked for a moment.
+    fn rest(&mut self, pause: Duration) {
+        self.rests_until = Some(Instant::now() + pause);
     }
 
     /// Takes a notice if it is the owner's, for this device, and newer; anything else changes nothing. Returns whether it is
@@ -311,21 +336,16 @@ impl Errand for Notices {
         match self.look(client).await {
             // That gateway does not know its chain now and tells nobody anything; it takes records all the same.
             Err(ForwardError::Gateway(GatewayError::Refused(Code::Stale))) => {
-                self.rest();
+                self.rest(AGAIN);
                 Ok(())
             }
-            // What was read and not taken is read again.
-            Err(error) => {
-                self.rest();
-                Err(error)
-            }
-            Ok(()) => Ok(()),
+            done => done,
         }
     }
 }
 
 /// An owner's notices to the device of this enrolment, from the first on.
-fn from_the_beginning(enrolment: &Enrolment) -> Follow {
+fn from_the_beginning(enrolment: &Enrolment) -> Feed {
     let (kind, topics) = (Some(RecordKind::Key), vec![enrolment.notice_id]);
-    Follow::new(Feed { kind, topics, ..Feed::of(enrolment.owner) })
+    Feed { kind, topics, ..Feed::of(enrolment.owner) }
 }

@@ -62,7 +62,7 @@ impl Queue {
         }
     }
 
-    /// Hands on what can be handed on, and tells what has left.
+    /// Passes on what it can, and reports what has left.
     pub fn pump<O: Outlet>(&mut self, outlets: &mut BTreeMap<u32, O>) -> Taken {
         for outlet in outlets.values_mut() {
             if outlet.is_outrun() && outlet.has_caught_up() {

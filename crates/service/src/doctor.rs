@@ -14,7 +14,7 @@ use crate::pipeline::network_pin_in;
 use crate::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::site::{STORE_LOST, keyring_faults, misses_store, store_loss};
+use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, store_loss};
 use crate::store::notes::{ProfileAccounts, StoreWasGone};
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
@@ -342,16 +342,17 @@ fn store(home: &Home, sheet: &mut Sheet) {
     if !path.exists() {
         return sheet.ok("store", &format!("{} does not exist yet", path.display()));
     }
-    match snapshot::examine(&path) {
-        Ok(bytes) => match Glance::at(&path).and_then(|ledger| ledger.note(&StoreWasGone {})) {
-            Ok(Some(missed)) if matches!(network_pin_in(&path), Ok(None)) => {
-                sheet.fail("store", &store_loss(home, missed), STORE_LOST);
-            }
-            _ => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
-        },
+    let bytes = match snapshot::examine(&path) {
+        Ok(bytes) => bytes,
         Err(error) => return sheet.fail("store", &error.to_string(), DAMAGED),
+    };
+    let glance = Glance::at(&path);
+    let missed = glance.as_ref().ok().and_then(|ledger| ledger.note(&StoreWasGone {}).ok().flatten());
+    match missed.filter(|_| !is_bound(home)) {
+        Some(missed) => sheet.fail("store", &store_loss(home, missed), STORE_LOST),
+        None => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
     }
-    match Glance::at(&path).and_then(|ledger| ledger.check_notes()) {
+    match glance.and_then(|ledger| ledger.check_notes()) {
         Ok(count) => sheet.ok("notes", &format!("{count} notes in the store can be read")),
         Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
     }

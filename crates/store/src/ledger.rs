@@ -357,11 +357,10 @@ pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
 fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     database::quick_check(connection, path)?;
     let transaction = connection.unchecked_transaction()?;
-    transaction.execute(
-        "UPDATE about SET recorder = ?1, clean = 1, feed = randomblob(16)",
-        [random_prefix(path)?.as_bytes()],
-    )?;
-    // Whoever followed the original reads anew: numbers that it gave since would be given again.
+    transaction.execute("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
+    transaction.execute("DELETE FROM feeds", [])?;
+    feed::begin(&transaction, 0)?;
+    // Followers of the original read anew: numbers that it gave since would be given again.
     // The first of several restores counts: anything anchored since may be in another home.
     if let Some((block, _)) = sightings::cursor_in(&transaction)?
         && notes::read_in(&transaction, &CopiedAt {})?.is_none()
@@ -391,6 +390,7 @@ fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
 
 fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderPrefix, StoreError> {
     let prefix = random_prefix(path)?;
-    connection.execute("INSERT INTO about VALUES (1, ?1, 0, randomblob(16), 0)", [prefix.as_bytes()])?;
+    connection.execute("INSERT INTO about VALUES (1, ?1, 0, 0)", [prefix.as_bytes()])?;
+    feed::begin(connection, 0)?;
     Ok(prefix)
 }

@@ -358,8 +358,31 @@ pub struct AdmittedOwner {
 pub struct FeedTaken {
     /// The feed; numbers of another one say nothing of this one.
     pub feed: [u8; 16],
-    /// The owners, each with the number up to which all is dealt with.
-    pub owners: BTreeMap<Address, (FollowedOwner, u64)>,
+    /// When it was last begun to be read from the beginning.
+    pub begun: Timestamp,
+    /// The owners.
+    pub owners: BTreeMap<Address, TakenOfOwner>,
+}
+
+/// How far an owner's rows in a gateway's feed were taken in: of those up to the place, each is dealt with, waits, or is read
+/// again.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TakenOfOwner {
+    /// What was known of the owner.
+    pub known: FollowedOwner,
+    /// Rows up to this number were told; none as long as they are read for the first time.
+    pub place: Option<u64>,
+    /// Rows after this number are read, or read again.
+    pub back: Option<u64>,
+    /// Whether they are read again only to see whether the gateway has what it did not have before.
+    pub is_again: bool,
+    /// Records that could not be taken in yet, and whether each was erased.
+    pub waits: BTreeMap<Digest, bool>,
+    /// The lowest number of a record that had no room among them.
+    pub beyond: Option<u64>,
+    /// The lowest number of a record whose key was not handed over yet.
+    pub locked: Option<u64>,
 }
 
 /// What was known of an owner when their records were followed.

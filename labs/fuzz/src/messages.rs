@@ -7,7 +7,7 @@ use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
     Answer, Code, Command, DeviceNotice, ErasedRecord, ErasureNotice, ErasureOutcome, Feed, FeedEntry, FeedPage,
-    Fetched, Found, GrantNotice, Notice, Receipt, RelayCall, Request, RevokeNotice, Upload,
+    Fetched, Found, GrantNotice, Notice, Place, Receipt, RelayCall, Request, RevokeNotice, Upload,
 };
 use authros::model::{
     Address, Digest, Fact, Hash, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp, Token, TopicId,
@@ -28,7 +28,7 @@ fn feed() -> Feed {
         kind: Some(RecordKind::Key),
         topics: vec![TopicId([2; 16])],
         recorders: vec![RecorderId([3; 16])],
-        places: vec![(Address([4; 20]), 5)],
+        places: vec![Place { owner: Address([4; 20]), after: 5, grant: 6 }],
     }
 }
 

@@ -8,11 +8,11 @@ use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest};
 use ethers_signers::{LocalWallet, Signer};
 
-use super::block::created_address;
 use super::node::Node;
 use crate::Call;
 use crate::call::artefact;
 use crate::model::{Address, Hash, Identity, PublicKey, Signature, Token};
+use crate::transaction::created_address;
 
 /// One block in this many anchors.
 const ANCHOR_EVERY: u64 = 20;

@@ -5,17 +5,17 @@ use std::collections::HashMap;
 use std::rc::Rc;
 use std::sync::Arc;
 
+use alloy_primitives::U256;
 use ethers::abi::Token as AbiToken;
-use ethers::types::U256;
 
-use super::block::{Transaction, created_address};
-use super::machine::{Answer, Environment, Machine, Message};
+use super::machine::{Answer, Environment, Machine};
 use super::pool::TRANSACTION_GAS;
 use super::trie::{EMPTY_ROOT, Nodes};
-use super::world::{Ground, Tries};
+use super::world::Tries;
 use crate::call::{address, artefact, word};
 use crate::error::decode_revert;
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Scope, Signature, SignerId, Timestamp, Token};
+use crate::transaction::{Transaction, Unsigned, created_address};
 use crate::{Call, ChainError, Event};
 
 const ADMIN: Address = Address([0xad; 20]);
@@ -43,12 +43,6 @@ impl Nodes for Shelf {
 
     fn malformed(&self, hash: Hash) -> ChainError {
         ChainError::Internal(format!("{hash} is not here"))
-    }
-}
-
-impl Ground for Shelf {
-    fn block_hash(&self, _number: u64) -> Result<Hash, ChainError> {
-        Ok(Hash([0; 32]))
     }
 }
 
@@ -123,20 +117,10 @@ impl World {
 
     fn run(&mut self, sender: Address, to: Option<Address>, value: u64, input: Vec<u8>) -> Result<Vec<Event>, String> {
         let nonce = self.nonces.entry(sender).or_default();
-        let mut transaction = Transaction {
-            hash: Hash([0; 32]),
-            sender,
-            nonce: *nonce,
-            gas_price: 0,
-            gas_limit: TRANSACTION_GAS,
-            to,
-            value: U256::from(value),
-            input,
-            v: 0,
-            r: U256::zero(),
-            s: U256::zero(),
-            raw: Vec::new(),
-        };
+        let terms =
+            Unsigned { nonce: *nonce, gas_price: 0, gas_limit: TRANSACTION_GAS, to, value: U256::from(value), input };
+        let (zero, hash) = (U256::ZERO, Hash([0; 32]));
+        let mut transaction = Transaction { hash, sender, unsigned: terms, v: 0, r: zero, s: zero, raw: Vec::new() };
         transaction.hash.0[..8].copy_from_slice(&nonce.to_be_bytes());
         let mut outcome = self.machine.run(&self.place, vec![transaction], true).expect("runs");
         if let Some((_, refusal)) = outcome.refused.pop() {
@@ -151,7 +135,8 @@ impl World {
         if !receipt.success {
             return Err(decode_revert(&receipt.output).unwrap_or_else(|| "no reason".into()));
         }
-        Ok(receipt.logs.iter().map(|log| Event::decode(&log.topics, &log.data).expect("event")).collect())
+        let topics = |log: &alloy_primitives::Log| log.topics().iter().map(|topic| Hash(topic.0)).collect::<Vec<_>>();
+        Ok(receipt.logs.iter().map(|log| Event::decode(&topics(log), &log.data.data).expect("event")).collect())
     }
 
     pub(super) fn send(&mut self, sender: Address, call: &Call) -> Result<Event, String> {
@@ -175,8 +160,8 @@ impl World {
     fn read(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Result<Vec<AbiToken>, String> {
         let artefact = artefact().expect("artefact");
         let input = artefact.encode(name, arguments).expect("encodes");
-        let message = Message { from, to: Some(self.contract), value: U256::zero(), input, gas: 1_000_000 };
-        match self.machine.call(&self.place, &message).expect("runs") {
+        let message = Unsigned { to: Some(self.contract), input, gas_limit: 1_000_000, ..Unsigned::default() };
+        match self.machine.call(&self.place, from, &message).expect("runs") {
             Answer::Returned(output, _) => {
                 Ok(artefact.function(name).expect("name").decode_output(&output).expect("decodes"))
             }

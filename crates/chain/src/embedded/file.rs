@@ -11,19 +11,19 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use ethers::utils::rlp;
 use k256::ecdsa::SigningKey;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
 use tokio::sync::oneshot;
 use zeroize::Zeroizing;
 
-use super::block::{Header, Receipt, Transaction};
-use super::node::{Again, Node, header};
+use super::block::{Header, Receipt};
+use super::node::{Again, Node, header, receipts_root};
 use super::sealing;
-use super::trie::{receipts_root, transactions_root};
-use super::world::{self, Cache, Written};
+use super::trie::{Turnover, list_root};
+use super::world::{self, Cache};
 use crate::model::Hash;
+use crate::transaction::{Items, Transaction};
 use crate::{ChainError, Consensus};
 
 /// The version of the file, kept in it.
@@ -34,7 +34,6 @@ const SCHEMA: &str = "
         consensus TEXT NOT NULL, signer BLOB NOT NULL
     );
     CREATE TABLE IF NOT EXISTS block (number INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, header BLOB NOT NULL);
-    CREATE TABLE IF NOT EXISTS out_of_turn (number INTEGER PRIMARY KEY);
     CREATE TABLE IF NOT EXISTS sent (
         block INTEGER NOT NULL, position INTEGER NOT NULL, hash BLOB NOT NULL UNIQUE, raw BLOB NOT NULL,
         receipt BLOB NOT NULL, logs INTEGER NOT NULL, PRIMARY KEY (block, position)
@@ -46,7 +45,6 @@ const KEY_LENGTH: usize = 32;
 
 /// Drawn when a chain is founded.
 pub struct Founding {
-    /// Its chain id.
     pub chain_id: u64,
     /// How its blocks are sealed.
     pub consensus: Consensus,
@@ -56,16 +54,13 @@ pub struct Founding {
 
 /// A block to be written to the file.
 pub struct Sealed<'a> {
-    /// Its header.
     pub header: &'a Header,
     /// Its transactions.
     pub sent: &'a [Transaction],
     /// Their receipts.
     pub receipts: &'a [Receipt],
     /// Its changes to the state's nodes.
-    pub written: &'a Written,
-    /// Whether it was sealed out of turn.
-    pub out_of_turn: bool,
+    pub written: &'a Turnover,
 }
 
 /// A mined transaction as stored in the file.
@@ -140,9 +135,6 @@ impl ChainFile {
     }
 
     /// Writes a new chain: founding and genesis block, all or nothing.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub fn found(&self, founding: &Founding, genesis: &Header) -> Result<(), ChainError> {
         let mut keys = Zeroizing::new(Vec::with_capacity(KEY_LENGTH * founding.keys.len()));
         founding.keys.iter().for_each(|key| keys.extend_from_slice(&Zeroizing::new(key.to_bytes())[..]));
@@ -160,16 +152,10 @@ impl ChainFile {
     pub fn append(&self, block: &Sealed<'_>) -> Result<(), ChainError> {
         self.write(|transaction| {
             insert_header(transaction, block.header)?;
-            if block.out_of_turn {
-                let values = [integer(block.header.number)];
-                transaction.prepare_cached("INSERT INTO out_of_turn VALUES (?1)")?.execute(values)?;
-            }
             let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6)")?;
             for ((position, one), receipt) in (0i64..).zip(block.sent).zip(block.receipts) {
-                let encoded = rlp::encode(receipt);
-                let number = integer(block.header.number);
-                let logs = i64::try_from(receipt.logs.len()).unwrap_or(i64::MAX);
-                insert.execute(params![number, position, one.hash.0, one.raw, &encoded[..], logs])?;
+                let (number, logs) = (integer(block.header.number), integer(receipt.logs.len() as u64));
+                insert.execute(params![number, position, one.hash.0, one.raw, receipt.encode(), logs])?;
             }
             world::write(transaction, block.header.number, block.written)
         })
@@ -186,26 +172,12 @@ impl ChainFile {
     }
 
     /// The number of the newest block.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn newest_number(&self) -> Result<u64, ChainError> {
         let newest = self.one("SELECT coalesce(max(number), 0) FROM block", [], |row| natural(row, 0))?;
         Ok(newest.unwrap_or(0))
     }
 
-    /// The blocks that were sealed out of turn, in order.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
-    pub fn out_of_turn(&self) -> Result<Vec<u64>, ChainError> {
-        self.all("SELECT number FROM out_of_turn ORDER BY number", [], |row| natural(row, 0))
-    }
-
     /// Copies the file, as it is, to a new file of mode 0600.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub fn copy_to(&self, path: &Path) -> Result<(), ChainError> {
         let blame = |error: std::io::Error| ChainError::File { path: path.to_owned(), reason: error.to_string() };
         let file = OpenOptions::new().create_new(true).write(true).mode(0o600).open(path).map_err(blame)?;
@@ -215,54 +187,36 @@ impl ChainFile {
     }
 
     /// A block by number: hash and header.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn block(&self, number: u64) -> Result<Option<(Hash, Vec<u8>)>, ChainError> {
-        let query = "SELECT number, hash, header FROM block WHERE number = ?1";
-        self.one(query, params![integer(number)], header_columns)
-            .map(|found| found.map(|(_, hash, header)| (hash, header)))
+        let query = "SELECT hash, header FROM block WHERE number = ?1";
+        self.one(query, params![integer(number)], |row| Ok((Hash(row.get(0)?), row.get(1)?)))
     }
 
     /// The number of the block with this hash.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn number_of(&self, hash: Hash) -> Result<Option<u64>, ChainError> {
         self.one("SELECT number FROM block WHERE hash = ?1", params![hash.0], |row| natural(row, 0))
     }
 
     /// The block and index at which a transaction was mined.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn place_of(&self, hash: Hash) -> Result<Option<(u64, u64)>, ChainError> {
         let query = "SELECT block, position FROM sent WHERE hash = ?1";
         self.one(query, params![hash.0], |row| Ok((natural(row, 0)?, natural(row, 1)?)))
     }
 
     /// The transactions of a block, in order.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn block_transactions(&self, number: u64) -> Result<Vec<Mined>, ChainError> {
         let query = "SELECT raw, receipt, logs FROM sent WHERE block = ?1 ORDER BY position";
-        self.all(query, [integer(number)], mined_columns)
+        let mined = |row: &Row<'_>| Ok(Mined { raw: row.get(0)?, receipt: row.get(1)?, logs: natural(row, 2)? });
+        self.all(query, [integer(number)], mined)
     }
 
     /// The numbers of the blocks with logs from `from` to `to`, in order.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn with_logs(&self, from: u64, to: u64) -> Result<Vec<u64>, ChainError> {
         let query = "SELECT DISTINCT block FROM sent WHERE block BETWEEN ?1 AND ?2 AND logs > 0 ORDER BY block";
         self.all(query, [from, to].map(integer), |row| natural(row, 0))
     }
 
     /// One row of a query.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub(super) fn one<T>(
         &self,
         query: &str,
@@ -274,9 +228,6 @@ impl ChainFile {
     }
 
     /// All rows of a query.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub(super) fn all<T>(
         &self,
         query: &str,
@@ -380,20 +331,11 @@ fn natural(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
     u64::try_from(value).map_err(|_| rusqlite::Error::IntegralValueOutOfRange(column, value))
 }
 
-fn header_columns(row: &Row<'_>) -> rusqlite::Result<(u64, Hash, Vec<u8>)> {
-    Ok((natural(row, 0)?, Hash(row.get(1)?), row.get(2)?))
-}
-
-fn mined_columns(row: &Row<'_>) -> rusqlite::Result<Mined> {
-    Ok(Mined { raw: row.get(0)?, receipt: row.get(1)?, logs: natural(row, 2)? })
-}
-
 // Blocks from the file, checked when read: a header by its hash and by the block above it, transactions and receipts
 // by the header.
 
 /// A mined transaction, with its receipt.
 pub struct Done {
-    /// The transaction.
     pub transaction: Transaction,
     /// Its result.
     pub receipt: Receipt,
@@ -452,8 +394,8 @@ impl Node {
         }
         let found = header(&self.file, number)?;
         if number < self.head.number {
-            let above = self.file.block(number + 1)?.and_then(|(_, bytes)| rlp::Rlp::new(&bytes).val_at(0).ok());
-            if above != Some(found.hash().0.to_vec()) {
+            let parent = |bytes: &[u8]| Items::of(bytes).ok()?.next().ok().map(Hash);
+            if self.file.block(number + 1)?.and_then(|(_, above)| parent(&above)) != Some(found.hash()) {
                 return Err(self.file.tampered(number, "it is not the parent that the next block names"));
             }
         } else if found.hash() != self.head.hash {
@@ -473,11 +415,9 @@ impl Node {
         }
         let mined = self.file.block_transactions(number)?;
         let done = mined.iter().map(|one| self.decoded(header, one)).collect::<Result<Vec<_>, _>>()?;
-        let sent = done.iter().map(|done| &done.transaction.raw[..]);
-        let receipts: Vec<Receipt> = done.iter().map(|done| done.receipt.clone()).collect();
-        let same =
-            transactions_root(sent)? == header.transactions_root && receipts_root(&receipts)? == header.receipts_root;
-        if !same {
+        let sent: Vec<&[u8]> = done.iter().map(|done| &done.transaction.raw[..]).collect();
+        let receipts = receipts_root(done.iter().map(|done| &done.receipt));
+        if list_root(&sent) != header.transactions_root || receipts != header.receipts_root {
             return Err(self.file.tampered(number, "its transactions or receipts were changed"));
         }
         let done = Rc::new(done);
@@ -488,7 +428,7 @@ impl Node {
     fn decoded(&self, header: &Header, mined: &Mined) -> Result<Done, ChainError> {
         let blame = |what: &str| self.file.tampered(header.number, what);
         let transaction = Transaction::decode(&mined.raw, self.chain_id).map_err(|what| blame(&what))?;
-        let receipt = rlp::decode(&mined.receipt).map_err(|_| blame("a receipt is malformed"))?;
+        let receipt = Receipt::decode(&mined.receipt).map_err(|_| blame("a receipt is malformed"))?;
         Ok(Done { transaction, receipt })
     }
 
@@ -526,7 +466,6 @@ pub struct Auditing {
 }
 
 impl Node {
-    /// Begins an audit.
     pub fn begin_audit(&mut self, reply: oneshot::Sender<Result<u64, ChainError>>) {
         match sealing::open(&self.file, None) {
             Ok(founded) => {
@@ -539,38 +478,28 @@ impl Node {
 
     /// Continues the audit that has waited longest.
     pub fn go_on_auditing(&mut self) {
-        let Some(auditing) = self.audits.pop_front().filter(|auditing| !auditing.reply.is_closed()) else { return };
-        if let Some(unfinished) = self.share_of(auditing) {
-            self.audits.push_back(unfinished);
+        let Some(mut auditing) = self.audits.pop_front().filter(|auditing| !auditing.reply.is_closed()) else { return };
+        match self.share_of(&mut auditing) {
+            Ok(false) => self.audits.push_back(auditing),
+            Ok(true) => drop(auditing.reply.send(Ok(auditing.newest))),
+            Err(error) => drop(auditing.reply.send(Err(error))),
         }
     }
 
-    /// Returns the audit if it is not finished.
-    fn share_of(&self, mut auditing: Auditing) -> Option<Auditing> {
+    /// Returns whether the audit is finished.
+    fn share_of(&self, auditing: &mut Auditing) -> Result<bool, ChainError> {
         let begun = Instant::now();
         while begun.elapsed() < SHARE {
             if auditing.again.last.number < auditing.newest {
-                match auditing.again.step() {
-                    Ok(again) => auditing.again = again,
-                    Err(error) => {
-                        drop(auditing.reply.send(Err(error)));
-                        return None;
-                    }
-                }
+                auditing.again.step()?;
                 continue;
             }
-            // Blocks mined meanwhile may have removed some of this state's nodes.
             let nodes = auditing.nodes.get_or_insert_with(|| auditing.again.state_nodes());
-            let Some(hash) = nodes.pop() else {
-                drop(auditing.reply.send(Ok(auditing.newest)));
-                return None;
-            };
-            if let Err(error) = self.file.look_at(hash, self.head.number > auditing.newest) {
-                drop(auditing.reply.send(Err(error)));
-                return None;
-            }
+            let Some(hash) = nodes.pop() else { return Ok(true) };
+            // Blocks mined meanwhile may have removed some of this state's nodes.
+            self.file.look_at(hash, self.head.number > auditing.newest)?;
         }
-        Some(auditing)
+        Ok(false)
     }
 }
 

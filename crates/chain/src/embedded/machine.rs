@@ -2,22 +2,25 @@
 //!
 //! Running a block changes nothing; its changes are applied once the block is on disk.
 
-use ethers::types::U256;
-use revm::context::result::{EVMError, ExecutionResult, InvalidTransaction, Output};
+use std::sync::Arc;
+
+use alloy_primitives::{Address as EvmAddress, Bytes, KECCAK256_EMPTY, TxKind, U256};
+use revm::context::result::{EVMError, ExecutionResult, HaltReason, InvalidTransaction, Output};
 use revm::context::{BlockEnv, Evm, TxEnv};
 use revm::database::CacheDB;
 use revm::handler::EthFrame;
 use revm::handler::instructions::EthInstructions;
 use revm::interpreter::interpreter::EthInterpreter;
 use revm::primitives::hardfork::SpecId;
-use revm::primitives::{Address as EvmAddress, Bytes, KECCAK_EMPTY, TxKind, U256 as Word};
-use revm::{Context, DatabaseCommit, DatabaseRef, ExecuteEvm, MainBuilder, MainContext};
+use revm::{Context, DatabaseCommit, ExecuteEvm, MainBuilder, MainContext};
 
-use super::block::{Log, Receipt, Transaction};
+use super::block::Receipt;
 use super::pool::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
-use super::world::{Tries, Unread, Written};
+use super::trie::Turnover;
+use super::world::{Tries, Unread};
 use crate::ChainError;
 use crate::model::{Address, Hash};
+use crate::transaction::{Transaction, Unsigned};
 
 /// The context of a block or call.
 #[derive(Debug, Clone, Copy)]
@@ -43,22 +46,7 @@ pub struct Outcome {
     /// Root of the state after the block.
     pub state_root: Hash,
     /// Its changes to the state's nodes.
-    pub written: Written,
-}
-
-/// A message call without a transaction.
-#[derive(Debug, Clone)]
-pub struct Message {
-    /// The caller.
-    pub from: Address,
-    /// The contract called; `None` creates one.
-    pub to: Option<Address>,
-    /// Wei to send.
-    pub value: U256,
-    /// Call data.
-    pub input: Vec<u8>,
-    /// The most gas it may use.
-    pub gas: u64,
+    pub written: Turnover,
 }
 
 /// The outcome of a message call.
@@ -76,7 +64,7 @@ pub enum Answer {
 pub struct Machine {
     /// The state.
     pub tries: Tries,
-    chain_id: u64,
+    pub chain_id: u64,
 }
 
 impl Machine {
@@ -87,12 +75,12 @@ impl Machine {
 
     fn evm<'a>(&'a self, place: &Environment, surplus: u64) -> WeighedEvm<'a> {
         let block = BlockEnv {
-            number: Word::from(place.number),
+            number: U256::from(place.number),
             beneficiary: EvmAddress::from(place.beneficiary.0),
-            timestamp: Word::from(place.timestamp),
+            timestamp: U256::from(place.timestamp),
             gas_limit: BLOCK_GAS,
             basefee: 0,
-            difficulty: Word::from(place.difficulty),
+            difficulty: U256::from(place.difficulty),
             ..BlockEnv::default()
         };
         Context::mainnet()
@@ -108,9 +96,6 @@ impl Machine {
 
     /// Runs transactions one after the other on top of the state, which is unchanged. By the rules of admission (`new`)
     /// those with too much surplus are refused, and none is started once the block has reached its limit.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn run(&self, place: &Environment, transactions: Vec<Transaction>, new: bool) -> Result<Outcome, ChainError> {
         let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
         let mut evm = self.evm(place, most);
@@ -120,7 +105,7 @@ impl Machine {
             receipts: Vec::with_capacity(transactions.len()),
             refused: Vec::new(),
             state_root: self.tries.root,
-            written: Written::default(),
+            written: Turnover::default(),
         };
         let mut changes = Vec::with_capacity(transactions.len());
         let mut cumulative = 0;
@@ -129,7 +114,7 @@ impl Machine {
                 break;
             }
             evm.precompiles = Weighed::new(most);
-            let result = evm.transact(environment_of(&transaction, self.chain_id));
+            let result = evm.transact(self.environment(transaction.sender, &transaction));
             surplus += evm.precompiles.surplus;
             match result {
                 Ok(done) => {
@@ -147,28 +132,18 @@ impl Machine {
         Ok(outcome)
     }
 
-    /// Runs a message call without changing anything.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
-    pub fn call(&self, place: &Environment, message: &Message) -> Result<Answer, ChainError> {
-        let transaction = TxEnv {
-            caller: EvmAddress::from(message.from.0),
-            gas_limit: message.gas.min(TRANSACTION_GAS),
-            gas_price: 0,
-            kind: kind(message.to),
-            value: word(message.value),
-            data: Bytes::from(message.input.clone()),
-            nonce: self.nonce(message.from)?,
-            chain_id: Some(self.chain_id),
-            ..TxEnv::default()
-        };
+    /// Runs a message call, whatever its nonce, without changing anything.
+    pub fn call(&self, place: &Environment, from: Address, message: &Unsigned) -> Result<Answer, ChainError> {
+        let gas_limit = message.gas_limit.min(TRANSACTION_GAS);
+        let message = Unsigned { nonce: self.nonce(from)?, gas_limit, ..message.clone() };
+        let transaction = self.environment(from, &message);
         Ok(match self.evm(place, TRANSACTION_SURPLUS).transact(transaction).map(|done| done.result) {
             Ok(ExecutionResult::Success { output, gas, .. }) => {
                 Answer::Returned(output.into_data().to_vec(), gas.total_gas_spent())
             }
             Ok(ExecutionResult::Revert { output, .. }) => Answer::Reverted(output.to_vec()),
-            Ok(ExecutionResult::Halt { reason, .. }) => Answer::Failed(halted(&format!("{reason:?}"))),
+            Ok(ExecutionResult::Halt { reason: HaltReason::OutOfGas(_), .. }) => Answer::Failed("out of gas".into()),
+            Ok(ExecutionResult::Halt { reason, .. }) => Answer::Failed(format!("execution failed: {reason:?}")),
             Err(EVMError::Database(Unread(error))) => return Err(error),
             Err(error) => Answer::Failed(refusal(&error)),
         })
@@ -178,12 +153,14 @@ impl Machine {
     /// than one estimate may.
     ///
     /// Inside: how the call ends if no limit is enough.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
-    pub fn estimate(&self, place: &Environment, message: &Message) -> Result<Result<u64, Answer>, ChainError> {
-        let with = |gas| self.call(place, &Message { gas, ..message.clone() });
-        let ceiling = message.gas.min(TRANSACTION_GAS);
+    pub fn estimate(
+        &self,
+        place: &Environment,
+        from: Address,
+        message: &Unsigned,
+    ) -> Result<Result<u64, Answer>, ChainError> {
+        let with = |gas_limit| self.call(place, from, &Unsigned { gas_limit, ..message.clone() });
+        let ceiling = message.gas_limit.min(TRANSACTION_GAS);
         let mut low = match with(ceiling)? {
             Answer::Returned(_, spent) => spent,
             other => return Ok(Err(other)),
@@ -205,43 +182,32 @@ impl Machine {
     }
 
     /// The next nonce of an account, without pending transactions.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn nonce(&self, account: Address) -> Result<u64, ChainError> {
-        Ok(self.account(account)?.map_or(0, |info| info.nonce))
+        Ok(self.tries.account(account)?.map_or(0, |account| account.nonce))
     }
 
     /// Wei held by an account.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
     pub fn balance(&self, account: Address) -> Result<U256, ChainError> {
-        let balance = |info: revm::state::AccountInfo| U256::from_big_endian(&info.balance.to_be_bytes::<32>());
-        Ok(self.account(account)?.map_or(U256::zero(), balance))
+        Ok(self.tries.account(account)?.map_or(U256::ZERO, |account| account.balance))
     }
 
     /// Code of a contract; empty for other accounts.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
-    pub fn code(&self, account: Address) -> Result<Vec<u8>, ChainError> {
-        let hash = self.account(account)?.map_or(KECCAK_EMPTY, |info| info.code_hash);
-        let code = self.tries.code_by_hash_ref(hash).map_err(|Unread(error)| error)?;
-        Ok(code.original_byte_slice().to_vec())
+    pub fn code(&self, account: Address) -> Result<Arc<[u8]>, ChainError> {
+        self.tries.code(self.tries.account(account)?.map_or(KECCAK256_EMPTY, |account| account.code_hash))
     }
 
-    /// One storage slot of a contract.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the state cannot be read.
-    pub fn slot(&self, account: Address, slot: U256) -> Result<Hash, ChainError> {
-        let value = self.tries.storage_ref(EvmAddress::from(account.0), word(slot));
-        value.map(|value| Hash(value.to_be_bytes())).map_err(|Unread(error)| error)
-    }
-
-    fn account(&self, account: Address) -> Result<Option<revm::state::AccountInfo>, ChainError> {
-        self.tries.basic_ref(EvmAddress::from(account.0)).map_err(|Unread(error)| error)
+    fn environment(&self, sender: Address, transaction: &Unsigned) -> TxEnv {
+        TxEnv {
+            caller: EvmAddress::from(sender.0),
+            gas_limit: transaction.gas_limit,
+            gas_price: transaction.gas_price,
+            kind: transaction.to.map_or(TxKind::Create, |to| TxKind::Call(to.0.into())),
+            value: transaction.value,
+            data: Bytes::copy_from_slice(&transaction.input),
+            nonce: transaction.nonce,
+            chain_id: Some(self.chain_id),
+            ..TxEnv::default()
+        }
     }
 }
 
@@ -249,30 +215,6 @@ type Overlay<'a> = CacheDB<&'a Tries>;
 type EvmContext<'a> = revm::handler::MainnetContext<Overlay<'a>>;
 type WeighedEvm<'a> =
     Evm<EvmContext<'a>, (), EthInstructions<EthInterpreter, EvmContext<'a>>, Weighed, EthFrame<EthInterpreter>>;
-
-fn environment_of(transaction: &Transaction, chain_id: u64) -> TxEnv {
-    TxEnv {
-        caller: EvmAddress::from(transaction.sender.0),
-        gas_limit: transaction.gas_limit,
-        gas_price: transaction.gas_price,
-        kind: kind(transaction.to),
-        value: word(transaction.value),
-        data: Bytes::from(transaction.input.clone()),
-        nonce: transaction.nonce,
-        chain_id: Some(chain_id),
-        ..TxEnv::default()
-    }
-}
-
-fn kind(to: Option<Address>) -> TxKind {
-    to.map_or(TxKind::Create, |to| TxKind::Call(EvmAddress::from(to.0)))
-}
-
-fn word(value: U256) -> Word {
-    let mut bytes = [0; 32];
-    value.to_big_endian(&mut bytes);
-    Word::from_be_bytes(bytes)
-}
 
 fn refusal<E: std::fmt::Display>(error: &EVMError<E>) -> String {
     match error {
@@ -282,10 +224,6 @@ fn refusal<E: std::fmt::Display>(error: &EVMError<E>) -> String {
         EVMError::Transaction(invalid) => invalid.to_string(),
         other => other.to_string(),
     }
-}
-
-fn halted(reason: &str) -> String {
-    if reason.starts_with("OutOfGas") { "out of gas".into() } else { format!("execution failed: {reason}") }
 }
 
 fn receipt(result: ExecutionResult, cumulative_gas: u64) -> Receipt {
@@ -303,14 +241,6 @@ fn receipt(result: ExecutionResult, cumulative_gas: u64) -> Receipt {
         cumulative_gas,
         contract: contract.map(|address| Address(address.into_array())),
         output: output.to_vec(),
-        logs: logs.into_iter().map(log).collect(),
-    }
-}
-
-fn log(log: revm::primitives::Log) -> Log {
-    Log {
-        address: Address(log.address.into_array()),
-        topics: log.data.topics().iter().map(|topic| Hash(topic.0)).collect(),
-        data: log.data.data.to_vec(),
+        logs,
     }
 }

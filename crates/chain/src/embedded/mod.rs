@@ -19,7 +19,6 @@ mod node;
 #[cfg(test)]
 mod payloads;
 mod pool;
-mod proof;
 mod rpc;
 mod sealing;
 #[cfg(test)]
@@ -34,14 +33,13 @@ mod world;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tokio::sync::{oneshot, watch};
 
-pub use self::block::Transaction;
 pub use self::rpc::Fault;
 
 use self::node::Node;
@@ -58,12 +56,9 @@ const REST: Duration = Duration::from_millis(500);
 /// How long requests are answered before checking again whether a block is due.
 const BURST: Duration = Duration::from_millis(50);
 
+/// What the chain's thread is asked for.
 enum Request {
-    Rpc { method: String, parameters: Value, reply: oneshot::Sender<Result<Value, Fault>> },
-    Dump(oneshot::Sender<Result<Vec<Vec<u8>>, ChainError>>),
-    Copy(PathBuf, oneshot::Sender<Result<(), ChainError>>),
-    Audit(oneshot::Sender<Result<u64, ChainError>>),
-    Worked(u64),
+    Work(Box<dyn FnOnce(&mut Node) + Send>),
     End,
 }
 
@@ -78,7 +73,9 @@ pub struct Embedded {
 #[derive(Debug)]
 struct Line {
     inlet: Inlet,
-    facts: Facts,
+    head: watch::Receiver<BlockRef>,
+    consensus: Consensus,
+    sealers: Vec<Address>,
     /// Its sender is dropped with the chain's thread, after the file was closed.
     closing: watch::Receiver<()>,
 }
@@ -86,14 +83,6 @@ struct Line {
 /// The request channel. The chain ends with it.
 #[derive(Debug)]
 struct Inlet(Sender<Request>);
-
-/// What is known about an open chain.
-#[derive(Debug)]
-struct Facts {
-    head: watch::Receiver<BlockRef>,
-    consensus: Consensus,
-    sealers: Vec<Address>,
-}
 
 impl Drop for Inlet {
     fn drop(&mut self) {
@@ -125,12 +114,11 @@ impl Embedded {
         let (opened, answer) = oneshot::channel();
         let inlet = Inlet(requests.clone());
         let (running, closing) = watch::channel(());
-        let found = Arc::new(move |nonce| drop(requests.send(Request::Worked(nonce))));
+        let found = Arc::new(move |nonce| drop(requests.send(Request::Work(Box::new(move |node| node.worked(nonce))))));
         let run = move || match Node::open(&directory, asked, Arc::clone(&found) as _) {
             Ok(node) => {
                 let (announce, head) = watch::channel(node.head);
-                let facts = Facts { head, consensus: node.consensus, sealers: node.sealing.addresses() };
-                if opened.send(Ok(facts)).is_ok() {
+                if opened.send(Ok((head, node.consensus, node.sealing.addresses()))).is_ok() {
                     keep_serving(node, &inbox, &announce, || Node::open(&directory, asked, Arc::clone(&found) as _));
                     drop(running);
                 }
@@ -139,8 +127,8 @@ impl Embedded {
         };
         let started = thread::Builder::new().name("authros-chain".into()).spawn(run);
         started.map_err(|error| ChainError::Internal(format!("the chain's thread cannot start: {error}")))?;
-        let facts = answer.await.unwrap_or_else(|_| Err(gone()))?;
-        Ok(Self { line: Arc::new(Line { inlet, facts, closing }) })
+        let (head, consensus, sealers) = answer.await.unwrap_or_else(|_| Err(gone()))?;
+        Ok(Self { line: Arc::new(Line { inlet, head, consensus, sealers, closing }) })
     }
 
     /// Ends the chain for all its handles and waits until its file is closed: a process that exits earlier leaves a log
@@ -151,36 +139,38 @@ impl Embedded {
         drop(self.line.closing.clone().changed().await);
     }
 
+    /// Does something on the chain's thread.
+    async fn with<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Node) -> T + Send + 'static,
+    ) -> Result<T, ChainError> {
+        let (reply, answer) = oneshot::channel();
+        self.begin(move |node| drop(reply.send(work(node))))?;
+        answer.await.map_err(|_| gone())
+    }
+
+    fn begin(&self, work: impl FnOnce(&mut Node) + Send + 'static) -> Result<(), ChainError> {
+        self.line.inlet.0.send(Request::Work(Box::new(work))).map_err(|_| gone())
+    }
+
     /// Answers a JSON-RPC request.
     ///
     /// # Errors
     /// The [`Fault`] that a node would answer with.
     pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, Fault> {
-        let (reply, answer) = oneshot::channel();
-        let lost = || Fault::new(-32603, gone().to_string());
-        let request = Request::Rpc { method: method.to_owned(), parameters, reply };
-        self.line.inlet.0.send(request).map_err(|_| lost())?;
-        answer.await.unwrap_or_else(|_| Err(lost()))
+        let method = method.to_owned();
+        let answer = self.with(move |node| rpc::answer(node, &method, parameters)).await;
+        answer.map_err(|error| Fault::new(-32603, error.to_string()))?
     }
 
     /// All call data, storage (keys and values) and logs of the chain.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
-        let (reply, answer) = oneshot::channel();
-        self.line.inlet.0.send(Request::Dump(reply)).map_err(|_| gone())?;
-        answer.await.unwrap_or_else(|_| Err(gone()))
+        self.with(|node| dump(node)).await?
     }
 
     /// Writes the chain as it is between two blocks to a new file.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
     pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
-        let (reply, answer) = oneshot::channel();
-        self.line.inlet.0.send(Request::Copy(path, reply)).map_err(|_| gone())?;
-        answer.await.unwrap_or_else(|_| Err(gone()))
+        self.with(move |node| node.file.copy_to(&path)).await?
     }
 
     /// Runs every block again, alongside other requests; returns how many.
@@ -189,23 +179,23 @@ impl Embedded {
     /// [`ChainError::Tampered`] for the first block, or the first node of the state, that was altered.
     pub async fn audit(&self) -> Result<u64, ChainError> {
         let (reply, answer) = oneshot::channel();
-        self.line.inlet.0.send(Request::Audit(reply)).map_err(|_| gone())?;
+        self.begin(move |node| node.begin_audit(reply))?;
         answer.await.unwrap_or_else(|_| Err(gone()))
     }
 
     /// How its blocks are sealed.
     pub fn consensus(&self) -> Consensus {
-        self.line.facts.consensus
+        self.line.consensus
     }
 
     /// Its signers in the order of their turns; under proof of work, the recipient of the fees.
     pub fn sealers(&self) -> &[Address] {
-        &self.line.facts.sealers
+        &self.line.sealers
     }
 
     /// Announces every new head.
     pub fn head(&self) -> watch::Receiver<BlockRef> {
-        self.line.facts.head.clone()
+        self.line.head.clone()
     }
 }
 
@@ -239,12 +229,12 @@ fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<Blo
         match inbox.recv_timeout(node.due().unwrap_or(idle).min(idle)) {
             Ok(request) => {
                 let begun = Instant::now();
-                open = handle(&mut node, request);
-                while begun.elapsed() < BURST
-                    && let Ok(more) = inbox.try_recv()
-                {
-                    open &= handle(&mut node, more);
+                let mut next = Ok(request);
+                while let Ok(Request::Work(work)) = next {
+                    work(&mut node);
+                    next = if begun.elapsed() < BURST { inbox.try_recv() } else { Err(TryRecvError::Empty) };
                 }
+                open = next.is_err();
             }
             Err(RecvTimeoutError::Timeout) => node.go_on_auditing(),
             Err(RecvTimeoutError::Disconnected) => open = false,
@@ -258,19 +248,6 @@ fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<Blo
         }
         announce.send_if_modified(|head| std::mem::replace(head, node.head) != node.head);
     }
-}
-
-/// Handles a request; `false` at the end.
-fn handle(node: &mut Node, request: Request) -> bool {
-    match request {
-        Request::Rpc { method, parameters, reply } => drop(reply.send(rpc::answer(node, &method, parameters))),
-        Request::Dump(reply) => drop(reply.send(dump(node))),
-        Request::Copy(path, reply) => drop(reply.send(node.file.copy_to(&path))),
-        Request::Audit(reply) => node.begin_audit(reply),
-        Request::Worked(nonce) => node.worked(nonce),
-        Request::End => return false,
-    }
-    true
 }
 
 fn dump(node: &Node) -> Result<Vec<Vec<u8>>, ChainError> {

@@ -8,18 +8,19 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use ethers::types::Bloom;
-use ethers::utils::rlp;
+use alloy_primitives::logs_bloom;
 
-use super::block::{Header, Transaction};
-use super::file::{Auditing, ChainFile, Looked, Sealed};
+use super::block::{Header, Receipt};
+use super::file::{Auditing, ChainFile, Looked, Mined, Sealed};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
-use super::proof::{self, Search};
-use super::sealing::{self, Authority, Founded, OUT_OF_TURN, Sealing, Turn};
-use super::trie::{EMPTY_ROOT, Nodes, below, receipts_root, transactions_root};
-use super::world::{Ground, Tries, Written};
+use super::rpc::Filters;
+use super::sealing::{self, Founded, Sealing, Search};
+use super::trie::{EMPTY_ROOT, Nodes, Turnover, below, list_root};
+use super::world::Tries;
+use crate::genesis::noise;
 use crate::model::{Hash, Timestamp};
+use crate::transaction::Transaction;
 use crate::{BlockRef, ChainError, Consensus};
 
 /// How long sealing pauses after the file could not be written.
@@ -34,20 +35,19 @@ pub type Found = Arc<dyn Fn(u64) + Send + Sync>;
 pub struct Node {
     /// Its rules and state.
     pub machine: Machine,
-    /// The file.
     pub file: Rc<ChainFile>,
     /// The blocks whose transactions were read or written last.
     pub looked: Looked,
     /// The pending transactions.
     pub pool: Pool,
-    /// Its chain id.
     pub chain_id: u64,
     /// Its founding data.
     pub consensus: Consensus,
-    /// Its sealing.
     pub sealing: Sealing,
     /// Its newest block.
     pub head: BlockRef,
+    /// What callers wait for.
+    pub filters: Filters,
     /// Audits in progress.
     pub audits: VecDeque<Auditing>,
     /// Why the last block could not be written.
@@ -75,9 +75,18 @@ impl Node {
     /// [`ChainError::File`], [`ChainError::Tampered`] if the file was changed, or [`ChainError::OtherConsensus`].
     pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
         let file = Rc::new(ChainFile::open(directory)?);
-        let mut founded = sealing::open(&file, asked)?;
-        let (machine, head) = newest(&file, &mut founded)?;
-        let Founded { chain_id, consensus, sealing, .. } = founded;
+        let founded = sealing::open(&file, asked)?;
+        let (chain_id, consensus, newest) = (founded.chain_id, founded.consensus, file.newest_number()?);
+        let mut again = Again::before(&file, founded, newest)?;
+        if newest > 0 {
+            again.step()?;
+        }
+        let Again { machine, sealing, last: head, .. } = again;
+        // The newest seal vouches for all blocks below it.
+        sealing.vouch(&head).map_err(|what| file.tampered(newest, what))?;
+        if machine.tries.root != EMPTY_ROOT {
+            file.node(machine.tries.root)?;
+        }
         // The period is kept across a restart, even if the clock changed.
         let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
         let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period()) };
@@ -90,6 +99,7 @@ impl Node {
             consensus,
             sealing,
             head: reference(&head),
+            filters: Filters::default(),
             audits: VecDeque::new(),
             trouble: None,
             not_before: Instant::now() + wait,
@@ -99,9 +109,6 @@ impl Node {
     }
 
     /// Takes a raw transaction into the pool.
-    ///
-    /// # Errors
-    /// Why it is refused, in geth's words.
     pub fn submit(&mut self, raw: &[u8]) -> Result<Hash, String> {
         if let Some(trouble) = &self.trouble {
             return Err(format!("no block can be written: {trouble}"));
@@ -125,21 +132,11 @@ impl Node {
         Ok(hash)
     }
 
-    fn turn(&self) -> Option<Turn> {
-        match &self.sealing {
-            Sealing::Authority(authority) => authority.turn(self.head.number + 1, self.head.hash),
-            Sealing::Work { difficulty, .. } => {
-                Some(Turn { signer: 0, difficulty: *difficulty, delay: Duration::ZERO })
-            }
-        }
-    }
-
-    /// How long until the next block is to be assembled; `None` while nothing can go into one, while a proof of work is
-    /// being searched for, and while no signer may seal.
+    /// How long until the next block is to be assembled; `None` while nothing can go into one, and while a proof of work is
+    /// being searched for.
     pub fn due(&self) -> Option<Duration> {
         let ready = self.work.is_none() && self.pool.is_ready();
-        let turn = if ready { self.turn() } else { None };
-        turn.map(|turn| (self.not_before + turn.delay).saturating_duration_since(Instant::now()))
+        ready.then(|| self.not_before.saturating_duration_since(Instant::now()))
     }
 
     /// Whether a proof of work is being searched for.
@@ -149,13 +146,11 @@ impl Node {
 
     /// The context of the next block.
     pub fn next_place(&self) -> Environment {
-        let signer = self.turn().map(|turn| turn.signer);
-        self.sealing.place(self.head.number + 1, self.head.timestamp, signer)
+        self.sealing.place(self.head.number + 1, self.head.timestamp)
     }
 
     /// Assembles a block of pending transactions, and seals it or begins to search for its proof of work.
     pub fn assemble(&mut self) {
-        let Some(turn) = self.turn() else { return };
         let ready = self.pool.ready(MOST_TRANSACTIONS, BLOCK_GAS);
         let place = self.next_place();
         let outcome = match self.machine.run(&place, ready, true) {
@@ -167,62 +162,48 @@ impl Node {
         if outcome.included.is_empty() {
             return;
         }
-        let mut header = match assemble(&self.sealing, self.head.hash, &place, &outcome) {
-            Ok(header) => header,
-            Err(error) => return self.rest(error),
-        };
-        match &self.sealing {
-            Sealing::Authority(authority) => match authority.seal(&mut header, turn.signer) {
-                Some(()) => self.settle(&header, outcome, turn.signer),
-                None => self.rest(ChainError::Internal("a block could not be sealed".into())),
-            },
-            Sealing::Work { difficulty, .. } => match self.search(&header, *difficulty) {
+        let mut header = assemble(&self.sealing, self.head.hash, &place, &outcome);
+        if self.sealing.work().is_some() {
+            match self.search(&header) {
                 Ok(search) => self.work = Some(Work { header, outcome, _search: search }),
                 Err(error) => self.rest(error),
-            },
+            }
+        } else if self.sealing.seal(&mut header).is_some() {
+            self.settle(&header, outcome);
+        } else {
+            self.rest(ChainError::Internal("a block could not be sealed".into()));
         }
     }
 
-    fn search(&self, header: &Header, difficulty: u64) -> Result<Search, ChainError> {
-        let internal = |error: &dyn std::fmt::Display| ChainError::Internal(format!("no work can be done: {error}"));
-        let mut first = [0; 8];
-        getrandom::fill(&mut first).map_err(|error| internal(&error))?;
+    fn search(&self, header: &Header) -> Result<Search, ChainError> {
         let found = Arc::clone(&self.found);
-        let tell = move |nonce| found(nonce);
-        let search = Search::start(header.work_hash(), difficulty, u64::from_be_bytes(first), tell);
-        search.map_err(|error| internal(&error))
+        let first = u64::from_be_bytes(noise()?);
+        let search = Search::start(header.work_hash(), header.difficulty, first, move |nonce| found(nonce));
+        search.map_err(|error| ChainError::Internal(format!("no work can be done: {error}")))
     }
 
     /// Seals the assembled block with the nonce that its search found.
     pub fn worked(&mut self, nonce: u64) {
         let Some(Work { header, outcome, .. }) = self.work.take() else { return };
         let header = Header { nonce, ..header };
-        if proof::seals(header.work_hash(), nonce, header.difficulty) {
-            self.settle(&header, outcome, 0);
+        if sealing::seals(header.work_hash(), nonce, header.difficulty) {
+            self.settle(&header, outcome);
         }
     }
 
     /// Writes a sealed block. One that cannot be written never happened.
-    fn settle(&mut self, header: &Header, mut outcome: Outcome, signer: usize) {
-        let turn = |authority: &Authority| authority.difficulty(header.number, signer) == OUT_OF_TURN;
-        let Outcome { included, receipts, written, .. } = &outcome;
-        let out_of_turn = self.sealing.authority().is_some_and(turn);
-        match self.file.append(&Sealed { header, sent: included, receipts, written, out_of_turn }) {
-            Ok(()) => {
-                self.trouble = None;
-                self.pool.mined(included);
-                self.file.remember(std::mem::take(&mut outcome.written.made));
-                let (included, receipts) =
-                    (std::mem::take(&mut outcome.included), std::mem::take(&mut outcome.receipts));
-                self.looked.wrote(header.number, included, receipts);
-                self.machine.tries.root = outcome.state_root;
-                self.head = reference(header);
-                if let Sealing::Authority(authority) = &mut self.sealing {
-                    authority.sealed(header.number, signer);
-                }
-            }
-            Err(error) => self.rest(error),
+    fn settle(&mut self, header: &Header, outcome: Outcome) {
+        let Outcome { included, receipts, written, state_root, .. } = outcome;
+        let block = Sealed { header, sent: &included, receipts: &receipts, written: &written };
+        if let Err(error) = self.file.append(&block) {
+            return self.rest(error);
         }
+        self.trouble = None;
+        self.pool.mined(&included);
+        self.file.remember(written.made);
+        self.looked.wrote(header.number, included, receipts);
+        self.machine.tries.root = state_root;
+        self.head = reference(header);
     }
 
     fn rest(&mut self, error: ChainError) {
@@ -233,9 +214,8 @@ impl Node {
     /// At the end, seals pending transactions if that can be done at once: work takes time, and so does a period of a
     /// second or more, which the next block's time would contradict.
     pub fn finish(&mut self) {
-        let at_once = self.turn().is_some_and(|turn| turn.delay.is_zero());
-        let brief = matches!(&self.sealing, Sealing::Authority(authority) if authority.period().as_secs() == 0);
-        if at_once && brief && self.due().is_some() {
+        let brief = self.sealing.work().is_none() && self.sealing.period().as_secs() == 0;
+        if brief && self.due().is_some() {
             self.assemble();
         }
     }
@@ -247,87 +227,62 @@ fn reference(header: &Header) -> BlockRef {
 
 // Running blocks from the file again: all of them for an audit, or only the newest when a chain is opened.
 
-/// A chain being run again from its first block.
+/// A chain being run again.
 pub struct Again {
     /// Its state after the last block run.
     pub machine: Machine,
-    /// Its sealing, including who sealed the last blocks.
     pub sealing: Sealing,
     /// The last block run.
     pub last: Header,
-    chain_id: u64,
-    nodes: Rc<Passing>,
+    file: Rc<ChainFile>,
+    /// The state's nodes, if all blocks are run; otherwise those of the file are read.
+    nodes: Option<Rc<Passing>>,
 }
 
 impl Again {
     /// Before the first block.
     pub fn new(file: &Rc<ChainFile>, founded: Founded) -> Self {
         let Founded { chain_id, sealing, genesis, .. } = founded;
-        let nodes = Rc::new(Passing { file: Rc::clone(file), nodes: RefCell::default() });
+        let file = Rc::clone(file);
+        let nodes = Rc::new(Passing { file: Rc::clone(&file), nodes: RefCell::default() });
         let machine = Machine::new(Tries { ground: Rc::clone(&nodes) as _, root: genesis.state_root }, chain_id);
-        Self { machine, sealing, last: genesis, chain_id, nodes }
+        Self { machine, sealing, last: genesis, file, nodes: Some(nodes) }
+    }
+
+    /// Before block `newest`.
+    fn before(file: &Rc<ChainFile>, founded: Founded, newest: u64) -> Result<Self, ChainError> {
+        let Founded { chain_id, sealing, genesis, .. } = founded;
+        let file = Rc::clone(file);
+        let last = if newest < 2 { genesis } else { header(&file, newest - 1)? };
+        let machine = Machine::new(Tries { ground: Rc::clone(&file) as _, root: last.state_root }, chain_id);
+        Ok(Self { machine, sealing, last, file, nodes: None })
     }
 
     /// Runs the next block.
     ///
     /// # Errors
     /// [`ChainError::Tampered`] if the result differs from the file, or its seal does not meet the chain's consensus.
-    pub fn step(mut self) -> Result<Self, ChainError> {
-        let file = Rc::clone(&self.nodes.file);
+    pub fn step(&mut self) -> Result<(), ChainError> {
         let number = self.last.number + 1;
-        let blame = |what: &str| file.tampered(number, what);
-        let header = header(&file, number)?;
+        let blame = |what: &str| self.file.tampered(number, what);
+        let header = header(&self.file, number)?;
         if header.parent != self.last.hash() {
             return Err(blame("its hash or its parent was changed"));
         }
         let place = self.sealing.accept(&header, self.last.timestamp).map_err(blame)?;
-        let outcome = rerun(&file, &self.machine, &self.sealing, &header, &place, self.chain_id)?;
-        self.nodes.turn_over(&outcome.written);
+        let outcome = rerun(&self.file, &self.machine, &self.sealing, &header, &place)?;
+        if let Some(nodes) = &self.nodes {
+            nodes.turn_over(&outcome.written);
+        }
         self.machine.tries.root = outcome.state_root;
         self.last = header;
-        Ok(self)
+        Ok(())
     }
 
-    /// The nodes of the state after the last block.
+    /// The nodes of the state after the last block, if all blocks were run.
     pub fn state_nodes(&self) -> Vec<Hash> {
-        self.nodes.nodes.borrow().keys().copied().collect()
+        self.nodes.iter().flat_map(|nodes| nodes.nodes.borrow().keys().copied().collect::<Vec<_>>()).collect()
     }
-}
-
-/// The state after the newest block, the only one run again, and its header; `founded` learns who sealed the last
-/// blocks.
-///
-/// # Errors
-/// See [`Again::step`].
-pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded) -> Result<(Machine, Header), ChainError> {
-    let number = file.newest_number()?;
-    let blame = |what: &str| file.tampered(number, what);
-    let last = if number == 0 { founded.genesis.clone() } else { header(file, number)? };
-    let over = |root| Machine::new(Tries { ground: Rc::clone(file) as _, root }, founded.chain_id);
-    if let Sealing::Authority(authority) = &mut founded.sealing {
-        let out_of_turn = file.out_of_turn()?.into_iter().filter(|one| *one < number).collect();
-        let mut newest = Vec::new();
-        for before in number.saturating_sub(authority.rest()).max(1)..number {
-            newest.push(authority.sealer(&header(file, before)?).map_err(|what| file.tampered(before, what))?);
-        }
-        authority.resume(out_of_turn, newest);
-    }
-    let mut machine = over(founded.genesis.state_root);
-    if number > 0 {
-        let parent = if number == 1 { founded.genesis.clone() } else { header(file, number - 1)? };
-        if last.parent != parent.hash() {
-            return Err(blame("its hash or its parent was changed"));
-        }
-        let place = founded.sealing.accept(&last, parent.timestamp).map_err(blame)?;
-        machine = over(parent.state_root);
-        let outcome = rerun(file, &machine, &founded.sealing, &last, &place, founded.chain_id)?;
-        machine.tries.root = outcome.state_root;
-    }
-    founded.sealing.vouches(&last).map_err(blame)?;
-    if machine.tries.root != EMPTY_ROOT {
-        file.node(machine.tries.root)?;
-    }
-    Ok((machine, last))
 }
 
 /// A block's header, checked against its hash in the file.
@@ -351,43 +306,34 @@ fn rerun(
     sealing: &Sealing,
     header: &Header,
     place: &Environment,
-    chain_id: u64,
 ) -> Result<Outcome, ChainError> {
     let blame = |what: &str| file.tampered(header.number, what);
     let mined = file.block_transactions(header.number)?;
-    let transactions = mined.iter().map(|one| Transaction::decode(&one.raw, chain_id));
+    let transactions = mined.iter().map(|one| Transaction::decode(&one.raw, machine.chain_id));
     let transactions = transactions.collect::<Result<Vec<_>, _>>().map_err(|what| blame(&what))?;
     let outcome = machine.run(place, transactions, false)?;
-    let again = assemble(sealing, header.parent, place, &outcome)?;
+    let again = assemble(sealing, header.parent, place, &outcome);
     let sealed = Header { extra: header.extra.clone(), nonce: header.nonce, ..again.clone() };
     // Under proof of work the extra data holds no seal and is always the same.
-    if sealed != *header || (matches!(sealing, Sealing::Work { .. }) && again.extra != header.extra) {
+    if sealed != *header || (sealing.work().is_some() && again.extra != header.extra) {
         return Err(blame("replaying its transactions gives a different block"));
     }
-    let kept = outcome
-        .receipts
-        .iter()
-        .zip(&mined)
-        .all(|(receipt, one)| rlp::encode(receipt)[..] == one.receipt[..] && receipt.logs.len() as u64 == one.logs);
+    let same =
+        |(receipt, one): (&Receipt, &Mined)| receipt.encode() == one.receipt && receipt.logs.len() as u64 == one.logs;
+    let kept = outcome.receipts.iter().zip(&mined).all(same);
     if kept { Ok(outcome) } else { Err(blame("its receipts were changed")) }
 }
 
 /// The header of a block that has run, before its seal.
-///
-/// # Errors
-/// Only for a fault of this program.
-pub fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outcome) -> Result<Header, ChainError> {
-    let mut bloom = Bloom::zero();
-    for receipt in &outcome.receipts {
-        receipt.accrue(&mut bloom);
-    }
+fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outcome) -> Header {
     let (beneficiary, extra) = sealing.dress();
-    Ok(Header {
+    let sent: Vec<&[u8]> = outcome.included.iter().map(|one| &one.raw[..]).collect();
+    Header {
         parent,
         state_root: outcome.state_root,
-        transactions_root: transactions_root(outcome.included.iter().map(|one| &one.raw[..]))?,
-        receipts_root: receipts_root(&outcome.receipts)?,
-        bloom,
+        transactions_root: list_root(&sent),
+        receipts_root: receipts_root(&outcome.receipts),
+        bloom: logs_bloom(outcome.receipts.iter().flat_map(|receipt| &receipt.logs)),
         beneficiary,
         difficulty: place.difficulty,
         number: place.number,
@@ -396,7 +342,12 @@ pub fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &
         timestamp: place.timestamp,
         extra,
         nonce: 0,
-    })
+    }
+}
+
+/// Root of the trie of receipts.
+pub fn receipts_root<'a>(receipts: impl IntoIterator<Item = &'a Receipt>) -> Hash {
+    list_root(&receipts.into_iter().map(Receipt::committed).collect::<Vec<_>>())
 }
 
 /// Nodes by their hash, with the number of their places in the state.
@@ -409,7 +360,7 @@ struct Passing {
 }
 
 impl Passing {
-    fn turn_over(&self, written: &Written) {
+    fn turn_over(&self, written: &Turnover) {
         let mut nodes = self.nodes.borrow_mut();
         for (hash, body) in &written.made {
             nodes.entry(*hash).or_insert_with(|| (body.as_slice().into(), 0)).1 += 1;
@@ -442,9 +393,7 @@ impl Nodes for Passing {
     fn malformed(&self, hash: Hash) -> ChainError {
         ChainError::Internal(format!("node {hash} of a replayed state is not a node"))
     }
-}
 
-impl Ground for Passing {
     fn block_hash(&self, number: u64) -> Result<Hash, ChainError> {
         self.file.block_hash(number)
     }

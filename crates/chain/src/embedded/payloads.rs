@@ -1,14 +1,13 @@
 //! Programs that run long for their gas, for the tests of admission: each fills memory, then loops until its gas is
 //! used up.
 
-use ethers::types::U256;
+use alloy_primitives::{U256, keccak256};
 
-use super::block::Transaction;
 use crate::model::{Address, Hash};
+use crate::transaction::{Transaction, Unsigned};
 
 /// Creation code: a part that runs once, then a part that repeats.
 pub struct Payload {
-    /// Its name.
     pub name: String,
     /// Its bytes.
     pub code: Vec<u8>,
@@ -160,19 +159,8 @@ impl Payload {
 
     /// A transaction that creates a contract with it. It is not signed.
     pub fn transaction(&self, sender: Address, nonce: u64, gas_limit: u64) -> Transaction {
-        Transaction {
-            hash: Hash(ethers::utils::keccak256([&sender.0[..], &nonce.to_be_bytes()].concat())),
-            sender,
-            nonce,
-            gas_price: 0,
-            gas_limit,
-            to: None,
-            value: U256::zero(),
-            input: self.code.clone(),
-            v: 0,
-            r: U256::zero(),
-            s: U256::zero(),
-            raw: self.code.clone(),
-        }
+        let hash = Hash(keccak256([&sender.0[..], &nonce.to_be_bytes()].concat()).0);
+        let unsigned = Unsigned { nonce, gas_limit, input: self.code.clone(), ..Unsigned::default() };
+        Transaction { hash, sender, unsigned, v: 0, r: U256::ZERO, s: U256::ZERO, raw: self.code.clone() }
     }
 }

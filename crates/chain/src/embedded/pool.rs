@@ -9,10 +9,10 @@ use revm::handler::{EthPrecompiles, PrecompileProvider};
 use revm::interpreter::{CallInputs, InterpreterResult};
 use revm::precompile::modexp::{byzantium_gas_calc, osaka_gas_calc};
 use revm::primitives::hardfork::SpecId;
-use revm::primitives::{Address as EvmAddress, AddressSet, U256 as Word};
+use revm::primitives::{Address as EvmAddress, AddressSet, U256};
 
-use super::block::Transaction;
 use crate::model::{Address, Hash};
+use crate::transaction::Transaction;
 
 /// The most pending transactions.
 const MOST: usize = 16_384;
@@ -57,7 +57,6 @@ impl Lane {
     }
 }
 
-/// The pool.
 #[derive(Default)]
 pub struct Pool {
     lanes: HashMap<Address, Lane>,
@@ -73,9 +72,6 @@ pub struct Pool {
 
 impl Pool {
     /// Takes a transaction whose sender's next nonce on chain is `next`.
-    ///
-    /// # Errors
-    /// Why it is refused, in geth's words.
     pub fn add(&mut self, transaction: Transaction, next: u64) -> Result<(), String> {
         if self.hashes.contains(&transaction.hash) {
             return Err("already known".into());
@@ -301,7 +297,7 @@ impl<C: ContextTr> PrecompileProvider<C> for Weighed {
 /// How much more a call of MODEXP costs under EIP-7883 than under EIP-198; 0 if it cannot pay for itself.
 fn surplus(input: &[u8], gas: u64) -> u64 {
     let mut head = [0; LENGTHS + 32];
-    let word = |at: usize, head: &[u8]| Word::from_be_slice(&head[at..at + 32]);
+    let word = |at: usize, head: &[u8]| U256::from_be_slice(&head[at..at + 32]);
     let known = input.len().min(LENGTHS);
     head[..known].copy_from_slice(&input[..known]);
     let [base, exponent, modulus] = [0, 32, 64].map(|at| word(at, &head).saturating_to::<u64>());
@@ -320,26 +316,15 @@ fn surplus(input: &[u8], gas: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ethers::types::U256;
+    use crate::transaction::Unsigned;
 
     fn sized(sender: u8, nonce: u64, gas_price: u128, gas_limit: u64) -> Transaction {
         let mut hash = [sender; 32];
         hash[..8].copy_from_slice(&nonce.to_be_bytes());
         hash[8..24].copy_from_slice(&gas_price.to_be_bytes());
-        Transaction {
-            hash: Hash(hash),
-            sender: Address([sender; 20]),
-            nonce,
-            gas_price,
-            gas_limit,
-            to: None,
-            value: U256::zero(),
-            input: Vec::new(),
-            v: 0,
-            r: U256::zero(),
-            s: U256::zero(),
-            raw: vec![0; 10],
-        }
+        let unsigned = Unsigned { nonce, gas_price, gas_limit, ..Unsigned::default() };
+        let (sender, zero) = (Address([sender; 20]), U256::ZERO);
+        Transaction { hash: Hash(hash), sender, unsigned, v: 0, r: zero, s: zero, raw: vec![0; 10] }
     }
 
     fn transaction(sender: u8, nonce: u64, gas_price: u128) -> Transaction {
@@ -438,7 +423,7 @@ mod admission_tests {
     use super::*;
 
     fn call(lengths: [u64; 3], rest: &[u8]) -> Vec<u8> {
-        let words = lengths.iter().flat_map(|length| Word::from(*length).to_be_bytes::<32>());
+        let words = lengths.iter().flat_map(|length| U256::from(*length).to_be_bytes::<32>());
         words.chain(rest.iter().copied()).collect()
     }
 

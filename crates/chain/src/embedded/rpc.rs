@@ -1,16 +1,19 @@
 //! Ethereum's JSON-RPC methods over the embedded chain. State is kept for the newest block only.
 
-use ethers::types::U256;
-use serde_json::{Value, json};
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+use alloy_primitives::{B256, Log, U256};
+use serde_json::{Map, Value, json};
 
 use super::block::{self, Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
-use super::machine::{Answer, Message};
+use super::machine::Answer;
 use super::node::Node;
 use super::pool::TRANSACTION_GAS;
-use super::sealing::Sealing;
 use super::world::{KEPT, Tries};
 use crate::ChainError;
-use crate::model::{Address, Hash};
+use crate::model::{Address, Hash, clean};
+use crate::transaction::Unsigned;
 
 /// A refused request: JSON-RPC code, message, revert data.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,8 +53,11 @@ impl Parameters {
     /// # Errors
     /// [`Fault`] -32602 if it is missing or malformed.
     pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
-        let missing = || Fault::new(-32602, format!("missing or invalid value for argument {index}"));
-        self.0.get(index).and_then(read).ok_or_else(missing)
+        self.0.get(index).and_then(read).ok_or_else(|| Self::missing(index))
+    }
+
+    fn missing(index: usize) -> Fault {
+        Fault::new(-32602, format!("missing or invalid value for argument {index}"))
     }
 }
 
@@ -78,6 +84,20 @@ pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
         "eth_feeHistory" => fee_history(node, &parameters),
         "eth_sendRawTransaction" => send(node, &parameters),
         "eth_call" | "eth_estimateGas" => message_call(node, method == "eth_call", &parameters),
+        "eth_newBlockFilter" => install(node, None),
+        "eth_newFilter" => {
+            let wanted = parameters.at(0, |wanted| wanted.as_object().cloned())?;
+            install(node, Some(wanted))
+        }
+        "eth_getFilterChanges" => changes(node, &parameters),
+        "eth_uninstallFilter" => {
+            let id = parameters.0.first().and_then(read_quantity);
+            Ok(Value::Bool(id.is_some_and(|id| node.filters.open.remove(&id).is_some())))
+        }
+        "eth_getFilterLogs" => {
+            let wanted = waiting(node, &parameters)?.wanted.clone().ok_or_else(unknown_filter)?;
+            logs(node, &Value::Object(wanted))
+        }
         _ => read(node, method, &parameters),
     }
 }
@@ -88,7 +108,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         "eth_getCode" => state(node, parameters, 1, |node, who| Ok(data(&node.machine.code(who)?))),
         "eth_getStorageAt" => {
             let slot = parameters.at(1, read_quantity)?;
-            state(node, parameters, 2, |node, who| Ok(data(&node.machine.slot(who, slot)?.0)))
+            state(node, parameters, 2, |node, who| Ok(data(&node.machine.tries.slot(who, slot)?.to_be_bytes::<32>())))
         }
         "eth_getTransactionCount" => nonce(node, parameters),
         "eth_getProof" => proof(node, parameters),
@@ -102,7 +122,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         },
         "eth_getBlockTransactionCountByNumber" | "eth_getBlockTransactionCountByHash" => {
             let number = parameters.at(0, |which| block_named(node, which))?;
-            number.map_or(Ok(Value::Null), |number| count(node, number))
+            number.map_or(Ok(Value::Null), |number| Ok(quantity(node.done(&header(node, number)?)?.len())))
         }
         "eth_getTransactionByBlockNumberAndIndex" | "eth_getTransactionByBlockHashAndIndex" => {
             let number = parameters.at(0, |which| block_named(node, which))?;
@@ -111,19 +131,20 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         }
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
-        "eth_getLogs" => logs_answer(node, parameters),
-        "clique_getSigners" if matches!(node.sealing, Sealing::Authority(_)) => {
+        "eth_getLogs" => logs(node, parameters.0.first().unwrap_or(&Value::Null)),
+        "clique_getSigners" if node.sealing.work().is_none() => {
             Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
         }
-        _ => Err(Fault::new(-32601, format!("the method {method} does not exist/is not available"))),
+        _ => {
+            let what = format!("the method {} does not exist/is not available", clean(method, 60));
+            Err(Fault::new(-32601, what))
+        }
     }
 }
 
 fn client_version(node: &Node) -> String {
-    let sealing = match node.sealing {
-        Sealing::Authority(_) => "proof of authority",
-        Sealing::Work { .. } => "proof of work by Keccak-256, not ethash",
-    };
+    let work = node.sealing.work().is_some();
+    let sealing = if work { "proof of work by Keccak-256, not ethash" } else { "proof of authority" };
     format!("AuthROS/v{}/embedded ({sealing})", env!("CARGO_PKG_VERSION"))
 }
 
@@ -153,14 +174,10 @@ fn header(node: &Node, number: u64) -> Result<Header, Fault> {
     node.header(number)?.ok_or_else(|| Fault::new(-32000, format!("block {number} is above the newest")))
 }
 
-fn count(node: &Node, number: u64) -> Reply {
-    Ok(quantity(node.done(&header(node, number)?)?.len()))
-}
-
 fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
     let header = header(node, number)?;
     let done = node.done(&header)?;
-    let place = usize::try_from(index.min(U256::from(u32::MAX)).as_u64()).unwrap_or(usize::MAX);
+    let place: usize = index.saturating_to();
     let Some(one) = done.get(place) else { return Ok(Value::Null) };
     Ok(block::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place))))
 }
@@ -186,7 +203,7 @@ fn nonce(node: &Node, parameters: &Parameters) -> Reply {
 }
 
 fn fee_history(node: &Node, parameters: &Parameters) -> Reply {
-    let asked = parameters.at(0, |count| count.as_u64().or_else(|| Some(read_quantity(count)?.low_u64())))?;
+    let asked = parameters.at(0, |count| count.as_u64().or_else(|| Some(read_quantity(count)?.saturating_to())))?;
     let count = asked.min(1024).min(node.head.number + 1);
     let zeros = |count: u64| (0..count).map(|_| quantity(0)).collect::<Vec<_>>();
     let ratios = vec![0.0; usize::try_from(count).unwrap_or(0)];
@@ -202,13 +219,13 @@ fn send(node: &mut Node, parameters: &Parameters) -> Reply {
 }
 
 fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
-    let message = parameters.at(0, read_message)?;
+    let (from, message) = parameters.at(0, read_message)?;
     require_newest(node, parameters.0.get(1))?;
     let place = node.next_place();
     let answer = if call {
-        node.machine.call(&place, &message)?
+        node.machine.call(&place, from, &message)?
     } else {
-        match node.machine.estimate(&place, &message)? {
+        match node.machine.estimate(&place, from, &message)? {
             Ok(gas) => return Ok(quantity(gas)),
             Err(answer) => answer,
         }
@@ -220,17 +237,18 @@ fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
     }
 }
 
-fn read_message(value: &Value) -> Option<Message> {
+fn read_message(value: &Value) -> Option<(Address, Unsigned)> {
     let field = |name: &str| value.get(name).filter(|value| !value.is_null());
     let address = |name: &str| field(name).map_or(Some(None), |value| read_address(value).map(Some));
     let number = |name: &str| field(name).map_or(Some(None), |value| read_quantity(value).map(Some));
-    Some(Message {
-        from: address("from")?.unwrap_or(Address([0; 20])),
+    let message = Unsigned {
         to: address("to")?,
         value: number("value")?.unwrap_or_default(),
         input: field("data").or_else(|| field("input")).map_or(Some(Vec::new()), read_data)?,
-        gas: number("gas")?.map_or(TRANSACTION_GAS, |gas| gas.min(U256::from(TRANSACTION_GAS)).low_u64()),
-    })
+        gas_limit: number("gas")?.map_or(TRANSACTION_GAS, |gas| gas.saturating_to::<u64>().min(TRANSACTION_GAS)),
+        ..Unsigned::default()
+    };
+    Some((address("from")?.unwrap_or(Address([0; 20])), message))
 }
 
 /// The most storage slots of one proof.
@@ -263,7 +281,7 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
 
 /// A slot as a quantity or as 32 bytes.
 fn read_slot(value: &Value) -> Option<U256> {
-    read_hash(value).map(|word| U256::from_big_endian(&word.0)).or_else(|| read_quantity(value))
+    read_hash(value).map(|word| U256::from_be_bytes(word.0)).or_else(|| read_quantity(value))
 }
 
 fn block(node: &Node, number: u64, whole: bool) -> Reply {
@@ -294,7 +312,7 @@ fn receipt(node: &Node, hash: Hash) -> Reply {
 // `eth_getLogs`: bounded in blocks, in bytes searched and in bytes returned, before any of it is built.
 
 /// The most blocks of one request.
-pub const MOST_BLOCKS: u64 = 10_000;
+const MOST_BLOCKS: u64 = 10_000;
 /// The most bytes of transactions and receipts searched for one request.
 const MOST_READ: usize = 32 * 1024 * 1024;
 /// The most bytes in the answer, counted roughly as JSON.
@@ -336,12 +354,10 @@ fn read_filter(node: &Node, value: &Value) -> Option<Filter> {
 }
 
 impl Filter {
-    fn matches(&self, log: &super::block::Log) -> bool {
-        let place = self.addresses.is_empty() || self.addresses.contains(&log.address);
-        let wanted = |(index, any): (usize, &Vec<Hash>)| {
-            any.is_empty() || log.topics.get(index).is_some_and(|topic| any.contains(topic))
-        };
-        place && self.topics.len() <= log.topics.len() && self.topics.iter().enumerate().all(wanted)
+    fn matches(&self, log: &Log) -> bool {
+        let place = self.addresses.is_empty() || self.addresses.contains(&Address(log.address.into_array()));
+        let wanted = |(any, topic): (&Vec<Hash>, &B256)| any.is_empty() || any.contains(&Hash(topic.0));
+        place && self.topics.len() <= log.topics().len() && self.topics.iter().zip(log.topics()).all(wanted)
     }
 }
 
@@ -353,14 +369,13 @@ fn too_many(what: &str) -> Fault {
 ///
 /// # Errors
 /// [`Fault`] -32005 if that is more than one answer holds, or for a malformed filter.
-pub fn logs_answer(node: &Node, parameters: &Parameters) -> Reply {
-    let named = parameters.at(0, |filter| Some(filter.get("blockHash").and_then(read_hash)))?;
-    if let Some(hash) = named
+fn logs(node: &Node, filter: &Value) -> Reply {
+    if let Some(hash) = filter.get("blockHash").and_then(read_hash)
         && node.file.number_of(hash)?.is_none()
     {
         return Err(Fault::new(-32000, "unknown block"));
     }
-    let filter = parameters.at(0, |value| read_filter(node, value))?;
+    let filter = read_filter(node, filter).ok_or_else(|| Parameters::missing(0))?;
     let to = filter.to.min(node.head.number);
     if (to + 1).saturating_sub(filter.from) > MOST_BLOCKS {
         return Err(too_many(&format!("logs of more than {MOST_BLOCKS} blocks")));
@@ -370,14 +385,15 @@ pub fn logs_answer(node: &Node, parameters: &Parameters) -> Reply {
         let Some(header) = node.header(number)? else { break };
         let mut index = 0;
         for (place, done) in node.done(&header)?.iter().enumerate() {
-            read +=
-                FRAME + done.transaction.raw.len() + done.receipt.logs.iter().map(|log| log.data.len()).sum::<usize>();
+            read += FRAME
+                + done.transaction.raw.len()
+                + done.receipt.logs.iter().map(|log| log.data.data.len()).sum::<usize>();
             if read > MOST_READ {
                 return Err(too_many("there is too much to search"));
             }
             for log in &done.receipt.logs {
                 if filter.matches(log) {
-                    given += FRAME + 2 * log.data.len() + 70 * log.topics.len();
+                    given += FRAME + 2 * log.data.data.len() + 70 * log.topics().len();
                     if given > MOST_GIVEN {
                         return Err(too_many("there are too many logs"));
                     }
@@ -388,4 +404,81 @@ pub fn logs_answer(node: &Node, parameters: &Parameters) -> Reply {
         }
     }
     Ok(Value::Array(found))
+}
+
+// Filters: what is new since a caller last asked. There are only a few, and they expire when unused.
+
+/// The most filters at a time.
+const MOST_FILTERS: usize = 64;
+/// How long an unused filter lives.
+const LIFE: Duration = Duration::from_secs(300);
+/// The most block hashes returned at once; the rest follows with the next request.
+const MOST_HASHES: u64 = 1000;
+
+/// What a caller waits for: logs, or blocks.
+struct Waiting {
+    wanted: Option<Map<String, Value>>,
+    next: u64,
+    asked: Instant,
+}
+
+/// The filters of all callers.
+#[derive(Default)]
+pub struct Filters {
+    last: u64,
+    open: HashMap<U256, Waiting>,
+}
+
+fn unknown_filter() -> Fault {
+    Fault::new(-32000, "filter not found")
+}
+
+fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Waiting, Fault> {
+    let id = parameters.0.first().and_then(read_quantity);
+    id.and_then(|id| node.filters.open.get_mut(&id)).ok_or_else(unknown_filter)
+}
+
+/// A new filter's id.
+fn install(node: &mut Node, wanted: Option<Map<String, Value>>) -> Reply {
+    let (next, now) = (node.head.number + 1, Instant::now());
+    if let Some(wanted) = &wanted {
+        // Says what is wrong with it, if anything.
+        logs(node, &within(wanted, next, next))?;
+    }
+    let Filters { last, open } = &mut node.filters;
+    open.retain(|_, waiting| now.duration_since(waiting.asked) < LIFE);
+    if open.len() >= MOST_FILTERS {
+        return Err(Fault::new(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
+    }
+    *last += 1;
+    open.insert(U256::from(*last), Waiting { wanted, next, asked: now });
+    Ok(quantity(*last))
+}
+
+fn changes(node: &mut Node, parameters: &Parameters) -> Reply {
+    let newest = node.head.number;
+    let waiting_for = waiting(node, parameters)?;
+    waiting_for.asked = Instant::now();
+    let (first, wanted) = (waiting_for.next, waiting_for.wanted.clone());
+    if first > newest {
+        return Ok(json!([]));
+    }
+    let most = if wanted.is_some() { MOST_BLOCKS } else { MOST_HASHES };
+    let last = newest.min(first + most - 1);
+    let hash = |number| Ok::<_, Fault>(data(&header(node, number)?.hash().0));
+    let news = match wanted {
+        Some(wanted) => logs(node, &within(&wanted, first, last))?,
+        None => (first..=last).map(hash).collect::<Result<Value, _>>()?,
+    };
+    waiting(node, parameters)?.next = last + 1;
+    Ok(news)
+}
+
+/// A filter with other bounds.
+fn within(filter: &Map<String, Value>, first: u64, last: u64) -> Value {
+    let mut filter = filter.clone();
+    filter.remove("blockHash");
+    filter.insert("fromBlock".into(), quantity(first));
+    filter.insert("toBlock".into(), quantity(last));
+    Value::Object(filter)
 }

@@ -11,13 +11,13 @@ use rusqlite::{Connection, params};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
-use super::block::created_address;
 use super::node::Node;
 use super::rpc::answer;
 use super::trie::EMPTY_ROOT;
 use super::world::KEPT;
 use crate::ChainError;
 use crate::model::{Address, ErrorKind, Hash};
+use crate::transaction::created_address;
 
 /// SSTORE(calldata\[0\], calldata\[32\]) and LOG0; any call with a third word destroys the contract.
 const KEEPER: &str = "6040356013576020356000355560006000a0005b33ff";

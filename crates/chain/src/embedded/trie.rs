@@ -6,15 +6,15 @@
 
 use std::sync::Arc;
 
-use ethers::types::Bloom;
-use ethers::utils::keccak256;
-use ethers::utils::rlp::{self, Rlp, RlpStream};
+use alloy_primitives::keccak256;
+use alloy_rlp::{EMPTY_STRING_CODE, PayloadView};
+use ethers::utils::rlp::Rlp;
 
 pub use authros_evidence::trie::EMPTY_ROOT;
 
-use super::block::Receipt;
 use crate::ChainError;
 use crate::model::Hash;
+use crate::transaction::List;
 use authros_evidence::trie::{Step, follow, nibbles, unpacked};
 
 /// A node shorter than this is embedded in its parent.
@@ -30,15 +30,31 @@ pub trait Nodes {
 
     /// The error for bytes that are not a trie node.
     fn malformed(&self, hash: Hash) -> ChainError;
+
+    /// The hash of a block, for the BLOCKHASH instruction; zero where there are no blocks.
+    fn block_hash(&self, _number: u64) -> Result<Hash, ChainError> {
+        Ok(Hash([0; 32]))
+    }
 }
 
-/// The nodes that a change of a trie created and left behind.
+/// What changes of tries did to their nodes.
 #[derive(Debug, Default)]
 pub struct Turnover {
-    /// New nodes, hash and bytes; one at several places is listed several times.
+    /// New nodes and code, hash and bytes; one at several places is listed several times.
     pub made: Vec<(Hash, Vec<u8>)>,
     /// Nodes with one place fewer.
     pub left: Vec<Hash>,
+    /// Roots of tries that were deleted as a whole.
+    pub felled: Vec<Hash>,
+}
+
+impl Turnover {
+    /// Adds that of another trie.
+    pub fn add(&mut self, other: Self) {
+        self.made.extend(other.made);
+        self.left.extend(other.left);
+        self.felled.extend(other.felled);
+    }
 }
 
 #[derive(Debug, Default)]
@@ -47,12 +63,14 @@ enum Child {
     Nothing,
     Stored(Hash),
     Open(Box<Node>),
+    /// Only at the end of a path of its own.
+    Value(Vec<u8>),
 }
 
 #[derive(Debug)]
 enum Node {
-    Leaf { path: Vec<u8>, value: Vec<u8> },
-    Extension { path: Vec<u8>, child: Child },
+    /// A leaf, if a value is at the end of the path, or else an extension.
+    Path(Vec<u8>, Child),
     Branch(Box<[Child; 16]>),
 }
 
@@ -71,35 +89,42 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     }
 
     /// The value of a key.
-    ///
-    /// # Errors
-    /// Errors of [`Nodes`].
     pub fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, ChainError> {
-        let path = nibbles(key);
-        let (mut at, mut rest) = (&self.root, &path[..]);
-        loop {
-            match at {
-                Child::Nothing => return Ok(None),
-                Child::Stored(hash) => return look_up(self.nodes, *hash, rest, &mut |_| ()),
-                Child::Open(node) => match &**node {
-                    Node::Leaf { path, value } => return Ok((path == rest).then(|| value.clone())),
-                    Node::Extension { path, child } => match rest.strip_prefix(&path[..]) {
-                        Some(after) => (at, rest) = (child, after),
-                        None => return Ok(None),
-                    },
-                    Node::Branch(children) => match rest.split_first() {
-                        Some((nibble, after)) => (at, rest) = (&children[usize::from(*nibble)], after),
-                        None => return Ok(None),
-                    },
-                },
+        self.find(&self.root, &nibbles(key), &mut |_| ())
+    }
+
+    /// The value of a key, and every stored node on the way to it or to where it would be, from the root down (EIP-1186).
+    pub fn prove(&self, key: &[u8]) -> Result<Proof, ChainError> {
+        let mut way = Vec::new();
+        let value = self.find(&self.root, &nibbles(key), &mut |node| way.push(Arc::clone(node)))?;
+        Ok((value, way))
+    }
+
+    fn find(&self, at: &Child, path: &[u8], seen: &mut impl FnMut(&Arc<[u8]>)) -> Result<Option<Vec<u8>>, ChainError> {
+        let node = match at {
+            Child::Nothing => return Ok(None),
+            Child::Value(value) => return Ok(path.is_empty().then(|| value.clone())),
+            Child::Open(node) => &**node,
+            Child::Stored(hash) => {
+                let bytes = self.nodes.node(*hash)?;
+                seen(&bytes);
+                return match follow(&Rlp::new(&bytes), path) {
+                    Some(Step::End(value)) => Ok(value),
+                    Some(Step::Down(next, left)) => self.find(&Child::Stored(next), &path[path.len() - left..], seen),
+                    None => Err(self.nodes.malformed(*hash)),
+                };
             }
+        };
+        match node {
+            Node::Path(own, child) => path.strip_prefix(&own[..]).map_or(Ok(None), |rest| self.find(child, rest, seen)),
+            Node::Branch(children) => match path.split_first() {
+                Some((nibble, rest)) => self.find(&children[usize::from(*nibble)], rest, seen),
+                None => Ok(None),
+            },
         }
     }
 
     /// Sets the value of a key, or removes the key.
-    ///
-    /// # Errors
-    /// Errors of [`Nodes`].
     pub fn set(&mut self, key: &[u8], value: Option<Vec<u8>>) -> Result<(), ChainError> {
         if self.get(key)? == value {
             return Ok(());
@@ -115,29 +140,29 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
 
     /// The root with all changes, and the nodes they created and left behind.
     pub fn finish(self) -> (Hash, Turnover) {
-        let mut turnover = Turnover { made: Vec::new(), left: self.left };
+        let mut turnover = Turnover { left: self.left, ..Turnover::default() };
         let root = match &self.root {
-            Child::Nothing => EMPTY_ROOT,
             Child::Stored(hash) => *hash,
             Child::Open(node) => {
                 let bytes = encode(node, &mut turnover.made);
-                let hash = Hash(keccak256(&bytes));
+                let hash = Hash(keccak256(&bytes).0);
                 turnover.made.push((hash, bytes));
                 hash
             }
+            Child::Nothing | Child::Value(_) => EMPTY_ROOT,
         };
         (root, turnover)
     }
 
     fn load(&self, hash: Hash) -> Result<Node, ChainError> {
         let bytes = self.nodes.node(hash)?;
-        decode(&Rlp::new(&bytes)).ok_or_else(|| self.nodes.malformed(hash))
+        decode(&bytes).ok_or_else(|| self.nodes.malformed(hash))
     }
 
     /// A node about to be changed.
     fn open(&mut self, child: Child) -> Result<Option<Node>, ChainError> {
         match child {
-            Child::Nothing => Ok(None),
+            Child::Nothing | Child::Value(_) => Ok(None),
             Child::Open(node) => Ok(Some(*node)),
             Child::Stored(hash) => {
                 let node = self.load(hash)?;
@@ -149,28 +174,21 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
 
     fn insert(&mut self, at: Child, path: &[u8], value: Vec<u8>) -> Result<Child, ChainError> {
         let node = match self.open(at)? {
-            None => Node::Leaf { path: path.to_vec(), value },
-            Some(Node::Leaf { path: own, .. }) if own == path => Node::Leaf { path: own, value },
-            Some(Node::Leaf { path: own, value: old }) => {
-                let common = common(&own, path);
-                let mut children = <[Child; 16]>::default();
-                put(&mut children, &own[common..], |rest| open(Node::Leaf { path: rest.to_vec(), value: old }));
-                put(&mut children, &path[common..], |rest| open(Node::Leaf { path: rest.to_vec(), value }));
-                extended(&path[..common], Node::Branch(Box::new(children)))
-            }
-            Some(Node::Extension { path: own, child }) => {
-                let common = common(&own, path);
+            None => Node::Path(path.to_vec(), Child::Value(value)),
+            Some(Node::Path(own, child)) => {
+                let common = own.iter().zip(path).take_while(|(one, other)| one == other).count();
                 if common == own.len() {
-                    let child = self.insert(child, &path[common..], value)?;
-                    Node::Extension { path: own, child }
+                    let child = match child {
+                        Child::Value(_) => Child::Value(value),
+                        other => self.insert(other, &path[common..], value)?,
+                    };
+                    Node::Path(own, child)
                 } else {
                     let mut children = <[Child; 16]>::default();
-                    put(&mut children, &own[common..], |rest| match rest {
-                        [] => child,
-                        _ => open(Node::Extension { path: rest.to_vec(), child }),
-                    });
-                    put(&mut children, &path[common..], |rest| open(Node::Leaf { path: rest.to_vec(), value }));
-                    extended(&path[..common], Node::Branch(Box::new(children)))
+                    put(&mut children, &own[common..], child);
+                    put(&mut children, &path[common..], Child::Value(value));
+                    let branch = Node::Branch(Box::new(children));
+                    if common == 0 { branch } else { Node::Path(path[..common].to_vec(), open(branch)) }
                 }
             }
             Some(Node::Branch(mut children)) => {
@@ -187,8 +205,8 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     /// Removes an existing key.
     fn remove(&mut self, at: Child, path: &[u8]) -> Result<Child, ChainError> {
         match self.open(at)? {
-            None | Some(Node::Leaf { .. }) => Ok(Child::Nothing),
-            Some(Node::Extension { path: own, child }) => {
+            None | Some(Node::Path(_, Child::Value(_))) => Ok(Child::Nothing),
+            Some(Node::Path(own, child)) => {
                 let child = self.remove(child, path.get(own.len()..).unwrap_or_default())?;
                 self.joined(own, child)
             }
@@ -213,26 +231,23 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     fn joined(&mut self, mut path: Vec<u8>, child: Child) -> Result<Child, ChainError> {
         let below = match child {
             Child::Nothing => return Ok(Child::Nothing),
+            Child::Value(_) => return Ok(open(Node::Path(path, child))),
             Child::Open(node) => *node,
-            // A branch stays as it is; the others grow by the path.
+            // A branch stays as it is; a path grows.
             Child::Stored(hash) => match self.load(hash)? {
-                Node::Branch(_) => return Ok(open(Node::Extension { path, child: Child::Stored(hash) })),
-                grown => {
+                Node::Branch(_) => return Ok(open(Node::Path(path, child))),
+                grown @ Node::Path(..) => {
                     self.left.push(hash);
                     grown
                 }
             },
         };
         Ok(open(match below {
-            Node::Leaf { path: rest, value } => {
+            Node::Path(rest, child) => {
                 path.extend(rest);
-                Node::Leaf { path, value }
+                Node::Path(path, child)
             }
-            Node::Extension { path: rest, child } => {
-                path.extend(rest);
-                Node::Extension { path, child }
-            }
-            branch @ Node::Branch(_) => Node::Extension { path, child: open(branch) },
+            branch @ Node::Branch(_) => Node::Path(path, open(branch)),
         }))
     }
 }
@@ -240,75 +255,36 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
 /// A value, if there is one, and the nodes on the way to it, from the root down.
 pub type Proof = (Option<Vec<u8>>, Vec<Arc<[u8]>>);
 
-/// The value of a key, and every stored node on the way to it or to where it would be (EIP-1186).
-///
-/// # Errors
-/// Errors of [`Nodes`].
-pub fn prove<N: Nodes + ?Sized>(nodes: &N, root: Hash, key: &[u8]) -> Result<Proof, ChainError> {
-    let mut way = Vec::new();
-    if root == EMPTY_ROOT {
-        return Ok((None, way));
-    }
-    let value = look_up(nodes, root, &nibbles(key), &mut |node| way.push(Arc::clone(node)))?;
-    Ok((value, way))
-}
-
-/// Follows `path` from a stored node.
-fn look_up<N: Nodes + ?Sized>(
-    nodes: &N,
-    root: Hash,
-    path: &[u8],
-    seen: &mut impl FnMut(&Arc<[u8]>),
-) -> Result<Option<Vec<u8>>, ChainError> {
-    let (mut hash, mut rest) = (root, path);
-    loop {
-        let bytes = nodes.node(hash)?;
-        seen(&bytes);
-        match follow(&Rlp::new(&bytes), rest) {
-            Some(Step::End(value)) => return Ok(value),
-            Some(Step::Down(next, length)) => (hash, rest) = (next, &rest[rest.len() - length..]),
-            None => return Err(nodes.malformed(hash)),
-        }
-    }
-}
-
 /// The stored nodes directly below a stored node; `None` if it is not a node.
 pub fn below(bytes: &[u8]) -> Option<Vec<Hash>> {
     fn collect(node: &Node, found: &mut Vec<Hash>) {
         let children = match node {
-            Node::Leaf { .. } => return,
-            Node::Extension { child, .. } => std::slice::from_ref(child),
+            Node::Path(_, child) => std::slice::from_ref(child),
             Node::Branch(children) => &children[..],
         };
         for child in children {
             match child {
-                Child::Nothing => {}
+                Child::Nothing | Child::Value(_) => {}
                 Child::Stored(hash) => found.push(*hash),
                 Child::Open(node) => collect(node, found),
             }
         }
     }
     let mut found = Vec::new();
-    collect(&decode(&Rlp::new(bytes))?, &mut found);
+    collect(&decode(bytes)?, &mut found);
     Some(found)
-}
-
-fn common(one: &[u8], other: &[u8]) -> usize {
-    one.iter().zip(other).take_while(|(one, other)| one == other).count()
 }
 
 fn open(node: Node) -> Child {
     Child::Open(Box::new(node))
 }
 
-fn put(children: &mut [Child; 16], path: &[u8], child: impl FnOnce(&[u8]) -> Child) {
+/// Puts what is at the end of a path below a branch.
+fn put(children: &mut [Child; 16], path: &[u8], end: Child) {
     if let Some((nibble, rest)) = path.split_first() {
-        children[usize::from(*nibble)] = child(rest);
+        let is_direct = rest.is_empty() && !matches!(end, Child::Value(_));
+        children[usize::from(*nibble)] = if is_direct { end } else { open(Node::Path(rest.to_vec(), end)) };
     }
-}
-
-fn extended(path: &[u8], branch: Node) -> Node {
-    if path.is_empty() { branch } else { Node::Extension { path: path.to_vec(), child: open(branch) } }
 }
 
 /// Nibbles in the hex-prefix encoding (appendix C).
@@ -319,28 +295,21 @@ fn packed(path: &[u8], leaf: bool) -> Vec<u8> {
     std::iter::once(first).chain(path[odd..].chunks(2).map(|pair| pair[0] << 4 | pair[1])).collect()
 }
 
-fn decode(rlp: &Rlp<'_>) -> Option<Node> {
-    let child = |rlp: Rlp<'_>| {
-        if rlp.is_list() {
-            return decode(&rlp).map(open);
-        }
-        match rlp.data().ok()? {
-            [] => Some(Child::Nothing),
-            hash => Hash::from_slice(hash).map(Child::Stored),
-        }
-    };
-    match rlp.item_count().ok()? {
-        2 => {
-            let (path, leaf) = unpacked(rlp.at(0).ok()?.data().ok()?)?;
-            let below = rlp.at(1).ok()?;
-            if leaf {
-                return Some(Node::Leaf { path, value: below.data().ok()?.to_vec() });
+/// From a node's RLP, and nothing else.
+fn decode(bytes: &[u8]) -> Option<Node> {
+    let PayloadView::List(items) = whole(bytes)? else { return None };
+    match items[..] {
+        [path, below] => {
+            let (path, leaf) = unpacked(text(path)?)?;
+            // An extension must consume at least one nibble: an empty one could form a loop.
+            if !leaf && path.is_empty() {
+                return None;
             }
-            Some(Node::Extension { path, child: child(below)? })
+            Some(Node::Path(path, if leaf { Child::Value(text(below)?.to_vec()) } else { child(below)? }))
         }
-        17 => {
+        [ref below @ .., _] if below.len() == 16 => {
             let mut children = <[Child; 16]>::default();
-            for (place, below) in children.iter_mut().zip(rlp.iter()) {
+            for (place, below) in children.iter_mut().zip(below) {
                 *place = child(below)?;
             }
             Some(Node::Branch(Box::new(children)))
@@ -349,92 +318,53 @@ fn decode(rlp: &Rlp<'_>) -> Option<Node> {
     }
 }
 
-/// A node's RLP; child nodes that are long enough go to `made`.
-fn encode(node: &Node, made: &mut Vec<(Hash, Vec<u8>)>) -> Vec<u8> {
-    let mut list = RlpStream::new();
-    match node {
-        Node::Leaf { path, value } => {
-            list.begin_list(2).append(&packed(path, true)).append(value);
-        }
-        Node::Extension { path, child } => {
-            list.begin_list(2).append(&packed(path, false));
-            append(&mut list, child, made);
-        }
-        Node::Branch(children) => {
-            list.begin_list(17);
-            children.iter().for_each(|child| append(&mut list, child, made));
-            list.append_empty_data();
-        }
+fn child(rlp: &[u8]) -> Option<Child> {
+    match whole(rlp)? {
+        PayloadView::List(_) => decode(rlp).map(open),
+        PayloadView::String([]) => Some(Child::Nothing),
+        PayloadView::String(hash) => Hash::from_slice(hash).map(Child::Stored),
     }
-    list.out().to_vec()
 }
 
-fn append(list: &mut RlpStream, child: &Child, made: &mut Vec<(Hash, Vec<u8>)>) {
+fn text(rlp: &[u8]) -> Option<&[u8]> {
+    if let PayloadView::String(text) = whole(rlp)? { Some(text) } else { None }
+}
+
+/// The RLP item that these bytes are.
+fn whole(mut rlp: &[u8]) -> Option<PayloadView<'_>> {
+    alloy_rlp::Header::decode_raw(&mut rlp).ok().filter(|_| rlp.is_empty())
+}
+
+/// A node's RLP; child nodes that are long enough go to `made`.
+fn encode(node: &Node, made: &mut Vec<(Hash, Vec<u8>)>) -> Vec<u8> {
+    let list = List::default();
+    let list = match node {
+        Node::Path(path, child) => append(list.add(&packed(path, matches!(child, Child::Value(_)))[..]), child, made),
+        Node::Branch(children) => {
+            children.iter().fold(list, |list, child| append(list, child, made)).add_encoded(&[EMPTY_STRING_CODE])
+        }
+    };
+    list.end()
+}
+
+fn append(list: List, child: &Child, made: &mut Vec<(Hash, Vec<u8>)>) -> List {
     match child {
-        Child::Nothing => {
-            list.append_empty_data();
-        }
-        Child::Stored(hash) => {
-            list.append(&&hash.0[..]);
-        }
+        Child::Nothing => list.add_encoded(&[EMPTY_STRING_CODE]),
+        Child::Stored(hash) => list.add(&hash.0),
+        Child::Value(value) => list.add(&value[..]),
         Child::Open(node) => {
             let bytes = encode(node, made);
             if bytes.len() < SHORTEST {
-                list.append_raw(&bytes, 1);
-            } else {
-                let hash = Hash(keccak256(&bytes));
-                list.append(&&hash.0[..]);
-                made.push((hash, bytes));
+                return list.add_encoded(&bytes);
             }
+            let hash = Hash(keccak256(&bytes).0);
+            made.push((hash, bytes));
+            list.add(&hash.0)
         }
     }
 }
 
-// What a header commits to besides the state: its transactions and receipts, as Ethereum's tries.
-
-/// A trie built only in memory.
-struct Nowhere;
-
-impl Nodes for Nowhere {
-    fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError> {
-        Err(self.malformed(hash))
-    }
-
-    fn malformed(&self, hash: Hash) -> ChainError {
-        ChainError::Internal(format!("node {hash} of a list was asked for"))
-    }
-}
-
-/// Root of the trie of a list: RLP of the index to the item (Yellow Paper, 4.3.2).
-fn list_root(items: impl IntoIterator<Item = Vec<u8>>) -> Result<Hash, ChainError> {
-    let mut trie = Trie::new(&Nowhere, EMPTY_ROOT);
-    for (place, item) in (0u64..).zip(items) {
-        trie.set(&rlp::encode(&place), Some(item))?;
-    }
-    Ok(trie.finish().0)
-}
-
-/// Root of the trie of transactions, given as their raw bytes.
-///
-/// # Errors
-/// Only for a fault of this program.
-pub fn transactions_root<'a>(sent: impl IntoIterator<Item = &'a [u8]>) -> Result<Hash, ChainError> {
-    list_root(sent.into_iter().map(<[u8]>::to_vec))
-}
-
-/// Root of the trie of receipts.
-///
-/// # Errors
-/// Only for a fault of this program.
-pub fn receipts_root(receipts: &[Receipt]) -> Result<Hash, ChainError> {
-    list_root(receipts.iter().map(ethereums))
-}
-
-/// A receipt as Ethereum commits to it since Byzantium (EIP-658): status, gas so far, bloom, logs.
-fn ethereums(receipt: &Receipt) -> Vec<u8> {
-    let mut bloom = Bloom::zero();
-    receipt.accrue(&mut bloom);
-    let mut list = RlpStream::new_list(4);
-    list.append(&receipt.success).append(&receipt.cumulative_gas).append(&bloom).append_list(&receipt.logs);
-    list.out().to_vec()
+/// Root of the trie of a list of transactions or receipts: RLP of the index to the item (Yellow Paper, 4.3.2).
+pub fn list_root(items: &[impl AsRef<[u8]>]) -> Hash {
+    Hash(alloy_trie::root::ordered_trie_root_encoded(items).0)
 }

@@ -5,28 +5,18 @@ use std::collections::{BTreeMap, HashMap};
 use std::rc::Rc;
 use std::sync::Arc;
 
-use ethers::types::U256;
-use ethers::utils::keccak256;
-use ethers::utils::rlp::{Rlp, RlpStream};
+use alloy_primitives::{B256, Bytes, KECCAK256_EMPTY, U256, keccak256};
+use alloy_rlp::{Decodable, decode_exact};
+use alloy_trie::TrieAccount;
 use revm::DatabaseRef;
 use revm::database_interface::DBErrorMarker;
-use revm::primitives::{Address as EvmAddress, B256, Bytes, KECCAK_EMPTY, U256 as Word};
 use revm::state::{Account, AccountInfo, Bytecode, EvmState};
 use rusqlite::{Connection, OptionalExtension, Transaction, params};
 
 use super::file::{ChainFile, integer};
-use super::trie::{EMPTY_ROOT, Nodes, Trie, below, prove};
+use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below};
 use crate::ChainError;
 use crate::model::{Address, Hash};
-
-/// The store of the tries' nodes, the contracts' code and the block hashes.
-pub trait Ground: Nodes {
-    /// The hash of a block, for the BLOCKHASH instruction.
-    ///
-    /// # Errors
-    /// [`ChainError`] if it cannot be read.
-    fn block_hash(&self, number: u64) -> Result<Hash, ChainError>;
-}
 
 /// What could not be read; revm needs its own error type.
 #[derive(Debug, thiserror::Error)]
@@ -39,44 +29,19 @@ impl DBErrorMarker for Unread {}
 #[derive(Clone)]
 pub struct Tries {
     /// The store of its nodes.
-    pub ground: Rc<dyn Ground>,
-    /// Its root.
+    pub ground: Rc<dyn Nodes>,
     pub root: Hash,
 }
 
-/// An account as stored in the trie.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Record {
-    /// Its next nonce.
-    pub nonce: u64,
-    /// Wei.
-    pub balance: U256,
-    /// Root of its storage.
-    pub storage: Hash,
-    /// Keccak-256 of its code.
-    pub code: Hash,
-}
-
-/// The nodes a block created in the tries and left behind.
-#[derive(Debug, Default)]
-pub struct Written {
-    /// New nodes and code; one at several places is listed several times.
-    pub made: Vec<(Hash, Vec<u8>)>,
-    /// Nodes with one place fewer.
-    pub left: Vec<Hash>,
-    /// Roots of storage tries that were deleted as a whole.
-    pub felled: Vec<Hash>,
-}
-
 /// A slot, its value, and the nodes on the way to it.
-pub type SlotProof = (U256, U256, Vec<std::sync::Arc<[u8]>>);
+pub type SlotProof = (U256, U256, Vec<Arc<[u8]>>);
 
 /// The proof of an account (EIP-1186).
 pub struct Proof {
-    /// The account, if it exists.
-    pub record: Option<Record>,
+    /// The account; an empty one if it does not exist.
+    pub account: TrieAccount,
     /// The nodes on the way to it.
-    pub way: Vec<std::sync::Arc<[u8]>>,
+    pub way: Vec<Arc<[u8]>>,
     /// Each requested slot: its value and the nodes on the way to it.
     pub slots: Vec<SlotProof>,
 }
@@ -87,121 +52,93 @@ struct Change {
     /// Its former storage is deleted.
     wiped: bool,
     info: AccountInfo,
-    slots: BTreeMap<Word, Word>,
-}
-
-impl Record {
-    fn encode(&self) -> Vec<u8> {
-        let mut list = RlpStream::new_list(4);
-        list.append(&self.nonce).append(&self.balance).append(&&self.storage.0[..]).append(&&self.code.0[..]);
-        list.out().to_vec()
-    }
-
-    fn decode(bytes: &[u8]) -> Option<Self> {
-        let list = Rlp::new(bytes);
-        let hash = |at: usize| list.at(at).ok()?.data().ok().and_then(Hash::from_slice);
-        Some(Self { nonce: list.val_at(0).ok()?, balance: list.val_at(1).ok()?, storage: hash(2)?, code: hash(3)? })
-    }
+    slots: BTreeMap<U256, U256>,
 }
 
 impl Tries {
-    /// An account.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
-    pub fn record(&self, address: [u8; 20]) -> Result<Option<Record>, ChainError> {
-        let found = Trie::new(&*self.ground, self.root).get(&keccak256(address))?;
-        found.map(|bytes| self.read(&bytes)).transpose()
+    fn read<T: Decodable>(&self, root: Hash, bytes: &[u8]) -> Result<T, ChainError> {
+        decode_exact(bytes).map_err(|_| self.ground.malformed(root))
     }
 
-    fn read(&self, bytes: &[u8]) -> Result<Record, ChainError> {
-        Record::decode(bytes).ok_or_else(|| self.ground.malformed(self.root))
+    /// An account.
+    pub fn account(&self, address: Address) -> Result<Option<TrieAccount>, ChainError> {
+        let found = Trie::new(&*self.ground, self.root).get(&keccak256(address.0)[..])?;
+        found.map(|bytes| self.read(self.root, &bytes)).transpose()
     }
 
     /// A storage slot of an account.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
-    pub fn slot(&self, address: [u8; 20], slot: [u8; 32]) -> Result<U256, ChainError> {
-        let Some(record) = self.record(address)? else { return Ok(U256::zero()) };
-        let found = Trie::new(&*self.ground, record.storage).get(&keccak256(slot))?;
-        found.map_or(Ok(U256::zero()), |bytes| self.number(record.storage, &bytes))
+    pub fn slot(&self, address: Address, slot: U256) -> Result<U256, ChainError> {
+        let storage = Hash(self.account(address)?.unwrap_or_default().storage_root.0);
+        let found = Trie::new(&*self.ground, storage).get(&slot_key(slot)[..])?;
+        found.map_or(Ok(U256::ZERO), |bytes| self.read(storage, &bytes))
     }
 
-    fn number(&self, root: Hash, bytes: &[u8]) -> Result<U256, ChainError> {
-        Rlp::new(bytes).as_val().map_err(|_| self.ground.malformed(root))
+    /// The code with this hash.
+    pub fn code(&self, hash: B256) -> Result<Arc<[u8]>, ChainError> {
+        if hash == KECCAK256_EMPTY || hash.is_zero() { Ok(Arc::default()) } else { self.ground.node(Hash(hash.0)) }
     }
 
     /// The proof of an account and some of its slots.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
     pub fn proof(&self, address: Address, slots: &[U256]) -> Result<Proof, ChainError> {
-        let (found, way) = prove(&*self.ground, self.root, &keccak256(address.0))?;
-        let record = found.map(|bytes| self.read(&bytes)).transpose()?;
-        let storage = record.map_or(EMPTY_ROOT, |record| record.storage);
-        let mut proven = Vec::with_capacity(slots.len());
-        for slot in slots {
-            let mut key = [0; 32];
-            slot.to_big_endian(&mut key);
-            let (value, way) = prove(&*self.ground, storage, &keccak256(key))?;
-            let value = value.map_or(Ok(U256::zero()), |bytes| self.number(storage, &bytes))?;
-            proven.push((*slot, value, way));
-        }
-        Ok(Proof { record, way, slots: proven })
+        let (found, way) = Trie::new(&*self.ground, self.root).prove(&keccak256(address.0)[..])?;
+        let account: TrieAccount = found.map(|bytes| self.read(self.root, &bytes)).transpose()?.unwrap_or_default();
+        let root = Hash(account.storage_root.0);
+        let storage = Trie::new(&*self.ground, root);
+        let prove = |slot: &U256| {
+            let (found, way) = storage.prove(&slot_key(*slot)[..])?;
+            Ok((*slot, found.map_or(Ok(U256::ZERO), |bytes| self.read(root, &bytes))?, way))
+        };
+        Ok(Proof { account, way, slots: slots.iter().map(prove).collect::<Result<_, ChainError>>()? })
     }
 
     /// The root after a block's changes, and their effect on the nodes. Nothing is written.
-    ///
-    /// # Errors
-    /// [`ChainError`] if a node was altered.
-    pub fn after<'c>(&self, changes: impl IntoIterator<Item = &'c EvmState>) -> Result<(Hash, Written), ChainError> {
-        let mut folded: BTreeMap<[u8; 32], Change> = BTreeMap::new();
-        let mut written = Written::default();
+    pub fn after<'c>(&self, changes: impl IntoIterator<Item = &'c EvmState>) -> Result<(Hash, Turnover), ChainError> {
+        let mut folded: BTreeMap<B256, Change> = BTreeMap::new();
+        let mut all = Turnover::default();
         for (address, account) in changes.into_iter().flatten().filter(|(_, account)| account.is_touched()) {
-            let change = folded.entry(keccak256(address)).or_default();
-            fold(change, account, &mut written.made);
+            fold(folded.entry(keccak256(address)).or_default(), account, &mut all.made);
         }
         let mut accounts = Trie::new(&*self.ground, self.root);
         for (key, change) in folded {
-            self.change(&mut accounts, &key, change, &mut written)?;
+            let value = self.changed(&accounts, &key[..], change, &mut all)?;
+            accounts.set(&key[..], value)?;
         }
         let (root, turnover) = accounts.finish();
-        written.made.extend(turnover.made);
-        written.left.extend(turnover.left);
-        Ok((root, written))
+        all.add(turnover);
+        Ok((root, all))
     }
 
-    fn change(
+    /// An account after its changes; `None` if nothing is left of it.
+    fn changed(
         &self,
-        accounts: &mut Trie<'_, dyn Ground>,
-        key: &[u8; 32],
+        accounts: &Trie<'_, dyn Nodes>,
+        key: &[u8],
         change: Change,
-        written: &mut Written,
-    ) -> Result<(), ChainError> {
-        let before = accounts.get(key)?.map(|bytes| self.read(&bytes)).transpose()?;
-        let mut storage = before.map_or(EMPTY_ROOT, |record| record.storage);
+        all: &mut Turnover,
+    ) -> Result<Option<Vec<u8>>, ChainError> {
+        let before = accounts.get(key)?.map(|bytes| self.read(self.root, &bytes)).transpose()?;
+        let mut storage = before.map_or(EMPTY_ROOT, |account: TrieAccount| Hash(account.storage_root.0));
         let gone = change.info.is_empty();
         if (change.wiped || gone) && storage != EMPTY_ROOT {
-            written.felled.push(storage);
+            all.felled.push(storage);
             storage = EMPTY_ROOT;
         }
         if gone {
-            return accounts.set(key, None);
+            return Ok(None);
         }
         let mut slots = Trie::new(&*self.ground, storage);
         for (slot, value) in change.slots {
-            let value = U256::from_big_endian(&value.to_be_bytes::<32>());
-            let value = (!value.is_zero()).then(|| ethers::utils::rlp::encode(&value).to_vec());
-            slots.set(&keccak256(slot.to_be_bytes::<32>()), value)?;
+            slots.set(&slot_key(slot)[..], (!value.is_zero()).then(|| alloy_rlp::encode(value)))?;
         }
         let (storage, turnover) = slots.finish();
-        written.made.extend(turnover.made);
-        written.left.extend(turnover.left);
+        all.add(turnover);
         let AccountInfo { nonce, balance, code_hash, .. } = change.info;
-        let balance = U256::from_big_endian(&balance.to_be_bytes::<32>());
-        accounts.set(key, Some(Record { nonce, balance, storage, code: Hash(code_hash.0) }.encode()))
+        Ok(Some(alloy_rlp::encode(TrieAccount::new(nonce, balance, storage.0.into(), code_hash))))
     }
+}
+
+fn slot_key(slot: U256) -> B256 {
+    keccak256(slot.to_be_bytes::<32>())
 }
 
 /// Adds one transaction's changes to an account.
@@ -223,32 +160,28 @@ fn fold(change: &mut Change, account: &Account, made: &mut Vec<(Hash, Vec<u8>)>)
 impl DatabaseRef for Tries {
     type Error = Unread;
 
-    fn basic_ref(&self, address: EvmAddress) -> Result<Option<AccountInfo>, Unread> {
-        let record = self.record(address.into_array()).map_err(Unread)?;
-        Ok(record.map(|record| AccountInfo {
-            balance: Word::from_limbs(record.balance.0),
-            nonce: record.nonce,
-            code_hash: B256::from(record.code.0),
+    fn basic_ref(&self, address: alloy_primitives::Address) -> Result<Option<AccountInfo>, Unread> {
+        let found = self.account(Address(address.into_array())).map_err(Unread)?;
+        Ok(found.map(|TrieAccount { nonce, balance, code_hash, .. }| AccountInfo {
+            balance,
+            nonce,
+            code_hash,
             code: None,
             ..AccountInfo::default()
         }))
     }
 
     fn code_by_hash_ref(&self, hash: B256) -> Result<Bytecode, Unread> {
-        if hash == KECCAK_EMPTY || hash.is_zero() {
-            return Ok(Bytecode::default());
-        }
-        let code = self.ground.node(Hash(hash.0)).map_err(Unread)?;
-        Ok(Bytecode::new_legacy(Bytes::copy_from_slice(&code)))
+        let code = self.code(hash).map_err(Unread)?;
+        Ok(if code.is_empty() { Bytecode::default() } else { Bytecode::new_legacy(Bytes::copy_from_slice(&code)) })
     }
 
-    fn storage_ref(&self, address: EvmAddress, slot: Word) -> Result<Word, Unread> {
-        let value = self.slot(address.into_array(), slot.to_be_bytes()).map_err(Unread)?;
-        Ok(Word::from_limbs(value.0))
+    fn storage_ref(&self, address: alloy_primitives::Address, slot: U256) -> Result<U256, Unread> {
+        self.slot(Address(address.into_array()), slot).map_err(Unread)
     }
 
     fn block_hash_ref(&self, number: u64) -> Result<B256, Unread> {
-        Ok(B256::from(self.ground.block_hash(number).map_err(Unread)?.0))
+        self.ground.block_hash(number).map(|hash| hash.0.into()).map_err(Unread)
     }
 }
 
@@ -325,9 +258,7 @@ impl Nodes for ChainFile {
     fn malformed(&self, hash: Hash) -> ChainError {
         self.wrong(hash, "is no node")
     }
-}
 
-impl Ground for ChainFile {
     fn block_hash(&self, number: u64) -> Result<Hash, ChainError> {
         Ok(self.block(number)?.map_or(Hash([0; HASH]), |(hash, _)| hash))
     }
@@ -364,16 +295,13 @@ impl ChainFile {
     }
 
     /// Every node of the state that the file holds.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read.
     pub fn all_nodes(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         self.all("SELECT body FROM node ORDER BY hash", [], |row| row.get(0))
     }
 }
 
 /// Writes the state changes of block `number`, and removes what no kept state holds any more.
-pub fn write(transaction: &Transaction<'_>, number: u64, written: &Written) -> rusqlite::Result<()> {
+pub fn write(transaction: &Transaction<'_>, number: u64, written: &Turnover) -> rusqlite::Result<()> {
     add(transaction, &written.made)?;
     let joined = |hashes: &[Hash]| hashes.iter().flat_map(|hash| hash.0).collect::<Vec<u8>>();
     if !(written.left.is_empty() && written.felled.is_empty()) {

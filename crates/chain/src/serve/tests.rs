@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use tokio::io::AsyncReadExt;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
@@ -70,6 +69,15 @@ impl Served {
     async fn raw(&self, bytes: &[u8]) -> String {
         let mut stream = TcpStream::connect(self.address).await.expect("connects");
         stream.write_all(bytes).await.expect("writes");
+        answer_of(&mut stream).await
+    }
+
+    /// Sends bytes and no more, and returns everything received until the end.
+    async fn cut(&self, bytes: &[u8]) -> String {
+        let mut stream = TcpStream::connect(self.address).await.expect("connects");
+        // One that refuses the rest has already answered.
+        drop(stream.write_all(bytes).await);
+        drop(stream.shutdown().await);
         answer_of(&mut stream).await
     }
 
@@ -159,6 +167,10 @@ async fn requests_batches_and_mistakes() {
         (r#"{"jsonrpc":"2.0","id":1,"method":"eth_getBalance","params":[]}"#, -32602),
         (r#"{"jsonrpc":"2.0","id":1,"method":"eth_sendTransaction","params":[{}]}"#, -32601),
         (r#"{"jsonrpc":"2.0","id":1,"method":"personal_listAccounts"}"#, -32601),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"eth_sign","params":[]}"#, -32601),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"personal_unlockAccount"}"#, -32601),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"admin_addPeer","params":[]}"#, -32601),
+        (r#"{"jsonrpc":"2.0","id":1,"method":"miner_stop"}"#, -32601),
         (r#"{"jsonrpc":"2.0","id":1,"method":"eth_subscribe","params":["newHeads"]}"#, -32601),
         (r#"{"jsonrpc":"2.0","id":1,"method":"eth_sendRawTransaction","params":["0xf8"]}"#, -32000),
     ] {
@@ -239,6 +251,74 @@ async fn strangers_and_spendthrifts_are_refused() {
         let answer = served.raw(request.as_bytes()).await;
         assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{status}: {answer}");
         assert!(!answer.contains("jsonrpc"));
+    }
+}
+
+const HEADS: &str =
+    "POST / HTTP/1.1\r\nHost: 127.0.0.1:8545\r\nConnection: close\r\nContent-Type: application/json\r\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_json_rpc_from_this_machine_is_answered() {
+    let home = tempfile::tempdir().expect("folder");
+    let served = serve(home.path(), LIMITS, None).await;
+    let with = |head: &str| format!("{HEADS}{head}\r\n\r\n");
+    let replaced = |from: &str, to: &str| format!("{HEADS}Content-Length: 0\r\n\r\n").replace(from, to);
+    for (expected, request) in [
+        ("200", replaced("", "")),
+        ("405", replaced("POST", "GET")),
+        ("405", replaced("POST", "OPTIONS")),
+        ("404", replaced("POST /", "POST /x")),
+        ("400", replaced("HTTP/1.1", "HTTP/2")),
+        ("400", replaced("POST / ", "POST /")),
+        ("400", replaced("Host: 127.0.0.1:8545\r\n", "")),
+        ("400", replaced("Host: 127.0.0.1:8545\r\n", "Host: localhost\r\nHost: localhost\r\n")),
+        ("403", replaced("127.0.0.1:8545", "evil.example:8545")),
+        ("403", replaced("127.0.0.1:8545", "127.0.0.1.evil.example")),
+        ("403", replaced("127.0.0.1:8545", "localhost:8545@evil.example")),
+        ("403", replaced("127.0.0.1:8545", "10.0.0.1")),
+        ("403", replaced("Host:", "Origin: http://127.0.0.1\r\nHost:")),
+        ("415", replaced("application/json", "text/plain")),
+        ("415", replaced("Content-Type", "X-Type")),
+        ("411", replaced("Content-Length: 0", "X: y")),
+        ("411", replaced("Content-Length: 0", "Transfer-Encoding: chunked")),
+        ("400", with("Content-Length: -1")),
+        ("400", with("Content-Length: 1\r\nContent-Length: 1")),
+        ("413", with("Content-Length: 1048577")),
+        ("400", with("Content-Length: 99999999999999999999999")),
+        ("400", with("no colon")),
+        ("400", with(" folded: line")),
+        ("431", with(&"x: y\r\n".repeat(4000))),
+        ("431", "P".repeat(20_000)),
+        ("400", "\u{e9}\u{e9}\r\n\r\n".to_owned()),
+    ] {
+        let answer = served.cut(request.as_bytes()).await;
+        assert!(answer.starts_with(&format!("HTTP/1.1 {expected} ")), "{request:.300}: {answer}");
+        assert!(expected == "200" || answer.contains("onnection: close") || expected == "400" || expected == "431");
+    }
+    for host in ["127.9.9.9", "[::1]:1", "[::1]", "localhost:1", "LOCALHOST"] {
+        let answer = served.cut(replaced("127.0.0.1:8545", host).as_bytes()).await;
+        assert!(answer.starts_with("HTTP/1.1 200 "), "{host}");
+    }
+    for gone in [String::new(), with("Content-Length: 1048576"), HEADS.to_owned()] {
+        assert!(!served.cut(gone.as_bytes()).await.contains("jsonrpc"), "{gone}");
+    }
+    let polite = "POST / HTTP/1.1\nhost: LOCALHOST\ncontent-type: Application/JSON; charset=utf-8\nconnection: Close\n\
+                  expect: 100-continue\ncontent-length: 2\n\n[]";
+    let answer = served.raw(polite.as_bytes()).await;
+    assert!(answer.starts_with("HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK\r\n"), "{answer}");
+    assert!(answer.to_lowercase().contains("x-content-type-options: nosniff\r\n"), "{answer}");
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(64))]
+    #[test]
+    fn noise_is_never_taken_for_a_request(noise in "(POST / HTTP/1.1\r\n|Host: localhost\r\n|Content-Length: |\r\n|\n|[0-9]|.){0,40}") {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
+        let answer = runtime.block_on(async {
+            let home = tempfile::tempdir().expect("folder");
+            serve(home.path(), LIMITS, None).await.cut(noise.as_bytes()).await
+        });
+        proptest::prop_assert!(!answer.contains("jsonrpc"), "{answer}");
     }
 }
 

@@ -1,27 +1,158 @@
-//! A WebSocket, with or without TLS, and a socket of this machine.
+//! The address of a node, and the ways to it: HTTP and WebSockets, with or without TLS, and sockets of this machine.
 
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use futures_util::{SinkExt as _, StreamExt as _};
-use reqwest::Client;
-use reqwest::header::{AUTHORIZATION, CONTENT_TYPE, HeaderValue, LOCATION};
+use percent_encoding::percent_decode_str;
+use reqwest::header::{AUTHORIZATION, CONTENT_TYPE, HeaderValue, InvalidHeaderValue, LOCATION};
 use reqwest::redirect::Policy;
-use serde::de::DeserializeOwned;
+use reqwest::{Client, Url};
+use serde::de::{DeserializeOwned, IgnoredAny};
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::{TcpStream, UnixStream};
-use tokio::sync::Semaphore;
 use tokio_rustls::TlsConnector;
+use tokio_rustls::rustls::ClientConfig;
 use tokio_rustls::rustls::pki_types::ServerName;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::error::CapacityError;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
 use tokio_tungstenite::tungstenite::{Bytes, Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async_with_config};
+use zeroize::Zeroizing;
 
-use super::address::{Link, Opener, Server};
-use super::answer::{self, Refused, broken};
-use super::{CONNECTING, ChainError, IDLE, Limits, TOGETHER, TransportError, WIDE_TOGETHER};
-use crate::model::clean;
+use super::{CONNECTING, ChainError, IDLE, Limits, Refused, TOGETHER, TransportError, broken, is_one, read};
+use crate::model::{address_without_secrets, clean};
+use crate::web;
+
+/// A node's address.
+pub(super) struct Address {
+    /// For display.
+    pub shown: String,
+    /// What it leads to.
+    pub place: Place,
+}
+
+/// The kind of address.
+pub(super) enum Place {
+    Http(Server),
+    WebSocket(Server),
+    /// A socket of this machine.
+    Local(PathBuf),
+}
+
+/// A server of HTTP or of a WebSocket.
+#[derive(Clone)]
+pub(super) struct Server {
+    /// Without user name and password.
+    pub url: Url,
+    /// These two, as HTTP's basic authentication.
+    pub credentials: Option<HeaderValue>,
+    /// For https and wss.
+    pub tls: Option<Arc<ClientConfig>>,
+}
+
+impl Address {
+    /// Parses a URL; `roots` is a PEM file of authorities.
+    pub(super) fn parse(text: &str, roots: Option<&Path>) -> Result<Self, ChainError> {
+        let shown = clean(&address_without_secrets(text), 120);
+        let scheme = text.split_once("://").map_or("", |(scheme, _)| scheme);
+        // What cannot be taken apart may hold a secret anywhere.
+        let is_web = matches!(scheme, "http" | "https" | "ws" | "wss");
+        let refused = || ChainError::Url(if is_web { format!("{scheme}://…") } else { shown.clone() });
+        let place = match scheme {
+            "http" | "https" => Place::Http(Server::parse(text, roots, &refused)?),
+            "ws" | "wss" => Place::WebSocket(Server::parse(text, roots, &refused)?),
+            _ => {
+                let path = text.strip_prefix("ipc:").or_else(|| text.strip_suffix(".ipc").map(|_| text));
+                let path = path.map(PathBuf::from).filter(|path| path.is_absolute());
+                Place::Local(path.ok_or_else(refused)?)
+            }
+        };
+        Ok(Self { shown, place })
+    }
+}
+
+impl Server {
+    fn parse(text: &str, roots: Option<&Path>, refused: &dyn Fn() -> ChainError) -> Result<Self, ChainError> {
+        let mut url = Url::parse(text).map_err(|_| refused())?;
+        let credentials = basic(&url).map_err(|_| refused())?;
+        url.set_username("").and_then(|()| url.set_password(None)).map_err(|()| refused())?;
+        let is_secured = matches!(url.scheme(), "https" | "wss");
+        let tls = is_secured.then(|| web::tls(roots).map(Arc::new).map_err(ChainError::Roots)).transpose()?;
+        Ok(Self { url, credentials, tls })
+    }
+}
+
+/// The header of a URL's user name and password.
+fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
+    if url.username().is_empty() && url.password().is_none() {
+        return Ok(None);
+    }
+    let (user, password) = (url.username(), url.password().unwrap_or_default());
+    let parts = percent_decode_str(user).chain([b':']).chain(percent_decode_str(password));
+    let pair: Zeroizing<Vec<u8>> = Zeroizing::new(parts.collect());
+    let encoded = Zeroizing::new(STANDARD.encode(&*pair));
+    let text = Zeroizing::new(format!("Basic {}", *encoded));
+    let mut header = HeaderValue::from_str(&text)?;
+    header.set_sensitive(true);
+    Ok(Some(header))
+}
+
+// Connections that stay open between requests. Each carries one request at a time, so an answer is always that of the
+// last question; one on which something went wrong is closed.
+
+/// A connection.
+pub(super) trait Link: Send + Sized {
+    /// Sends a request and reads its answer, of at most `most` bytes.
+    fn exchange(&mut self, request: &str, most: usize) -> impl Future<Output = Result<Bytes, TransportError>> + Send;
+}
+
+/// Opens a connection whose answers have at most that many bytes.
+pub(super) type Opener<L> =
+    Box<dyn Fn(usize) -> Pin<Box<dyn Future<Output = Result<L, TransportError>> + Send>> + Send + Sync>;
+
+/// The connections to one node.
+pub(super) struct Kept<L> {
+    open: Opener<L>,
+    usual: Idle<L>,
+    wide: Idle<L>,
+}
+
+/// Idle connections and since when; the newest is last.
+type Idle<L> = Mutex<Vec<(L, Instant)>>;
+
+impl<L: Link> Kept<L> {
+    /// Not connected yet.
+    pub(super) fn new(open: Opener<L>) -> Self {
+        Self { open, usual: Idle::default(), wide: Idle::default() }
+    }
+
+    /// Makes a request and returns its answer.
+    pub(super) async fn ask(&self, request: &str, limits: Limits) -> Result<Bytes, TransportError> {
+        let idle = || {
+            let kept = if limits.is_wide() { &self.wide } else { &self.usual };
+            kept.lock().unwrap_or_else(PoisonError::into_inner)
+        };
+        // The newest one, unless the node may be about to close it.
+        let newest = {
+            let mut kept = idle();
+            kept.retain(|(_, since)| since.elapsed() < IDLE);
+            kept.pop()
+        };
+        let mut link = match newest {
+            Some((link, _)) => link,
+            None => (self.open)(limits.bytes).await?,
+        };
+        let answer = link.exchange(request, limits.bytes).await?;
+        idle().push((link, Instant::now()));
+        Ok(answer)
+    }
+}
 
 /// Bytes read at once from a local socket.
 const PIECE: usize = 64 << 10;
@@ -30,7 +161,6 @@ trait Wire: AsyncRead + AsyncWrite + Unpin + Send {}
 
 impl<T: AsyncRead + AsyncWrite + Unpin + Send> Wire for T {}
 
-/// A WebSocket.
 pub(super) struct WebSocket {
     stream: WebSocketStream<Box<dyn Wire>>,
 }
@@ -149,7 +279,7 @@ impl Local {
 impl Link for Local {
     async fn exchange(&mut self, request: &str, most: usize) -> Result<Bytes, TransportError> {
         self.stream.write_all(request.as_bytes()).await.map_err(|error| broken(&error))?;
-        let (mut answer, mut value) = (Vec::new(), Value::default());
+        let mut answer = Vec::new();
         let mut piece = vec![0; PIECE];
         loop {
             let length = self.stream.read(&mut piece).await.map_err(|error| broken(&error))?;
@@ -161,44 +291,16 @@ impl Link for Local {
                 return Err(TransportError::TooLong(most));
             }
             answer.extend_from_slice(read);
-            if read.iter().any(|byte| value.ends_with(*byte)) {
+            if is_whole(&answer) {
                 return Ok(Bytes::from(answer));
             }
         }
     }
 }
 
-/// How far an object of JSON has come.
-#[derive(Default)]
-struct Value {
-    depth: usize,
-    in_text: bool,
-    is_escaped: bool,
-}
-
-impl Value {
-    /// Whether the object ends with this byte.
-    fn ends_with(&mut self, byte: u8) -> bool {
-        if self.in_text {
-            match byte {
-                _ if self.is_escaped => self.is_escaped = false,
-                b'\\' => self.is_escaped = true,
-                b'"' => self.in_text = false,
-                _ => {}
-            }
-            return false;
-        }
-        match byte {
-            b'"' => self.in_text = true,
-            b'{' | b'[' => self.depth += 1,
-            b'}' | b']' => {
-                self.depth = self.depth.saturating_sub(1);
-                return self.depth == 0;
-            }
-            _ => {}
-        }
-        false
-    }
+/// Whether these bytes are an object of JSON from its first to its last bracket.
+fn is_whole(answer: &[u8]) -> bool {
+    answer.trim_ascii_end().ends_with(b"}") && serde_json::from_slice::<IgnoredAny>(answer).is_ok()
 }
 
 // Requests over HTTP, with or without TLS.
@@ -210,16 +312,10 @@ const LONGEST_PAGE: usize = 64 << 10;
 pub(super) struct Http {
     client: Client,
     server: Server,
-    /// Each request needs a connection to itself, and a node has only so many.
-    places: Semaphore,
-    wide_places: Semaphore,
 }
 
 impl Http {
     /// Not connected yet.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if the client cannot be built.
     pub(super) fn new(server: Server) -> Result<Self, ChainError> {
         // Redirects are not followed: only the node that was named gets requests and credentials.
         let client = Client::builder().no_proxy().redirect(Policy::none()).tls_built_in_root_certs(false);
@@ -231,18 +327,11 @@ impl Http {
             None => client,
         };
         let client = client.build().map_err(|error| ChainError::Internal(clean(&error.to_string(), 120)))?;
-        let (places, wide_places) = (Semaphore::new(TOGETHER), Semaphore::new(WIDE_TOGETHER));
-        Ok(Self { client, server, places, wide_places })
+        Ok(Self { client, server })
     }
 
     /// Makes a request and reads the result in its answer.
-    ///
-    /// # Errors
-    /// [`TransportError`].
     pub(super) async fn ask<R: DeserializeOwned>(&self, body: String, limits: Limits) -> Result<R, TransportError> {
-        let places = if limits.is_wide() { &self.wide_places } else { &self.places };
-        // It is never closed.
-        let _place = places.acquire().await.map_err(|error| TransportError::Broken(error.to_string()))?;
         let mut request = self.client.post(self.server.url.clone()).header(CONTENT_TYPE, "application/json");
         if let Some(credentials) = &self.server.credentials {
             request = request.header(AUTHORIZATION, credentials.clone());
@@ -261,21 +350,64 @@ impl Http {
             }
             bytes.extend_from_slice(&piece);
         }
-        if !status.is_success() && !answer::is_one(&bytes) {
+        if !status.is_success() && !is_one(&bytes) {
             let location = response.headers().get(LOCATION).and_then(|place: &HeaderValue| place.to_str().ok());
             return Err(Refused { status: status.as_u16(), location, page: &bytes }.words(&self.server));
         }
-        answer::read(&bytes).map_err(|error| if is_page(&bytes) { web_page() } else { error })
+        // The text of a web page tells nothing, and a fault of JSON is not what is wrong.
+        let is_page = bytes.trim_ascii_start().starts_with(b"<");
+        let page =
+            || TransportError::Malformed("a web page: what stands before the node refused the request".to_owned());
+        read(&bytes).map_err(|error| if is_page { page() } else { error })
     }
 }
 
-fn is_page(bytes: &[u8]) -> bool {
-    bytes.trim_ascii_start().starts_with(b"<")
-}
+#[cfg(test)]
+mod address_tests {
+    use super::*;
 
-/// Its text tells nothing, and a fault of JSON is not what is wrong.
-fn web_page() -> TransportError {
-    TransportError::Malformed("a web page: what stands before the node refused the request".to_owned())
+    fn parse(text: &str) -> Result<Address, ChainError> {
+        Address::parse(text, None)
+    }
+
+    #[test]
+    fn urls() {
+        for good in ["http://127.0.0.1:8545", "ws://localhost:8546/x", "ipc:/tmp/geth.ipc", "/tmp/geth.ipc"] {
+            assert!(parse(good).is_ok(), "{good}");
+        }
+        for bad in ["", "127.0.0.1:8545", "ftp://node", "ipc:geth.ipc", "geth.ipc", "http://", "https://", "/tmp/x"] {
+            assert!(matches!(parse(bad), Err(ChainError::Url(_))), "{bad}");
+        }
+    }
+
+    #[test]
+    fn credentials_are_sent_and_not_shown() {
+        // python3: base64.b64encode(b"op:p@ss/w#rd:%1")
+        let expected = "Basic b3A6cEBzcy93I3JkOiUx";
+        for scheme in ["http", "ws"] {
+            let address = parse(&format!("{scheme}://op:p%40ss%2Fw%23rd:%251@node.example:1/v3/KEY")).expect("a URL");
+            let (Place::Http(server) | Place::WebSocket(server)) = address.place else { panic!("a server") };
+            assert_eq!(server.credentials.as_ref().map(|header| header.to_str().expect("text")), Some(expected));
+            assert_eq!(server.url.as_str(), format!("{scheme}://node.example:1/v3/KEY"));
+            assert_eq!(address.shown, format!("{scheme}://…@node.example:1/…"));
+        }
+        let Place::Http(server) = parse("http://node.example").expect("a URL").place else { panic!("a server") };
+        assert_eq!(server.credentials, None);
+    }
+
+    #[test]
+    fn a_refused_url_shows_no_secret() {
+        for bad in [
+            "http://me:SECRET@",
+            "https://me:SECRET@:x/",
+            "nothing://me:SECRET@host/SECRET",
+            "ws://[SECRET/",
+            "node.example/SECRET",
+        ] {
+            let Err(error) = parse(bad) else { panic!("{bad} is accepted") };
+            assert!(!error.to_string().contains("SECRET"), "{error}");
+        }
+    }
 }
 
 #[cfg(test)]
@@ -284,10 +416,9 @@ mod tests {
 
     #[test]
     fn an_object_ends_with_its_own_bracket() {
-        for text in [r#"{"a":[1,{"b":"}\"]"}]}"#, r#" {"result":"\\"}"#, "[]"] {
-            let mut value = Value::default();
-            let ends: Vec<bool> = text.bytes().map(|byte| value.ends_with(byte)).collect();
-            assert_eq!(ends.iter().position(|end| *end), Some(text.len() - 1), "{text}");
+        for text in [r#"{"a":[1,{"b":"}\"]"}]}"#, r#" {"result":"\\"}"#, "{}\n"] {
+            let whole = |length: &usize| is_whole(&text.as_bytes()[..*length]);
+            assert_eq!((0..=text.len()).find(whole), Some(text.trim_end().len()), "{text}");
         }
     }
 }

@@ -354,7 +354,7 @@ fn check(first: &Certificate, others: &[Certificate], pinned: &Certificate, at: 
     Err(TimeError::NotPinned(first.name()))
 }
 
-/// Whether one certificate issued the other, with so many between that one and the first.
+/// Whether one certificate issued the other, with this many between that one and the first.
 fn issued(above: &Certificate, below: &Certificate, between: usize) -> Result<(), TimeError> {
     if !above.uses.may_issue() || above.uses.issuer.is_some_and(|most| most < between as u64) {
         return Err(TimeError::NotAnIssuer(above.name()));

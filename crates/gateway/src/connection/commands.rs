@@ -69,19 +69,24 @@ pub(super) struct Commands {
 /// How soon a request that waits is looked at again while the chain is not fresh.
 const AGAIN: Duration = Duration::from_millis(500);
 
+/// The shortest time between two looks, however often something changes: all that wait look then.
+const LEAST: Duration = Duration::from_millis(50);
+
 /// A request for the feed that had no answer yet.
 pub(super) struct Waiting {
     request: u32,
     asked: Feed,
     until: Instant,
     again: Instant,
+    looked: Instant,
     changes: watch::Receiver<u64>,
 }
 
 impl Waiting {
     /// Whether to look again.
     pub fn is_due(&self) -> bool {
-        self.changes.has_changed().unwrap_or(true) || self.again <= Instant::now()
+        let now = Instant::now();
+        self.again <= now || (self.changes.has_changed().unwrap_or(true) && self.looked + LEAST <= now)
     }
 
     /// Waits until it is. Can be cancelled at any point.
@@ -91,7 +96,8 @@ impl Waiting {
             () = sleep_until(self.again) => {}
         }
         // Seen by `changed`, but not looked at yet.
-        self.again = Instant::now();
+        self.again = self.again.min(Instant::now().max(self.looked + LEAST));
+        sleep_until(self.again).await;
     }
 }
 
@@ -159,10 +165,10 @@ impl Commands {
         if self.waiting.is_some() {
             return Err(Refusal::new(Code::Quota, "one request for the feed is waiting already"));
         }
-        // Whoever changes something after the look rings.
+        // A change after the look rings.
         let (now, changes) = (Instant::now(), shared.desk.changes());
         let until = now + asked.wait;
-        self.waiting = Some(Waiting { request, asked, until, again: now, changes });
+        self.waiting = Some(Waiting { request, asked, until, again: now, looked: now, changes });
         self.due(shared).await.map(|(_, outcome)| outcome).transpose()
     }
 
@@ -172,6 +178,7 @@ impl Commands {
     pub async fn due(&mut self, shared: &Shared) -> Option<(u32, Result<Answer, Refusal>)> {
         let mut waiting = self.waiting.take()?;
         waiting.changes.mark_unchanged();
+        waiting.looked = Instant::now();
         let is_over = Instant::now() >= waiting.until;
         let page = match self.page(shared, &waiting.asked).await {
             Ok(page) if is_over || page.tells(&waiting.asked) => page,
@@ -200,9 +207,9 @@ impl Commands {
         let desk = shared.desk.as_ref();
         desk.admits(&self.caller.account, None).await?;
         check_account(desk, &self.binding).await?;
-        let is_new = asked.places.iter().any(|(owner, _)| !self.followed.contains(owner));
+        let is_new = asked.places.iter().any(|place| !self.followed.contains(&place.owner));
         let page = desk.feed(&self.caller, asked, is_new).await?;
-        self.followed.extend(asked.places.iter().map(|(owner, _)| *owner));
+        self.followed.extend(asked.places.iter().map(|place| place.owner));
         Ok(page)
     }
 

@@ -14,7 +14,7 @@ use authros_gateway::command::{
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
-use authros_gateway::{Code, Feed, FeedEntry, FeedPage, Found, Receipt};
+use authros_gateway::{Code, Feed, FeedEntry, FeedPage, Found, Place, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
     Address, Digest, Domain, Fact, Hash, Head, ProfileName, PublicKey, RecordKind, RecorderId, RecorderPrefix,
@@ -156,12 +156,16 @@ fn feed() -> Feed {
         kind: Some(RecordKind::Key),
         topics: vec![TopicId([2; 16]); 2],
         recorders: vec![RecorderId([3; 16]); 3],
-        places: vec![(Address([4; 20]), 5), (Address([6; 20]), u64::MAX)],
+        places: vec![
+            Place { owner: Address([4; 20]), after: 5, grant: 7 },
+            Place { owner: Address([6; 20]), after: u64::MAX, grant: 0 },
+        ],
     }
 }
 
-fn page() -> FeedPage {
-    let one = |number, fact, proof| FeedEntry {
+/// A row of a feed.
+pub(crate) fn entry(number: u64, fact: Fact, proof: Vec<u8>) -> FeedEntry {
+    FeedEntry {
         number,
         fact,
         digest: Digest([1; 32]),
@@ -174,8 +178,11 @@ fn page() -> FeedPage {
         length: 8,
         kind: RecordKind::Gap,
         proof,
-    };
-    let entries = vec![one(3, Fact::Stored, Vec::new()), one(7, Fact::Verified, vec![3; 40])];
+    }
+}
+
+fn page() -> FeedPage {
+    let entries = vec![entry(3, Fact::Stored, Vec::new()), entry(7, Fact::Verified, vec![3; 40])];
     let refused = vec![(Address([8; 20]), Code::NotAuthorised)];
     FeedPage::new([9; 16], (12, 8), refused, entries)
 }

@@ -40,10 +40,11 @@ async fn a_robot_enrols_uploads_and_reads_back() {
     assert_eq!(missing, [(Digest([0; 32]), Code::NotFound)]);
 
     stage.desk.state().verify();
-    let (mut follow, mut seen) = (Follow::new(Feed::of(alice.account())), Vec::new());
-    while let Some(page) = follow.next(&mut client, Duration::ZERO).await.expect("a page") {
+    let (mut feed, mut seen) = (Feed::of(alice.account()), Vec::new());
+    loop {
+        let page = client.feed(&feed).await.expect("a page");
         seen.extend(page.entries.iter().map(|entry| entry.seq));
-        follow.took(&page, page.upto);
+        feed.after(&page);
         if page.upto == page.head {
             break;
         }
@@ -177,23 +178,23 @@ fn revoke_of(reader: &Member) -> RevokeNotice {
     RevokeNotice { grantee: reader.account(), epoch: 2, token: Token([2; 32]), transaction: Hash([2; 32]) }
 }
 
-/// A follower that is told of one record after the other, as they come.
+/// A follower that gets one record after the other, as they come.
 struct Live {
-    follow: Follow,
+    feed: Feed,
     told: VecDeque<FeedEntry>,
 }
 
 impl Live {
     fn of(owner: Address) -> Self {
-        Self { follow: Follow::new(Feed::of(owner)), told: VecDeque::new() }
+        Self { feed: Feed::of(owner), told: VecDeque::new() }
     }
 
     /// The next record; nothing if none comes within `patience`.
     async fn next(&mut self, client: &mut Client, patience: Duration) -> Result<Option<FeedEntry>, GatewayError> {
-        if self.told.is_empty()
-            && let Some(page) = self.follow.next(client, patience).await?
-        {
-            self.follow.took(&page, page.upto);
+        if self.told.is_empty() {
+            self.feed.wait = patience;
+            let page = client.feed(&self.feed).await?;
+            self.feed.after(&page);
             self.told.extend(page.entries);
         }
         Ok(self.told.pop_front())
@@ -202,14 +203,17 @@ impl Live {
 
 const LONG: Duration = Duration::from_secs(30);
 
+async fn connected(stage: &Stage, member: &Member) -> Client {
+    let credentials = stage.enrol(member).await;
+    stage.connect(&credentials).await.expect("connects")
+}
+
 #[tokio::test]
 async fn a_follower_gets_records_until_the_revoke_and_none_after() {
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     let mut live = Live::of(alice.account());
     assert_eq!(refusal(live.next(&mut reader, LONG).await), Some(Code::NotAuthorised), "at once");
     let receipt = owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
@@ -242,16 +246,16 @@ async fn one_owner_who_gives_nothing_keeps_no_other_away() {
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     reader.upload(vec![bob.record(&bob.signing, 1, b"his own")]).await.expect("receipt");
     owner.upload(vec![alice.record(&alice.signing, 1, b"hers")]).await.expect("receipt");
-    let mut live = Live::of(bob.account());
-    live.follow.add(alice.account(), 0);
-    let told = live.next(&mut reader, LONG).await.expect("a page").expect("his own");
-    let resting: Vec<Address> = live.follow.resting().copied().collect();
-    assert_eq!((told.owner, resting), (bob.account(), vec![alice.account()]));
+    let mut both = Feed::of(bob.account());
+    both.places.extend(Feed::of(alice.account()).places);
+    let mut live = Live { feed: Feed { wait: LONG, ..both }, told: VecDeque::new() };
+    let page = reader.feed(&live.feed).await.expect("a page");
+    live.feed.after(&page);
+    assert_eq!(page.refused, [(alice.account(), Code::NotAuthorised)]);
+    assert_eq!(page.entries.iter().map(|told| told.owner).collect::<Vec<_>>(), [bob.account()]);
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     let told = loop {
         if let Some(told) = live.next(&mut reader, LONG).await.expect("a page") {
@@ -275,9 +279,7 @@ async fn who_follows_waits_while_the_chain_is_silent_and_goes_on_or_ends_by_what
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     let mut live = Live::of(alice.account());
     stage.desk.state().silent = true;
@@ -308,9 +310,7 @@ async fn who_follows_under_replaced_keys_gets_nothing_more() {
     let stage = Stage::new().await;
     stage.desk.state().verify();
     let (alice, bob) = (alice(), bob());
-    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
-    let (mut owner, mut reader) =
-        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    let (mut owner, mut reader) = (connected(&stage, &alice).await, connected(&stage, &bob).await);
     owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
     let mut live = Live::of(alice.account());
     owner.upload(vec![alice.record(&alice.signing, 1, b"live")]).await.expect("receipt");

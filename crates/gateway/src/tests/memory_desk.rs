@@ -14,7 +14,7 @@ use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Notice, RevokeNotice};
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
-use authros_gateway::feed::{FeedEntry, MOST_ENTRIES};
+use authros_gateway::feed::{FeedEntry, MOST_ENTRIES, Place};
 use authros_gateway::{Code, Feed, FeedPage, NetworkName, Refusal};
 use authros_model::{
     Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token,
@@ -210,7 +210,7 @@ impl Desk for MemoryDesk {
             return Err(Refusal::new(Code::Stale, "the chain is silent"));
         }
         let mut refused = Vec::new();
-        for (owner, _) in &asked.places {
+        for Place { owner, .. } in &asked.places {
             if let Err(refusal) = state.may_read(&caller.account, owner) {
                 refused.push((*owner, refusal.code));
             }
@@ -220,9 +220,9 @@ impl Desk for MemoryDesk {
         }
         let head = state.feed.len() as u64;
         let after = |owner: &Address| {
-            let is_told = |place: &&(Address, u64)| place.0 == *owner && !refused.iter().any(|(no, _)| no == owner);
+            let is_told = |place: &&Place| place.owner == *owner && !refused.iter().any(|(no, _)| no == owner);
             let place = asked.places.iter().find(is_told);
-            place.map(|(_, number)| if asked.id == state.feed_id && *number <= head { *number } else { 0 })
+            place.map(|place| if asked.id == state.feed_id && place.after <= head { place.after } else { 0 })
         };
         let mut entries: Vec<FeedEntry> = Vec::new();
         for (number, (record, fact)) in (1..).zip(&state.feed) {
@@ -238,7 +238,8 @@ impl Desk for MemoryDesk {
         }
         entries.truncate(MOST_ENTRIES);
         let upto = if entries.len() == MOST_ENTRIES { entries[MOST_ENTRIES - 1].number } else { head };
-        Ok(FeedPage::new(state.feed_id, (head, upto), refused, entries))
+        let is_anew = asked.id != state.feed_id || asked.places.iter().any(|place| place.after > head);
+        Ok(FeedPage { is_anew, ..FeedPage::new(state.feed_id, (head, upto), refused, entries) })
     }
 
     fn changes(&self) -> watch::Receiver<u64> {

@@ -391,3 +391,73 @@ fn another_gateways_note_is_not_taken_for_this_ones() {
     assert!(trust_in(&file, one).is_ok_and(|trust| trust.seen.is_some()));
     assert!(trust_in(&file, crate::model::SignerId([2; 32])).is_err());
 }
+
+/// What a robot learns of its recorders, without a line: each recorder's rows, by number.
+fn hear(proofs: &mut Proofs, rows: &[(u64, RecorderId)], head: u64) -> Vec<u64> {
+    let mut told = Vec::new();
+    for group in proofs.groups() {
+        while let Some(asked) = proofs.asks(&group) {
+            let after = asked.places[0].after;
+            let wanted = rows.iter().filter(|(number, recorder)| *number > after && group.contains(recorder));
+            // Pages of one row.
+            let next = wanted.map(|(number, _)| *number).min();
+            told.extend(next);
+            let upto = next.unwrap_or(head);
+            let page = FeedPage::new([1; 16], (head, upto), Vec::new(), Vec::new());
+            proofs.took(&FeedPage { is_anew: asked.id != [1; 16], ..page }, &asked);
+            if upto == head {
+                break;
+            }
+        }
+    }
+    told
+}
+
+fn recorders(count: u8) -> BTreeSet<RecorderId> {
+    (1..=count).map(|number| RecorderId([number; 16])).collect()
+}
+
+fn proofs() -> Proofs {
+    let recorders = BTreeMap::new();
+    Proofs { owner: Address([1; 20]), id: [1; 16], newest: 0, recorders, sweep: None, swept: None }
+}
+
+#[test]
+fn a_robot_hears_of_all_its_recorders_however_many_starts_of_its_ring_wait() {
+    let (mut proofs, all) = (proofs(), recorders(100));
+    let rows: Vec<(u64, RecorderId)> = (1..).zip(all.iter().rev().copied()).collect();
+    let mut told = BTreeSet::new();
+    for _ in 0..5 {
+        proofs.follow(&all, Instant::now());
+        assert!(proofs.groups().iter().all(|group| group.len() <= MOST_NAMED));
+        told.extend(hear(&mut proofs, &rows, 200));
+    }
+    assert_eq!(told, (1..=100).collect(), "none is passed by");
+    assert_eq!(proofs.done(), 200);
+    // One that is new here has nothing before.
+    let more = recorders(101);
+    proofs.follow(&more, Instant::now());
+    assert_eq!((proofs.done(), proofs.recorders.len()), (200, 101));
+    proofs.follow(&recorders(2), Instant::now());
+    assert_eq!(proofs.recorders.len(), 2, "of the others nothing waits any more");
+}
+
+#[test]
+fn a_proof_that_never_holds_keeps_no_newer_one_waiting() {
+    let (mut proofs, all) = (proofs(), recorders(2));
+    let [one, other] = [1, 2].map(|number| RecorderId([number; 16]));
+    let (mut now, mut rows, mut pauses) = (Instant::now(), vec![(5, one)], Vec::new());
+    for round in 0..8u64 {
+        let number = 10 + round;
+        rows.push((number, other));
+        proofs.follow(&all, now);
+        let told = hear(&mut proofs, &rows, number);
+        assert!(told.contains(&number), "{round}: {told:?}");
+        assert!(told.contains(&5), "{round}: looked at again");
+        proofs.hold((one, 5), Duration::from_secs(1));
+        assert_eq!(proofs.done(), 4, "and is again after a restart");
+        pauses.push(proofs.recorders[&one].pause.as_secs());
+        now = Instant::now() + LONGEST_HOLD;
+    }
+    assert_eq!(pauses, [1, 2, 4, 8, 16, 32, 64, 128]);
+}

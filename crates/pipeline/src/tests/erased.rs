@@ -112,7 +112,7 @@ async fn what_a_gateway_says_was_erased_is_not_believed() {
         ("the whole record", with(Fetched { blob: sealed.blob.clone(), ..honest.record.clone() })),
         ("no header", with(Fetched { blob: b"nothing".to_vec(), ..honest.record.clone() })),
         ("another signature", with(Fetched { signature: Signature([7; 64]), ..honest.record.clone() })),
-        ("no proof", with(Fetched { proof: Vec::new(), ..honest.record.clone() })),
+        ("no proof", with(Fetched { proof: vec![9], ..honest.record.clone() })),
         ("half a proof", with(Fetched { proof: honest.record.proof[..99].to_vec(), ..honest.record.clone() })),
     ];
     for (what, lie) in lies {

@@ -9,7 +9,7 @@ use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
 use crate::gateway::Fetched;
 use crate::gateway::desk::Received;
 use crate::model::head::Compression;
-use crate::model::{Address, FilterId, Head, RecorderPrefix};
+use crate::model::{Address, FilterId, Hash, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
 use crate::pipeline::intake::{Accepted, Anchors, Intake, Reason, Refused, accept_uploads};
 use crate::store::StoreError;
@@ -53,15 +53,27 @@ pub(super) fn sealed_as(
     (head, body): (&Head, &[u8]),
     wrong: Option<&TopicKey>,
 ) -> SealedRecord {
+    sealed_by(RecorderPrefix::ledger([9; 7]), owner.address, (kind, owner, seq), filters, (head, body), wrong)
+}
+
+/// The same with a number of this recorder, as a record of `claimed`.
+fn sealed_by(
+    recorder: RecorderPrefix,
+    claimed: Address,
+    (kind, owner, seq): (RecordKind, &Owner, u64),
+    filters: Vec<FilterId>,
+    (head, body): (&Head, &[u8]),
+    wrong: Option<&TopicKey>,
+) -> SealedRecord {
     let keys = owner.sealing().expect("keys");
     let topic = keys.topic("/robot1/odom").expect("covered");
     let request = SealRequest {
         domain: keys.domain,
-        owner: owner.address,
+        owner: claimed,
         signer: &keys.signing,
         epoch: keys.epoch,
         topic_key: wrong.unwrap_or(&topic.key),
-        recorder: RecorderPrefix::ledger([9; 7]),
+        recorder,
         seq,
         topic_id: topic.id,
         kind,
@@ -128,9 +140,15 @@ async fn what_a_mirror_does_not_take_in_leaves_no_bytes() {
     assert_eq!(entries(&line.plant), 0, "nobody can open it");
     let first = elsewhere(&line.owner, 1, b"one", None);
     let digest = first.digest;
-    let unproven = taken_with(&line, first.clone(), Vec::new()).await;
+    let unproven = taken_with(&line, first.clone(), vec![9]).await;
     assert!(matches!(unproven, Ok(Accepted::Refused(Refused { reason: Reason::NoProof, .. }))), "{unproven:?}");
+    let taken_back = taken_with(&line, first.clone(), Vec::new()).await;
+    assert!(matches!(taken_back, Ok(Accepted::Later)), "the chain may have it again: {taken_back:?}");
     let proof = proof_of(&line, &first).await;
+    let known = AnchorProof::parse(&proof).expect("a proof");
+    let ahead = AnchorProof { block: known.block + 5_000, transaction: Hash([3; 32]), ..known }.encode();
+    let ahead = taken_with(&line, first.clone(), ahead).await;
+    assert!(matches!(ahead, Ok(Accepted::Later)), "the node here has a long way to go: {ahead:?}");
     let (block, hash) = line.plant.ledger.trail.cursor().expect("read").expect("it watches");
     line.plant.ledger.trail.set_cursor(0, hash).expect("set");
     let early = taken_with(&line, first.clone(), proof.clone()).await.expect("asked");
@@ -143,6 +161,29 @@ async fn what_a_mirror_does_not_take_in_leaves_no_bytes() {
     let twin = taken(&line, elsewhere(&line.owner, 1, b"two", None)).await;
     assert!(matches!(twin, Ok(Accepted::Refused(Refused { reason: Reason::Number, .. }))), "{twin:?}");
     assert_eq!(entries(&line.plant), 1, "its number is another's");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_record_that_claims_a_number_of_this_home_is_refused_and_stops_nobody() {
+    let line = Line::new().await;
+    line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+    line.owner.seal_under(line.network.domain, 1).expect("seals");
+    let (here, there) = (line.plant.ledger.records.recorder(), Address([7; 20]));
+    let simulated = Head { tags: [("simulated".to_owned(), "true".to_owned())].into(), ..head(b"one") };
+    let seal = |claimed, head: &Head| {
+        sealed_by(here, claimed, (RecordKind::Data, &line.owner, 1), Vec::new(), (head, b"one"), None)
+    };
+    let mallorys = seal(there, &head(b"one"));
+    let anchors = Anchors::default();
+    let (plant, network, keeper, patience) = (&line.plant, &line.network, Address([8; 20]), Duration::ZERO);
+    let intake = Intake { plant, network, anchors: &anchors, keeper, patience };
+    let SealedRecord { digest, signature, blob, .. } = mallorys;
+    let fetched = Fetched { signer: line.owner.signing().public, signature, proof: vec![9], blob };
+    let refused = intake.accept(&line.owner, there, digest, fetched).await;
+    assert!(matches!(refused, Ok(Accepted::Refused(Refused { reason: Reason::NumberedHere, .. }))), "{refused:?}");
+    // Of the owner's own, which this ledger lost: the row that it would get says something else.
+    let refused = taken(&line, seal(line.owner.address, &simulated)).await;
+    assert!(matches!(refused, Ok(Accepted::Refused(_))), "{refused:?}");
 }
 
 #[test]

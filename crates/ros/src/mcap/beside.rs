@@ -336,28 +336,32 @@ fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
     }
 }
 
+/// A channel of one field.
+#[cfg(test)]
+pub(super) fn words() -> Arc<Channel> {
+    Arc::new(Channel {
+        topic: "/words".into(),
+        type_name: "std_msgs/msg/String".into(),
+        md5sum: "*".into(),
+        definition: "string data".into(),
+        caller_id: "".into(),
+        latching: false,
+        encoding: Encoding::Cdr { idl: false },
+        about: BTreeMap::new(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
     use std::io::Cursor;
-    use std::sync::Arc;
 
     use super::*;
     use crate::model::Timestamp;
     use crate::ros::mcap::{Beside, McapReader, McapWriter};
-    use crate::ros::recording::{Channel, ChunkCompression, Encoding, RecordedMessage};
+    use crate::ros::recording::{ChunkCompression, RecordedMessage};
 
     fn recorded(messages: u64) -> Vec<u8> {
-        let channel = Arc::new(Channel {
-            topic: "/words".into(),
-            type_name: "std_msgs/msg/String".into(),
-            md5sum: "*".into(),
-            definition: "string data".into(),
-            caller_id: "".into(),
-            latching: false,
-            encoding: Encoding::Cdr { idl: false },
-            about: BTreeMap::new(),
-        });
+        let channel = words();
         let mut writer = McapWriter::begin(Cursor::new(Vec::new()), ChunkCompression::Lz4).expect("begun");
         for number in 0..messages {
             writer.write(&channel, Timestamp(1_000 + number), &vec![7; 300_000]).expect("written");

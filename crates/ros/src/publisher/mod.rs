@@ -368,7 +368,7 @@ impl PublisherNode {
         now + self.identity.overflowed.load(Ordering::SeqCst)
     }
 
-    /// Withdraws topics: no subscriber gets any more of them, however late the master hears of it.
+    /// Withdraws topics: no subscriber gets any more of them, however late the master learns of it.
     pub fn withdraw(&self, topics: &[String]) {
         let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
         let gone: Vec<Arc<Outlet>> = self.outlets().into_iter().filter(is_meant).collect();

@@ -50,7 +50,7 @@ pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: In
     }
 }
 
-/// Hands on the text of a call; returns the text of the response, unread.
+/// Passes the text of a call on; returns the text of the response, unread.
 pub(crate) fn forward(peer: &Endpoint, body: &str, deadline: Instant) -> Result<String, CallError> {
     let by = deadline.min(Instant::now() + CONNECT);
     let stream = connect(&peer.host, peer.port, by).map_err(|error| CallError::Connect(error.to_string()))?;
@@ -123,7 +123,7 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Serves `listener` in its own thread, so many connections at once.
+    /// Serves `listener` in its own thread, this many connections at once.
     pub fn start(listener: TcpListener, answer: Arc<dyn Answer>, most: usize) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let stopping = Arc::new(AtomicBool::new(false));

@@ -3,11 +3,11 @@
 
 pub mod exposition;
 
-use std::net::IpAddr;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 
+use crate::chain::serve::is_this_machine;
 use crate::model::Timestamp;
 use crate::reply::{LifeLine, QueueView, TaskState, TaskView};
 use crate::store::CacheState;
@@ -269,15 +269,6 @@ pub fn judge(head: &[u8], any_host: bool) -> Asked {
         return Refused("403 Forbidden", "the Host header must name this machine: localhost or 127.0.0.1");
     }
     Asked::Figures
-}
-
-fn is_this_machine(host: &str) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(bracketed) => bracketed.split(']').next(),
-        None => host.split(':').next(),
-    };
-    let name = name.unwrap_or_default();
-    name.eq_ignore_ascii_case("localhost") || name.parse().is_ok_and(|address: IpAddr| address.is_loopback())
 }
 
 fn refusal(status: &str, why: &str) -> String {

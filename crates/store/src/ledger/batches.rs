@@ -386,7 +386,7 @@ pub(super) fn take_in(
         Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?))
     })?;
     let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
-    if !may(By::Batch, state, RecordState::Batched) {
+    if !may(By::Batch, state, RecordState::Batched) && !leave_for(connection, (record, state), inclusion.root)? {
         return Ok(false);
     }
     let batch = batch_of(connection, digest, inclusion, anchor)?;
@@ -396,6 +396,24 @@ pub(super) fn take_in(
     branches::keep_one(connection, batch, (inclusion.index, inclusion.count), &inclusion.path)?;
     connection.run("UPDATE records SET state = ?2 WHERE n = ?1", params![record, RecordState::Batched.code()])?;
     see_record(connection, record, batch, anchor)?;
+    Ok(true)
+}
+
+/// A record leaves the batch of another ledger whose block the chain took back, where that ledger has it in another one by now.
+fn leave_for(connection: &Connection, (record, state): (i64, RecordState), root: Hash) -> Result<bool, StoreError> {
+    let sql = "SELECT 1 FROM leaves JOIN batches ON key = batch
+             WHERE record = ?1 AND closed_here = 0 AND block IS NULL AND root <> ?2";
+    let is_waiting = matches!(state, RecordState::Batched | RecordState::Submitted);
+    if !is_waiting || !connection.has(sql, params![record, root.0])? {
+        return Ok(false);
+    }
+    for step in [
+        "REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE record = ?1",
+        "DELETE FROM leaves WHERE record = ?1",
+        "UPDATE records SET tx = NULL WHERE n = ?1",
+    ] {
+        connection.run(step, [record])?;
+    }
     Ok(true)
 }
 

@@ -51,8 +51,10 @@ pub struct FeedRow {
 /// A page of the feed, as of one moment.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FeedPage {
-    /// Random, made with the file and by every restore of it: places belong to it.
+    /// Random, made by every process that gives numbers and by every restore of the file: places belong to it.
     pub id: [u8; 16],
+    /// Whether the places asked from are not of this feed, or beyond its end: all of them count as its beginning.
+    pub is_anew: bool,
     /// The highest number given so far.
     pub head: u64,
     /// Every wanted row up to this number is on this page or before it.
@@ -62,13 +64,24 @@ pub struct FeedPage {
 }
 
 impl Feed {
-    /// The next rows, at most `limit`. Places of another feed than `id`, and those beyond the head, count as its beginning.
+    /// The next rows, at most `limit`, after places that were told under `id`.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn page(&self, id: &[u8; 16], filter: &FeedFilter, limit: usize) -> Result<FeedPage, StoreError> {
         self.0.read(|connection| page(connection, id, filter, limit))
     }
+}
+
+/// How many ids of a feed are known: who has an older one reads it anew.
+const MOST_IDS: i64 = 4096;
+
+/// The feed has another id from now on. A copy of this file that goes back behind `after`, and is used from there, gives the numbers
+/// after it once more.
+pub(super) fn begin(connection: &Connection, after: i64) -> Result<(), StoreError> {
+    connection.run("INSERT INTO feeds (id, after) VALUES (randomblob(16), ?1)", [after])?;
+    connection.run("DELETE FROM feeds WHERE key <= (SELECT max(key) FROM feeds) - ?1", [MOST_IDS])?;
+    Ok(())
 }
 
 /// An owner's notice was stored: a row for it.
@@ -80,9 +93,14 @@ pub(super) fn note(connection: &Connection, record: i64, topic: i64) -> Result<(
 }
 
 fn page(connection: &Connection, id: &[u8; 16], filter: &FeedFilter, limit: usize) -> Result<FeedPage, StoreError> {
-    let sql = "SELECT feed, head FROM about";
+    let sql = "SELECT id, head FROM feeds, about ORDER BY key DESC LIMIT 1";
     let (own, head): ([u8; 16], u64) = connection.one(sql, [], |row| Ok((row.get(0)?, unsigned(row, 1)?)))?;
-    let place = |after: u64| if own == *id && after <= head { after } else { 0 };
+    // The last number that was given under the id.
+    let sql = "SELECT coalesce((SELECT min(later.after) FROM feeds later WHERE later.key > feeds.key), head)
+             FROM feeds, about WHERE id = ?1";
+    let last: Option<u64> = connection.find(sql, [id], |row| unsigned(row, 0))?;
+    let is_anew = last.is_none_or(|last| filter.places.iter().any(|wanted| wanted.after > last));
+    let place = |after: u64| if is_anew { 0 } else { after };
     let topics = topics(connection, filter, place)?;
     let first = filter.places.iter().map(|wanted| place(wanted.after)).min().unwrap_or(head);
     let mut found = Found { upto: first, rows: Vec::new() };
@@ -90,7 +108,7 @@ fn page(connection: &Connection, id: &[u8; 16], filter: &FeedFilter, limit: usiz
     if looked_at < MOST_LOOKED_AT && found.rows.len() < limit {
         found.upto = head;
     }
-    Ok(FeedPage { id: own, head, upto: found.upto, rows: filled(connection, found.rows, filter.kind)? })
+    Ok(FeedPage { id: own, is_anew, head, upto: found.upto, rows: filled(connection, found.rows, filter.kind)? })
 }
 
 /// Rows before their records are read: number, fact and record.

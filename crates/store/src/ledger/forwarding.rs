@@ -80,13 +80,19 @@ impl Forwarding {
         })
     }
 
-    /// Who numbered records here, the newest first.
+    /// Who numbered the records that wait here, to be passed on or for the gateway's word.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn recorders(&self, limit: usize) -> Result<Vec<RecorderId>, StoreError> {
-        let sql = "SELECT id FROM recorders ORDER BY key DESC LIMIT ?1";
-        self.0.list(sql, [capped(limit)], |row| row.get(0).map(RecorderId))
+    pub fn recorders(&self) -> Result<BTreeSet<RecorderId>, StoreError> {
+        self.0.read(|connection| {
+            let sql = "SELECT DISTINCT r.id FROM counters c JOIN streams s ON s.key = c.stream
+                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                     WHERE c.state IN (?1, ?2) AND c.records > 0";
+            let values = params![RecordState::Stored.code(), RecordState::Submitted.code()];
+            let found: Vec<RecorderId> = connection.list(sql, values, |row| row.get(0).map(RecorderId))?;
+            Ok(found.into_iter().collect())
+        })
     }
 
     /// A gateway's standings of records it took over: verified, tampered, or, if it no longer knows them, stored again.

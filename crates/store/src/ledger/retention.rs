@@ -179,7 +179,7 @@ impl Retention {
                     "UPDATE retained SET deleted_at = coalesce(deleted_at, ?2)
                         WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
-                    // Listed from now on: a reader that is past the earlier number reads it again.
+                    // Listed from now on: who tells the gateway of erasures may be past the earlier number.
                     "REPLACE INTO erasures (record, statement, account, taken)
                         SELECT record, statement, account, taken FROM erasures
                         WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",

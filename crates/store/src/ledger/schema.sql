@@ -3,9 +3,13 @@
 -- The one row about this file. `clean` is 0 while a process has it open.
 -- `recorder` is the prefix of the ids of its own recorders.
 CREATE TABLE about (
-    one INTEGER PRIMARY KEY CHECK (one = 1), recorder BLOB NOT NULL, clean INTEGER NOT NULL, feed BLOB NOT NULL,
-    head INTEGER NOT NULL
+    one INTEGER PRIMARY KEY CHECK (one = 1), recorder BLOB NOT NULL, clean INTEGER NOT NULL, head INTEGER NOT NULL
 );
+
+-- Random ids of the feed, one for each process that gave numbers, with the last number given before; a restore leaves only
+-- a new one. A number beyond the one at which the next id begins was given under an id by a file that this one was once, and
+-- is no more.
+CREATE TABLE feeds (key INTEGER PRIMARY KEY, id BLOB NOT NULL UNIQUE, after INTEGER NOT NULL);
 
 -- Who numbers: a ledger or ring, with the key that signs there. A number belongs to owner, signer, recorder and topic.
 CREATE TABLE recorders (key INTEGER PRIMARY KEY, id BLOB NOT NULL, signer BLOB NOT NULL, UNIQUE (id, signer));
@@ -33,8 +37,8 @@ CREATE INDEX records_by_state ON records (state, stream, captured_at);
 CREATE INDEX records_by_time ON records (captured_at);
 
 -- What readers may be given, in the order in which it came to be so. A row comes with the commit that verifies a record, and
--- goes with the one that takes this back; the erasure of a verified record replaces its row. An owner's notice, which must
--- not wait for the chain, also has a row from the commit that stores it. A record has at most one row, and no number is used
+-- goes with the one that takes this back; the erasure of a verified record replaces its row, and so does another statement of
+-- its owner about it. An owner's notice, which must not wait for the chain, also has a row as long as it waits. A record has at most one row, and no number is used
 -- twice: `about.head` is the last one (AUTOINCREMENT would write whenever a trigger could have fired). `fact`: 1 stored,
 -- 2 verified, 3 erased.
 CREATE TABLE feed (
@@ -47,6 +51,10 @@ CREATE TRIGGER record_verified AFTER UPDATE OF state ON records WHEN NEW.state =
 END;
 CREATE TRIGGER record_taken_back AFTER UPDATE OF state ON records WHEN NEW.state <> 6 AND OLD.state = 6 BEGIN
     DELETE FROM feed WHERE record = NEW.n;
+    UPDATE about SET head = head + 1
+        WHERE NEW.state < 6 AND (SELECT kind FROM streams WHERE key = NEW.stream) = 5;
+    INSERT INTO feed SELECT head, NEW.n, NEW.topic, 1 FROM about
+        WHERE NEW.state < 6 AND (SELECT kind FROM streams WHERE key = NEW.stream) = 5;
 END;
 CREATE TRIGGER record_erased AFTER UPDATE OF deleted_at ON records
 WHEN NEW.state = 6 AND NEW.deleted_at IS NOT NULL AND OLD.deleted_at IS NULL BEGIN
@@ -272,6 +280,12 @@ CREATE TABLE erasures (
     n INTEGER PRIMARY KEY AUTOINCREMENT, record INTEGER NOT NULL UNIQUE, statement BLOB NOT NULL, account BLOB,
     taken INTEGER NOT NULL
 );
+-- Who was told that a record is erased, and was given no statement that he could believe, asks again.
+CREATE TRIGGER erasure_stated AFTER INSERT ON erasures
+WHEN EXISTS (SELECT 1 FROM feed WHERE record = NEW.record AND fact = 3) BEGIN
+    UPDATE about SET head = head + 1;
+    UPDATE feed SET number = (SELECT head FROM about) WHERE record = NEW.record AND fact = 3;
+END;
 
 -- Time from outside. A stamp is over many roots of batches, in their order, 32 bytes each; `upto` is the last batch
 -- under it. Each authority that stamped it gave a token; a stamp without any waits. `authority` is SHA-256 of the pinned

@@ -91,7 +91,7 @@ impl Writer {
             .name("ledger".to_owned())
             .spawn({
                 let checkpoints = Checkpoints::new(path);
-                let mark = Mark { closed, untouched: connection.total_changes() };
+                let mark = Mark::new(&connection, closed)?;
                 move || serve(connection, checkpoints, mark, &inbox)
             })
             .map_err(|error| StoreError::home(path, &error))?;
@@ -145,22 +145,42 @@ impl Drop for Writer {
     }
 }
 
-/// Whether the file says that it was cleanly closed, which it does until the first change.
+/// What the file says of the process that has it open: from its first change that it is open, and from the first number that it
+/// gives in the feed another id of that.
 struct Mark {
+    /// Whether it says that it was cleanly closed.
     closed: bool,
+    is_told: bool,
+    has_feed: bool,
     /// Changes that the connection had made before.
     untouched: u64,
+    /// The last number in the feed before.
+    head: i64,
 }
 
 impl Mark {
-    /// In the transaction of the first change: from its commit on the file is marked as open.
-    fn open(&self, connection: &Connection) -> Result<bool, StoreError> {
-        let first = self.closed && connection.total_changes() != self.untouched;
-        if first {
+    fn new(connection: &Connection, closed: bool) -> Result<Self, StoreError> {
+        let untouched = connection.total_changes();
+        Ok(Self { closed, is_told: false, has_feed: false, untouched, head: head(connection)? })
+    }
+
+    /// In the transaction of a change: whether the file is marked as open from its commit on, and whether its feed has an id of this
+    /// process's.
+    fn open(&self, connection: &Connection) -> Result<(bool, bool), StoreError> {
+        let is_told = self.is_told || connection.total_changes() != self.untouched;
+        if is_told && !self.is_told {
             run(connection, "UPDATE about SET clean = 0")?;
         }
-        Ok(first)
+        let has_feed = self.has_feed || head(connection)? != self.head;
+        if has_feed && !self.has_feed {
+            super::feed::begin(connection, self.head)?;
+        }
+        Ok((is_told, has_feed))
     }
+}
+
+fn head(connection: &Connection) -> Result<i64, StoreError> {
+    Ok(connection.one("SELECT head FROM about", [], |row| row.get(0))?)
 }
 
 fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, inbox: &Receiver<Message>) {
@@ -277,7 +297,8 @@ fn end(connection: &Connection, mark: &mut Mark) -> Result<(), StoreError> {
     if result.is_err() && !connection.is_autocommit() {
         run(connection, "ROLLBACK")?;
     }
-    mark.closed &= !result?;
+    (mark.is_told, mark.has_feed) = result?;
+    mark.closed &= !mark.is_told;
     Ok(())
 }
 

@@ -24,7 +24,9 @@ fn samples() -> Vec<(Kind, String)> {
         Contact { name: "bob".parse().expect("a name"), address, fingerprint: Some("0011".to_owned()), given: true };
     let foreign = ForeignAnchors { account: address, count: 12, block: 34, transaction: hash, seen: at, noted: at };
     let owner = FollowedOwner { grant: 12, newest: 34, count: 56 };
-    let taken = FeedTaken { feed: [9; 16], owners: [(address, (owner, 78))].into() };
+    let waits = [(digest, true)].into();
+    let taken = TakenOfOwner { known: owner, place: Some(78), waits, beyond: Some(9), ..TakenOfOwner::default() };
+    let taken = FeedTaken { feed: [9; 16], begun: at, owners: [(address, taken)].into() };
     let text = || "text".to_owned();
     vec![
         of::<LastPlace>(text()),

@@ -104,18 +104,26 @@ fn numbered(
     Upload::from(&seal(context().provider, &request).expect("seals"))
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
-    let mut scene = Scene::new().await;
-    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
-    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+fn passphrase() -> Passphrase {
+    Passphrase::new("correct horse".to_owned()).expect("long enough")
+}
+
+/// A forwarder that takes notices, for whom it seals, and the files of its enrolment: as it was given, and what it keeps.
+fn obeying(scene: &Scene) -> (Forwarder, Arc<Author>, [PathBuf; 2]) {
+    let sealed = SealedEnrolment::new(enrolment(scene), &passphrase()).expect("stretches");
     let (kept, given) = (SealedEnrolment::kept_in(scene.home.path()), scene.home.path().join("given"));
     sealed.create(&given).expect("writes");
     let author = Arc::new(Author::new(scene.alice.account()));
     author.obey(&sealed.enrolment);
     let observer = Arc::clone(&scene.plant.observer);
     let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone(), taker());
-    let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
+    (scene.forwarder().with_errand(Box::new(notices)), author, [given, kept])
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
+    let mut scene = Scene::new().await;
+    let (mut forwarder, author, [given, kept]) = obeying(&scene);
     let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
 
     let mut owner = scene.owner().await;
@@ -140,7 +148,7 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
     assert_eq!(epoch(), 5);
     work.abort();
 
-    let mut again = SealedEnrolment::open(&given, &passphrase).expect("opens");
+    let mut again = SealedEnrolment::open(&given, &passphrase()).expect("opens");
     again.catch_up(&kept).expect("reads");
     let recorder = RecorderPrefix::ledger([8; 7]).of_signer(&signer_id(&scene.alice.signing.public));
     let last = LastNotice { recorder, number: 11, at: Timestamp(11) };
@@ -150,18 +158,10 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
 #[tokio::test(flavor = "multi_thread")]
 async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     let scene = Scene::new().await;
-    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
-    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
-    let (kept, given) = (SealedEnrolment::kept_in(scene.home.path()), scene.home.path().join("given"));
-    sealed.create(&given).expect("writes");
-    let author = Arc::new(Author::new(scene.alice.account()));
-    author.obey(&sealed.enrolment);
-    let observer = Arc::clone(&scene.plant.observer);
-    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone(), taker());
-    let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
+    let (mut forwarder, author, [given, kept]) = obeying(&scene);
     let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
     let known = || {
-        let mut robot = SealedEnrolment::open(&given, &passphrase).expect("opens");
+        let mut robot = SealedEnrolment::open(&given, &passphrase()).expect("opens");
         robot.catch_up(&kept).expect("reads");
         robot.enrolment.owner_key
     };
@@ -381,4 +381,22 @@ fn nothing_is_sealed_under_an_epoch_that_has_ended() {
     assert_eq!(stage(Some(past), None), None, "not captured rather than readable by whom it was to end for");
     assert_eq!(stage(Some(past), Some((past, issued(2).now))), Some(2));
     assert_eq!(stage(Some(future), Some((future, issued(2).now))), Some(1));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_notice_that_cannot_be_had_stops_no_uploads_and_is_taken_once_it_can() {
+    let mut scene = Scene::new().await;
+    let (mut forwarder, author, _) = obeying(&scene);
+    let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
+    let mut owner = scene.owner().await;
+    let own = signer_id(&scene.device.public);
+    owner.upload(vec![notice(&scene, &scene.alice.signing, own, 3, 3)]).await.expect("receipt");
+    scene.stage.desk.state().spoilt = true;
+    scene.capture(3, 10);
+    let work = tokio::spawn(async move { forwarder.run(&stored).await });
+    scene.until("uploaded", |scene| scene.at_gateway() == 4).await;
+    assert_eq!(epoch(), 1);
+    scene.stage.desk.state().spoilt = false;
+    scene.until("taken", |_| epoch() == 3).await;
+    work.abort();
 }

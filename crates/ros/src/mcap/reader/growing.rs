@@ -138,20 +138,12 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
+    use crate::ros::mcap::beside::words;
     use crate::ros::mcap::{Beside, McapWriter};
-    use crate::ros::recording::{Channel, ChunkCompression, Encoding, Sent};
+    use crate::ros::recording::{ChunkCompression, Sent};
 
     fn recorded(compression: ChunkCompression) -> Vec<u8> {
-        let channel = Arc::new(Channel {
-            topic: "/words".into(),
-            type_name: "std_msgs/msg/String".into(),
-            md5sum: "*".into(),
-            definition: "string data".into(),
-            caller_id: "".into(),
-            latching: false,
-            encoding: Encoding::Cdr { idl: false },
-            about: std::collections::BTreeMap::new(),
-        });
+        let channel = words();
         let mut writer = McapWriter::begin(Cursor::new(Vec::new()), compression).expect("begun");
         let mut facts = 3_u32.to_le_bytes().to_vec();
         facts.extend(b"rig\0\0\0\0");

@@ -1,14 +1,14 @@
 //! Which records come next: all stored ones in the order of their capture, or, followed live, those verified from now
 //! on, each stream in its order.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::time::{Duration, Instant};
 
 use crate::model::{Address, Digest, RecordKind, RecordState, Scope, Timestamp, TopicId};
 use crate::pipeline::reader::is_held;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::Failure;
-use crate::store::{Counts, Ledger, RecordQuery, RecordRow, Records};
+use crate::store::{Counts, FeedFilter, FeedPlace, FeedRow, Ledger, PlacedRecord, RecordQuery, RecordRow, Records};
 
 /// Records requested from the ledger at a time.
 const PAGE: usize = 500;
@@ -19,9 +19,10 @@ const BEFORE: u64 = 60_000_000_000;
 /// How much later than its neighbours a record may enter the ledger and still be seen at once, nanoseconds.
 const SLACK: u64 = 500_000_000;
 
-/// How much later it may come at all, nanoseconds; checked every so often.
-const LATE: u64 = 30_000_000_000;
-const LATE_LOOK: Duration = Duration::from_secs(10);
+/// Interval between looks for those that came later still, in the home's own feed.
+const LATE_LOOK: Duration = Duration::from_secs(1);
+/// How many of those given out are remembered.
+const MOST_PASSED: usize = 20_000;
 
 /// How often a live feed looks for further topics.
 const LISTING: Duration = Duration::from_millis(500);
@@ -54,6 +55,10 @@ pub(super) struct Live {
     streams: HashMap<(Address, TopicId), Stream>,
     listed: Option<Instant>,
     looked_late: Option<Instant>,
+    /// The place in the home's own feed.
+    place: Option<([u8; 16], u64)>,
+    /// The newest of those given out before the places of their streams: verified again, they are not played again.
+    passed: VecDeque<Digest>,
     /// Records that could not be played yet; their streams wait for them.
     pending: Vec<Item>,
 }
@@ -110,6 +115,10 @@ impl Feed {
 
 impl Live {
     fn next(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Round, Failure> {
+        if self.place.is_none() {
+            let page = ledger.feed.page(&[0; 16], &FeedFilter::default(), 1)?;
+            self.place = Some((page.id, page.head));
+        }
         let mut items = std::mem::take(&mut self.pending);
         items.retain(|item| givers.contains_key(&item.row.owner));
         let held: HashSet<_> = items.iter().map(|item| (item.row.owner, item.row.topic_id)).collect();
@@ -118,18 +127,54 @@ impl Live {
             items.extend(self.list(ledger, givers)?);
             self.listed = Some(Instant::now());
         }
-        let late = self.looked_late.is_none_or(|at| at.elapsed() >= LATE_LOOK);
-        if late {
-            self.looked_late = Some(Instant::now());
-        }
         let mut ready = Vec::new();
+        if self.looked_late.is_none_or(|at| at.elapsed() >= LATE_LOOK) {
+            self.looked_late = Some(Instant::now());
+            self.look_late(ledger, givers, &mut ready)?;
+        }
         for (key, stream) in self.streams.iter_mut().filter(|(key, _)| !held.contains(key)) {
-            stream.take(&ledger.records, *key, late, &mut ready)?;
+            stream.take(&ledger.records, *key, &mut ready)?;
         }
         // Stable: records of one moment stay in the order of their stream.
         ready.sort_by_key(|row: &RecordRow| row.captured_at);
         items.extend(ready.into_iter().map(|row| Item { row, only_latched: false }));
         Ok(Round { items, is_last: false })
+    }
+
+    /// Gives out what was verified since the last look, and captured before the place of its stream.
+    fn look_late(
+        &mut self,
+        ledger: &Ledger,
+        givers: &HashMap<Address, Scope>,
+        ready: &mut Vec<RecordRow>,
+    ) -> Result<(), Failure> {
+        let passed: HashSet<Digest> = self.passed.iter().copied().collect();
+        loop {
+            let (id, after) = self.place.unwrap_or_default();
+            let places = givers.keys().map(|owner| FeedPlace { owner: *owner, after, topics: None }).collect();
+            let filter = FeedFilter { places, kind: Some(RecordKind::Data), recorders: Vec::new() };
+            let page = ledger.feed.page(&id, &filter, PAGE)?;
+            for FeedRow { placed: PlacedRecord { row, .. }, .. } in page.rows {
+                let stream = self.streams.get_mut(&(row.owner, row.topic_id));
+                let is_late = |one: &&mut Stream| row.captured_at >= one.floor && row.captured_at < one.low;
+                if let Some(stream) = stream.filter(is_late)
+                    && !passed.contains(&row.digest)
+                    && stream.done.insert(row.digest, row.captured_at).is_none()
+                {
+                    ready.push(row);
+                }
+            }
+            self.place = Some((page.id, page.upto));
+            if page.upto == page.head {
+                break;
+            }
+        }
+        // Those given out before are behind the place now, unless the chain takes their blocks back.
+        for stream in self.streams.values_mut() {
+            self.passed.extend(stream.done.extract_if(|_, at| *at < stream.low).map(|(digest, _)| digest));
+        }
+        self.passed.drain(..self.passed.len().saturating_sub(MOST_PASSED));
+        Ok(())
     }
 
     /// Follows the streams not followed yet. At the very beginning, records already verified are not played again, but
@@ -173,15 +218,8 @@ impl Stream {
 
     /// Gives out settled records, up to the first that is not settled yet: later ones wait behind it, so that their
     /// order stays.
-    fn take(
-        &mut self,
-        records: &Records,
-        key: (Address, TopicId),
-        late: bool,
-        ready: &mut Vec<RecordRow>,
-    ) -> Result<(), Failure> {
-        let since = if late { self.low.min(Timestamp(self.newest.0.saturating_sub(LATE))) } else { self.low };
-        let mut query = RecordQuery { since: Some(since.max(self.floor)), ..of_stream(key) };
+    fn take(&mut self, records: &Records, key: (Address, TopicId), ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
+        let mut query = RecordQuery { since: Some(self.low.max(self.floor)), ..of_stream(key) };
         let (mut waiting, begun, now) = (None, ready.len(), Timestamp::now());
         'pages: loop {
             let page = records.list(&query)?;
@@ -205,8 +243,6 @@ impl Stream {
         }
         let settled = Timestamp(self.newest.0.saturating_sub(SLACK)).max(self.low);
         self.low = waiting.map_or(settled, |waiting| settled.min(waiting));
-        let kept = self.low.min(Timestamp(self.newest.0.saturating_sub(LATE)));
-        self.done.retain(|_, at| *at >= kept);
         Ok(())
     }
 }
@@ -231,4 +267,70 @@ fn topics_of(counts: &Counts, owner: Address, scope: &Scope) -> Result<Vec<Topic
         Scope::Topics(topics) => Vec::clone(topics),
         Scope::All => counts.by_state(Some(owner))?.topics.iter().filter_map(|topic| topic.topic_id).collect(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use super::*;
+    use crate::model::{Signature, SignerId};
+    use crate::store::{KeptReceipt, NewRecord};
+
+    const OWNER: Address = Address([1; 20]);
+
+    fn keep(ledger: &Ledger, seq: u64, captured_at: Timestamp) {
+        let digest = Digest([u8::try_from(seq).expect("small"); 32]);
+        let record = NewRecord {
+            digest,
+            owner: OWNER,
+            topic_id: TopicId([2; 16]),
+            seq,
+            foreign: None,
+            epoch: 1,
+            kind: RecordKind::Data,
+            signer: SignerId([3; 32]),
+            signature: Signature([4; 64]),
+            filters: Vec::new(),
+            topic: "/odom".to_owned(),
+            type_name: "nav_msgs/Odometry".to_owned(),
+            bytes: 5,
+            captured_at,
+            simulated: false,
+            state: RecordState::Stored,
+            blob: None,
+        };
+        ledger.records.append(vec![record]).expect("acknowledged");
+        let receipt = KeptReceipt { time: captured_at, digests: vec![digest], signature: Signature([5; 64]) };
+        assert_eq!(ledger.forwarding.accept(receipt), Ok(1));
+        assert_eq!(ledger.forwarding.settle(&[digest], RecordState::Verified), Ok(1));
+    }
+
+    #[test]
+    fn what_comes_far_behind_its_stream_is_played_once() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        let begun = Timestamp::now().0;
+        let at = |seconds: u64| Timestamp(begun - 59_000_000_000 + seconds * 1_000_000_000);
+        let (mut live, givers) = (Live::default(), [(OWNER, Scope::All)].into());
+        let played = |live: &mut Live| -> Vec<u64> {
+            live.looked_late = None;
+            let round = live.next(&ledger, &givers).expect("read");
+            round.items.iter().map(|item| item.row.seq).collect()
+        };
+        assert_eq!(played(&mut live), [0; 0]);
+        keep(&ledger, 1, at(1));
+        live.listed = None;
+        // The newest of what was there when it is listed first may be latched.
+        played(&mut live);
+        keep(&ledger, 2, at(50));
+        assert_eq!(played(&mut live), [2]);
+        assert_eq!(played(&mut live), [0; 0]);
+        keep(&ledger, 3, at(2));
+        assert_eq!(played(&mut live), [3], "48 seconds behind its stream");
+        assert_eq!(played(&mut live), [0; 0]);
+        // Verified again after a reorganisation: another number, the same record.
+        live.place = live.place.map(|(id, _)| (id, 0));
+        assert_eq!(played(&mut live), [0; 0]);
+    }
 }

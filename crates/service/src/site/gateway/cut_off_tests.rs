@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 
 use crate::chain::{Chain, serve};
-use crate::gateway::{Caller, Code, Desk as _, Feed};
+use crate::gateway::{Caller, Code, Desk as _, Feed, Place};
 use crate::model::Party;
 use crate::pipeline::Owner;
 use crate::service::command::{Administration, Epochs};
@@ -78,6 +78,14 @@ async fn a_gateway_that_was_cut_off_refuses_until_its_chain_is_fresh() {
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     assert!(ask(&bob).await.is_ok(), "{:?}", ask(&bob).await);
+    // Carol goes by another grant than the gateway knows: what it told her would count as all that hers gives.
+    let grants = site.network().await.expect("a chain").directory.grants_to(carol.address);
+    let known = Place::grant_of(&grants[0].transaction);
+    for (grant, told) in [(known, Ok(())), (0, Ok(())), (known + 1, Err(Code::NotAuthorised))] {
+        let asked = Feed { places: vec![Place { owner: alice.address, after: 0, grant }], ..Feed::of(alice.address) };
+        let page = desk.feed(&caller(&carol), &asked, false).await;
+        assert_eq!(page.map(drop).map_err(|refusal| refusal.code), told, "by grant {grant}");
+    }
 
     let address = line.end().await;
     let act = Administration::Suspend { account: Party::Address(bob.address) };

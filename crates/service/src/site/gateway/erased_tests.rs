@@ -21,7 +21,7 @@ async fn what_a_rule_deleted_is_stated_to_readers_when_they_ask() {
     stated.check(plant.provider, &sealed.digest, &sealed.header.encode()).expect("signed for this record");
     assert_eq!((stated.signer, Some(stated.at)), (ground.alice.signing().public, retained.deleted_at));
     assert_eq!(stated.report, retained.report);
-    assert_eq!(ledger.erasures.kept(sealed.digest), Ok(None), "signed when it is asked for, and not kept");
+    assert_eq!(ledger.erasures.kept(sealed.digest), Ok(None), "signed on request, and not kept");
     assert_eq!(ledger.erasures.list(0, 9).map(|page| page.erasures), Ok(Vec::new()), "no gateway learns of it");
     ground.site.stop().await;
 }

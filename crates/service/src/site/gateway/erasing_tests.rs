@@ -278,7 +278,7 @@ async fn nothing_is_erased_at_the_word_of_anybody_but_its_owner() {
             ErasureNotice { left, ..genuine.clone() }
         }),
         ("another record's proof", with(Fetched { proof: proof.proof.clone(), ..genuine.left.record.clone() })),
-        ("no proof", with(Fetched { proof: Vec::new(), ..genuine.left.record.clone() })),
+        ("no proof", with(Fetched { proof: vec![9], ..genuine.left.record.clone() })),
         ("another signature", with(Fetched { signature: Signature([7; 64]), ..genuine.left.record.clone() })),
         ("the whole record", with(Fetched { blob: copy.blob.clone(), ..genuine.left.record.clone() })),
         ("no header", with(Fetched { blob: b"nothing".to_vec(), ..genuine.left.record.clone() })),

@@ -6,7 +6,7 @@ use tokio::time::timeout;
 
 use super::GatewayDesk;
 use crate::gateway::feed::MOST_ENTRIES;
-use crate::gateway::{Caller, Code, Feed, FeedEntry, FeedPage, Fetched, Found, Refusal};
+use crate::gateway::{Caller, Code, Feed, FeedEntry, FeedPage, Fetched, Found, Place, Refusal};
 use crate::model::{Address, Digest, RecordState, Scope, SignerId, Timestamp, TopicId};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{
@@ -162,13 +162,15 @@ impl GatewayDesk {
         asked: &Feed,
     ) -> Result<(Vec<FeedPlace>, Vec<(Address, Refusal)>), Refusal> {
         let (mut places, mut refused) = (Vec::new(), Vec::new());
-        for (owner, after) in &asked.places {
+        for Place { owner, after, grant } in &asked.places {
             match self.reach(network, reader, owner) {
-                Ok(right) => match covered(&right, &asked.topics) {
+                // What was told by another grant than the one in force here may be less than this one gives.
+                Ok(right) => match covered(&right, &asked.topics).filter(|_| is_by(&right, *grant)) {
                     Some(topics) => places.push(FeedPlace { owner: *owner, after: *after, topics }),
                     None => refused.push((*owner, not_authorised(owner, reader))),
                 },
-                Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+                Err(refusal) if refusal.code == Code::Stale => return Err(refusal),
+                // What cannot be read of one owner keeps no other away.
                 Err(refusal) => refused.push((*owner, refusal)),
             }
         }
@@ -189,11 +191,12 @@ impl GatewayDesk {
         }
         let filter = FeedFilter { places, kind: asked.kind, recorders: asked.recorders.clone() };
         let page = self.gateway.plant.ledger.feed.page(&asked.id, &filter, MOST_ENTRIES);
-        let store::FeedPage { id, head, upto, mut rows } = page.map_err(Refusal::because(Code::Internal))?;
+        let store::FeedPage { id, is_anew, head, upto, mut rows } = page.map_err(Refusal::because(Code::Internal))?;
         // A device knows its owner's recorder from her notices.
         rows.retain(|row| !of_own || is_a_device(&network, caller, &row.placed.row.signer));
         let refused = refused.into_iter().map(|(owner, refusal)| (owner, refusal.code)).collect();
-        Ok(FeedPage::new(id, (head, upto), refused, rows.into_iter().map(entry_of).collect()))
+        let page = FeedPage::new(id, (head, upto), refused, rows.into_iter().map(entry_of).collect());
+        Ok(FeedPage { is_anew, ..page })
     }
 
     /// What there is for the caller of the first of these records, as many as fit.
@@ -246,7 +249,7 @@ impl GatewayDesk {
 /// A record that is not given is no reason to give none of the others.
 fn missing(refusal: Refusal) -> Result<Found, Refusal> {
     match refusal.code {
-        Code::Stale | Code::Internal => Err(refusal),
+        Code::Stale => Err(refusal),
         code => Ok(Found::Missing(code)),
     }
 }
@@ -260,6 +263,14 @@ fn covered(right: &ReadingRight, asked: &[TopicId]) -> Option<Option<Vec<TopicId
         Scope::Topics(topics) => topics.iter().filter(|id| asked.is_empty() || asked.contains(id)).copied().collect(),
     };
     (!topics.is_empty()).then_some(Some(topics))
+}
+
+/// Whether a right is by the grant whose transaction's hash begins so; 0 for any.
+fn is_by(right: &ReadingRight, grant: u64) -> bool {
+    match right {
+        ReadingRight::Granted(granted) => grant == 0 || Place::grant_of(&granted.transaction) == grant,
+        ReadingRight::Own => true,
+    }
 }
 
 /// Whether a key is the calling device's, or was lent by the same owner: a robot that is enrolled again has another one.

@@ -261,7 +261,8 @@ impl Profiles {
         let registered = network.directory.identity(owner.address)?.signing;
         let drained = self.drain(owner, signer_id(&registered)).await.map_err(|failure| {
             let text = format!(
-                "the chain has earlier SM2 keys of '{}' than the keyring, whose keys are registered again once everything                  signed before is anchored: {}",
+                "the chain has earlier SM2 keys of '{}' than the keyring, whose keys are registered again once everything \
+                 signed before is anchored: {}",
                 owner.profile, failure.message
             );
             Failure { message: text, ..failure }

@@ -3,6 +3,7 @@
 
 mod following;
 mod own_erasures;
+mod places;
 pub(super) mod remote;
 
 use crate::paths::Home;
@@ -25,13 +26,14 @@ use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 use following::Following;
 use own_erasures::OwnErasures;
+use places::Standing;
 use remote::{Mirrored, Remote};
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
 /// A session as long as this says nothing of the next one.
 const LONG: Duration = Duration::from_secs(10);
-/// How often it is looked whether there is something to do.
+/// Interval between looks for something to do.
 const TICK: Duration = Duration::from_millis(500);
 /// How long a gateway that does not know its chain now is asked again without a word.
 const QUIET: Duration = Duration::from_secs(15);
@@ -114,7 +116,7 @@ impl Joined {
             };
             if network.directory.identity(owner.address).is_err() {
                 // Nobody can share with it, and the gateway does not know it.
-                remote.note(&owner.profile, Mirrored::Caught);
+                remote.note(&owner.profile, Mirrored::Caught { lacks: false });
                 tokio::time::sleep(TICK).await;
                 continue;
             }
@@ -184,7 +186,10 @@ impl Joined {
         let mut is_slow_told = false;
         let has_others =
             |followed: &BTreeSet<Address>| sources(network, owner).keys().any(|source| !followed.contains(source));
-        while !client.is_spent() && !self.life.is_stopping() && self.owners.is_open(owner) && !owner.is_locked() {
+        // Where the chain is read anew, rights are judged by what is read then.
+        let is_known = || self.link.network_now().is_none_or(|now| Arc::ptr_eq(&now.directory, &network.directory));
+        let is_open = || !self.life.is_stopping() && self.owners.is_open(owner) && !owner.is_locked();
+        while !client.is_spent() && is_open() && is_known() {
             rights.mark_unchanged();
             if following.adjust()? {
                 remote.note(&owner.profile, Mirrored::Behind);
@@ -206,12 +211,17 @@ impl Joined {
                     }
                 }
             };
-            if following.take(&mut client, page).await? && !has_others(&followed) {
-                remote.note(&owner.profile, Mirrored::Caught);
+            match following.take(&mut client, page).await? {
+                Standing::Here { lacks } if !has_others(&followed) => {
+                    remote.note(&owner.profile, Mirrored::Caught { lacks });
+                }
+                Standing::Arriving => remote.note(&owner.profile, Mirrored::Behind),
+                Standing::Here { .. } | Standing::Reading => {}
             }
             self.tell_erasures(&mut client, (remote, owner, network), told).await?;
-            if following.is_refused_for_long() && !std::mem::replace(&mut is_slow_told, true) {
-                self.tell_waiting(remote, owner, &following.refused());
+            let refused = following.refused();
+            if !refused.is_empty() && !std::mem::replace(&mut is_slow_told, true) {
+                self.tell_waiting(remote, owner, &refused);
             }
         }
         Ok(())

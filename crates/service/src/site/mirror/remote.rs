@@ -43,8 +43,8 @@ const LOOKING: Duration = Duration::from_millis(100);
 pub(in crate::site) enum Mirrored {
     /// It has not caught up yet.
     Behind,
-    /// It has everything that the gateway gives it.
-    Caught,
+    /// It has everything that the gateway gives it; whether that tells of records that cannot be had.
+    Caught { lacks: bool },
     /// The last attempt failed; another follows.
     Failed(Failure),
 }
@@ -56,8 +56,8 @@ struct Progress {
     behind_since: Option<Instant>,
     /// How often it has caught up or failed. A gateway that is never done lets it catch up for moments.
     settled: u64,
-    /// The end of the last attempt.
-    last: Option<Result<(), Failure>>,
+    /// The end of the last attempt; whether there are records that cannot be had.
+    last: Option<Result<bool, Failure>>,
 }
 
 impl Progress {
@@ -67,7 +67,7 @@ impl Progress {
                 self.behind_since.get_or_insert_with(Instant::now);
                 return;
             }
-            Mirrored::Caught => Ok(()),
+            Mirrored::Caught { lacks } => Ok(lacks),
             Mirrored::Failed(failure) => Err(failure),
         };
         *self = Self { behind_since: None, settled: self.settled + 1, last: Some(ended) };
@@ -268,6 +268,10 @@ impl Remote {
         });
     }
 
+    fn still_arriving(&self) -> String {
+        format!("the records of the gateway {} are still arriving", self.address())
+    }
+
     /// Notes the progress of a profile's mirror.
     pub fn note(&self, profile: &ProfileName, mirrored: Mirrored) {
         self.mirrored.send_modify(|all| {
@@ -277,7 +281,7 @@ impl Remote {
 
     /// Waits until the mirror has caught up for a profile, or failed; nothing if it has been behind for too long, or this
     /// wait lasted for `most`.
-    async fn settled(&self, profile: &ProfileName, most: Duration) -> Option<Result<(), Failure>> {
+    async fn settled(&self, profile: &ProfileName, most: Duration) -> Option<Result<bool, Failure>> {
         let mut progress = self.mirrored.subscribe();
         let begun = progress.borrow().get(profile).cloned().unwrap_or_default();
         let patience = FIRST_ROUND.saturating_sub(begun.behind_since.map_or(Duration::ZERO, |since| since.elapsed()));
@@ -296,13 +300,22 @@ impl Joined {
     /// # Errors
     /// Why the last attempt failed, or that not all are here yet.
     pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
-        match self.arriving(profile, FIRST_ROUND).await? {
-            None => Ok(()),
-            Some(text) => Err(Failure::new(ErrorKind::Incomplete, format!("{text}; try again in a moment"))),
+        match self.settled(profile, FIRST_ROUND).await? {
+            Ok(_) => Ok(()),
+            Err(text) => Err(Failure::new(ErrorKind::Incomplete, format!("{text}; try again in a moment"))),
         }
     }
 
-    /// The same for a list, which shows what is here: whether more is still arriving after this long, in words.
+    /// Whether the gateway tells of records that cannot be had; after this long, in words, that more is still arriving.
+    async fn settled(&self, profile: &ProfileName, most: Duration) -> Result<Result<bool, String>, Failure> {
+        let Some(remote) = self.remote.as_ref().filter(|_| self.home.original().is_none()) else {
+            return Ok(Ok(false));
+        };
+        self.link.network().await?;
+        remote.settled(profile, most).await.transpose().map(|lacks| lacks.ok_or_else(|| remote.still_arriving()))
+    }
+
+    /// The same for a list, which shows what is here: what is missing after this long, in words.
     ///
     /// # Errors
     /// Why the last attempt failed.
@@ -311,18 +324,19 @@ impl Joined {
         profile: &ProfileName,
         most: Duration,
     ) -> Result<Option<String>, Failure> {
-        let Some(remote) = self.remote.as_ref().filter(|_| self.home.original().is_none()) else { return Ok(None) };
-        self.link.network().await?;
-        match remote.settled(profile, most).await {
-            Some(settled) => settled.map(|()| None),
-            None => Ok(self.still_arriving()),
-        }
+        Ok(match self.settled(profile, most).await? {
+            Ok(lacks) => lacks.then(|| {
+                "the gateway tells of records that it does not give now, or whose keys are not here yet; they come by \
+                 themselves once it does"
+                    .to_owned()
+            }),
+            Err(text) => Some(text),
+        })
     }
 
     /// The words for a list that may not be all; none if this site joins no gateway.
     pub(in crate::site) fn still_arriving(&self) -> Option<String> {
-        let remote = self.remote.as_ref()?;
-        Some(format!("the records of the gateway {} are still arriving", remote.address()))
+        self.remote.as_ref().map(|remote| remote.still_arriving())
     }
 
     /// Tells the gateway of a grant, so that it need not wait for the chain.
@@ -374,9 +388,9 @@ mod tests {
         };
         tokio::task::yield_now().await;
         // The one who waits is on one thread with this, and sees only what is last.
-        remote.note(&profile, Mirrored::Caught);
+        remote.note(&profile, Mirrored::Caught { lacks: false });
         remote.note(&profile, Mirrored::Behind);
-        assert_eq!(waiting.await.expect("no panic"), Some(Ok(())));
+        assert_eq!(waiting.await.expect("no panic"), Some(Ok(false)));
 
         remote.note(&profile, Mirrored::Failed(refused("no")));
         let failed = remote.settled(&profile, FIRST_ROUND).await;
@@ -387,7 +401,7 @@ mod tests {
     async fn a_gateway_that_never_comes_to_an_end_is_waited_for_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let (remote, profile) = (remote(&folder), "bob".parse::<ProfileName>().expect("a name"));
-        remote.note(&profile, Mirrored::Caught);
+        remote.note(&profile, Mirrored::Caught { lacks: false });
         remote.note(&profile, Mirrored::Behind);
         remote.note(&profile, Mirrored::Behind);
         let begun = Instant::now();

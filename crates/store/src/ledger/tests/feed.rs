@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use proptest::prelude::*;
 
 use super::*;
+use crate::chain::merkle::Inclusion;
 use crate::model::Fact;
 use crate::snapshot::{Snapshot, renew_ledger};
 
@@ -24,8 +25,8 @@ enum Step {
     TakeBack(usize),
     /// The bytes of a verified one are deleted.
     Erase(u64),
-    /// The gateway's home is replaced by what it was at its last backup.
-    Restore,
+    /// The gateway's home is replaced by what it was at its last backup: restored, or rolled back by the keeper of its disk.
+    Restore(bool),
     /// It is backed up.
     BackUp,
     /// The follower reads a page of at most this many.
@@ -37,7 +38,7 @@ fn step() -> impl Strategy<Value = Step> {
         6 => (1..=RECORDS).prop_map(Step::Verify),
         2 => (1usize..=5).prop_map(Step::TakeBack),
         2 => (1..=RECORDS).prop_map(Step::Erase),
-        1 => Just(Step::Restore),
+        2 => any::<bool>().prop_map(Step::Restore),
         1 => Just(Step::BackUp),
         4 => (1usize..=4).prop_map(Step::Read),
     ]
@@ -118,19 +119,21 @@ impl World {
                 moment.copy_to(&self.file("backup.db")).expect("copied");
                 self.backup = Some(self.model.clone());
             }
-            Step::Restore => self.restore(),
+            Step::Restore(is_renewed) => self.restore(*is_renewed),
             Step::Read(limit) => {
                 self.read(*limit);
             }
         }
     }
 
-    fn restore(&mut self) {
+    fn restore(&mut self, is_renewed: bool) {
         let Some(model) = self.backup.clone() else { return };
         self.ledger.clone().close().expect("closed");
         let restored = self.file("restored.db");
         std::fs::copy(self.file("backup.db"), &restored).expect("copied");
-        renew_ledger(&restored).expect("renewed");
+        if is_renewed {
+            renew_ledger(&restored).expect("renewed");
+        }
         let folder = tempfile::tempdir_in(self.home.path()).expect("a folder").keep();
         let path = folder.join("ledger.db");
         std::fs::rename(restored, &path).expect("moved");
@@ -140,8 +143,9 @@ impl World {
     /// Reads one page as a follower does; returns whether it is at the head.
     fn read(&mut self, limit: usize) -> bool {
         let page = self.ledger.feed.page(&self.id, &places(self.after), limit).expect("read");
-        if page.id != self.id || self.after > page.head {
-            (self.id, self.after) = (page.id, 0);
+        self.id = page.id;
+        if page.is_anew {
+            self.after = 0;
             self.seen.clear();
         }
         let mut last = self.after;
@@ -209,6 +213,8 @@ fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
     assert_eq!(of(&places(0), 2), (all[..2].to_vec(), 2, 7));
     assert_eq!(of(&places(3), 9), (all[3..].to_vec(), 7, 7));
     assert_eq!(of(&places(99), 9).0, all, "beyond the head is the beginning");
+    let is_anew = |id, after| ledger.feed.page(&id, &places(after), 9).expect("read").is_anew;
+    assert_eq!((is_anew(id, 7), is_anew(id, 8), is_anew([3; 16], 7)), (false, true, true));
     let mut scoped = places(0);
     scoped.places[0].topics = Some(vec![TopicId([2; 16])]);
     assert_eq!(of(&scoped, 9), (facts(4..=5).collect(), 7, 7));
@@ -221,4 +227,75 @@ fn a_page_is_cut_by_owner_topic_recorder_and_kind_and_says_how_far_it_looked() {
     let mut both = places(4);
     both.places.push(FeedPlace { owner: Address([2; 20]), after: 0, topics: None });
     assert_eq!(of(&both, 9).0, facts(5..=7).collect::<Vec<_>>(), "each owner has a place of its own");
+}
+
+#[test]
+fn a_notice_whose_block_is_taken_back_is_told_again_and_so_is_an_erasure_that_is_stated_anew() {
+    let (_home, ledger) = open();
+    let notice = NewRecord { kind: RecordKind::Key, ..super::record(1, 4, 1) };
+    let message = super::record(1, 1, 1);
+    ledger.records.append(vec![message.clone(), notice.clone()]).expect("acknowledged");
+    let put = |column: &'static str, value: i64, digest: Digest| {
+        let sql = format!("UPDATE records SET {column} = ?1 WHERE digest = ?2");
+        ledger
+            .database
+            .write(move |session| Ok(session.connection.execute(&sql, (value, digest.0))?))
+            .expect("changed");
+    };
+    let mut feed = (ledger.feed.page(&[0; 16], &places(0), 0).expect("read").id, 0);
+    let mut told = || {
+        let page = ledger.feed.page(&feed.0, &places(feed.1), 9).expect("read");
+        feed.1 = page.upto;
+        page.rows.iter().map(|row| (row.placed.row.digest, row.fact)).collect::<Vec<_>>()
+    };
+    assert_eq!(told(), [(notice.digest, Fact::Stored)]);
+    for (state, wanted) in [
+        (RecordState::Verified, vec![(notice.digest, Fact::Verified)]),
+        (RecordState::Mined, vec![(notice.digest, Fact::Stored)]),
+        (RecordState::Verified, vec![(notice.digest, Fact::Verified)]),
+        // Altered here: there is nothing to be had of it.
+        (RecordState::Tampered, Vec::new()),
+    ] {
+        put("state", state.code().into(), notice.digest);
+        assert_eq!(told(), wanted, "{state:?}");
+    }
+    put("state", RecordState::Verified.code().into(), message.digest);
+    put("state", RecordState::Mined.code().into(), message.digest);
+    assert_eq!(told(), [], "a message waits for the chain");
+    put("state", RecordState::Verified.code().into(), message.digest);
+    put("deleted_at", 9, message.digest);
+    let erased = [(message.digest, Fact::Erased)];
+    assert_eq!(told(), erased);
+    let stated = |key: u8| StatedErasure { digest: message.digest, statement: vec![key], account: None };
+    for key in [1, 2] {
+        ledger.erasures.keep(vec![stated(key)]).expect("kept");
+        assert_eq!((told(), told()), (erased.to_vec(), Vec::new()), "by key {key}");
+    }
+}
+
+#[test]
+fn a_record_whose_block_was_taken_back_follows_its_gateway_into_another_batch() {
+    let (_home, ledger) = open();
+    let foreign = Some(Foreign { recorder: RecorderId([9; 16]), keeper: Address([5; 20]) });
+    let brought = NewRecord { foreign, ..super::record(1, 4, 1) };
+    ledger.records.append(vec![brought.clone()]).expect("acknowledged");
+    let take = |root: u8, block: u64| {
+        ledger.trail.walk_to((block, Hash([root; 32])), Vec::new()).expect("walked");
+        let (root, count, block_hash) = (Hash([root; 32]), 2, Hash([root; 32]));
+        let inclusion = Inclusion { index: 0, count, path: vec![Hash([7; 32])], root };
+        let transaction = Hash([root.0[0] + 1; 32]);
+        let anchor = RootSighting { account: Address([5; 20]), root, count, transaction, block, block_hash };
+        ledger.batches.take_in(brought.digest, inclusion, anchor)
+    };
+    let found = || {
+        let placed = ledger.records.placed(brought.digest).expect("read").expect("here");
+        (placed.row.state, placed.row.block, placed.place.expect("a place").inclusion.root)
+    };
+    assert_eq!(take(20, 10), Ok(true));
+    assert_eq!(found(), (RecordState::Mined, Some(10), Hash([20; 32])));
+    assert_eq!(take(30, 11), Ok(false), "its place stands");
+    ledger.batches.take_back(10).expect("taken back");
+    ledger.trail.walk_back((9, Hash([1; 32]))).expect("walked");
+    assert_eq!(take(30, 12), Ok(true));
+    assert_eq!(found(), (RecordState::Mined, Some(12), Hash([30; 32])));
 }

@@ -1,0 +1,387 @@
+//! Where a reader is in a gateway's feed: how far each owner's rows are told, what has to wait, and what is read again. It only decides
+//! and remembers; `following` asks and takes in. No owner waits for another one: each has places, room and pauses of its own.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use crate::gateway::feed::{FeedId, MOST_OWNERS};
+use crate::gateway::{Feed, FeedEntry, FeedPage, Place};
+use crate::model::{Address, Digest, Fact, Timestamp};
+use crate::store::notes::{FeedTaken, FollowedOwner, TakenOfOwner};
+
+/// How long the gateway may wait for something to tell.
+const WAIT: Duration = Duration::from_secs(1);
+/// The most records of one owner that wait.
+const MOST_WAITING: usize = 256;
+/// The first pause before one is tried again, and the longest.
+const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(60));
+/// The longest for what only waits for the chain here.
+const NEAR: Duration = Duration::from_secs(10);
+/// How long what cannot be had is expected any moment.
+const FRESH: Duration = Duration::from_secs(30);
+/// Where more had to wait than there is room for and those do not come, how often the others are tried all the same.
+const AGAIN: Duration = Duration::from_secs(600);
+/// The first pause before the gateway is asked again about an owner whose records it does not give, and the longest.
+const RESTS: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
+/// How often all is read again: a gateway may have passed over what it has by now, nanoseconds.
+const ANEW: u64 = 7 * 24 * 3_600 * 1_000_000_000;
+
+/// Who shares, and what a reader has of each: the beginning of the grant's transaction, and the epochs with keys.
+pub(super) type Sources = BTreeMap<Address, (u64, BTreeSet<u64>)>;
+
+/// A row of the feed, as far as it has to be remembered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Told {
+    pub owner: Address,
+    pub digest: Digest,
+    pub number: u64,
+    pub is_erased: bool,
+}
+
+impl From<&FeedEntry> for Told {
+    fn from(entry: &FeedEntry) -> Self {
+        let FeedEntry { owner, digest, number, fact, .. } = *entry;
+        Self { owner, digest, number, is_erased: fact == Fact::Erased }
+    }
+}
+
+/// How a reader stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Standing {
+    /// Something is still to be read, or is expected any moment.
+    Arriving,
+    /// The next page tells.
+    Reading,
+    /// All that the gateway gives is here; whether it tells of records that cannot be had.
+    Here { lacks: bool },
+}
+
+/// When a record is tried again. One that was stored as waiting is tried at once.
+#[derive(Debug, Clone, Copy, Default)]
+struct Trial {
+    since: Option<Instant>,
+    again: Option<Instant>,
+    pause: Duration,
+}
+
+/// An owner who is followed.
+#[derive(Debug, Default)]
+struct Followed {
+    taken: TakenOfOwner,
+    trials: BTreeMap<Digest, Trial>,
+    /// When what had no room was last read again.
+    went_back: Option<Instant>,
+    /// Since when a key is missing.
+    locked_since: Option<Instant>,
+    /// Whether the last page about it was the last one there was.
+    is_at_head: bool,
+    /// Until when the gateway is not asked about it, and after which pause.
+    rests: Option<(Instant, Duration)>,
+}
+
+fn is_fresh(since: Option<Instant>, now: Instant) -> bool {
+    since.is_some_and(|since| now.saturating_duration_since(since) < FRESH)
+}
+
+/// Whether more can be read of what was passed by than before. Keys of later epochs are no such thing: what they open was noted.
+fn opens_more(known: &FollowedOwner, now: &FollowedOwner, epochs: &BTreeSet<u64>) -> bool {
+    now.grant != known.grant || epochs.range(..=known.newest).count() as u64 > known.count
+}
+
+impl Followed {
+    /// Reads all from the beginning; what waits is met there.
+    fn read_anew(&mut self) {
+        let (known, place) = (self.taken.known, self.taken.place);
+        self.taken = TakenOfOwner { known, place, back: Some(0), ..TakenOfOwner::default() };
+        self.trials.clear();
+        self.locked_since = None;
+    }
+
+    /// Reads again from a row on.
+    fn read_again(&mut self, number: u64) {
+        let before = number.saturating_sub(1);
+        self.taken.back = Some(self.taken.back.map_or(before, |back| back.min(before)));
+        self.taken.is_again = false;
+    }
+
+    /// What the reader knows of it now; returns whether something is read again for that.
+    fn adjust(&mut self, grant: u64, epochs: &BTreeSet<u64>) -> bool {
+        let known = self.taken.known;
+        let now = FollowedOwner { grant, newest: epochs.last().copied().unwrap_or(0), count: epochs.len() as u64 };
+        self.taken.known = now;
+        if opens_more(&known, &now, epochs) {
+            self.read_anew();
+            return true;
+        }
+        let unlocked = self.taken.locked.filter(|_| now.newest > known.newest);
+        if let Some(number) = unlocked {
+            (self.taken.locked, self.locked_since) = (None, None);
+            self.read_again(number);
+        }
+        unlocked.is_some()
+    }
+
+    /// Goes back for what had no room, once there is room, and now and then.
+    fn go_back(&mut self, room: usize, now: Instant) {
+        let is_due = || self.went_back.is_none_or(|went| now.saturating_duration_since(went) >= AGAIN);
+        let may = self.taken.back.is_none() && (self.taken.waits.len() <= room / 2 || is_due());
+        if let Some(number) = self.taken.beyond.filter(|_| may) {
+            self.taken.beyond = None;
+            self.went_back = Some(now);
+            self.read_again(number);
+        }
+    }
+
+    /// Has a record wait; `is_near` if it only waits for the chain here. Returns whether it did not wait before.
+    fn wait(&mut self, told: Told, is_near: bool, (room, now): (usize, Instant)) -> bool {
+        let is_new = !self.taken.waits.contains_key(&told.digest);
+        if is_new && self.taken.waits.len() >= room {
+            let number = told.number;
+            self.taken.beyond = Some(self.taken.beyond.map_or(number, |lowest| lowest.min(number)));
+            self.went_back.get_or_insert(now);
+            return true;
+        }
+        self.taken.waits.insert(told.digest, told.is_erased);
+        let trial = self.trials.entry(told.digest).or_default();
+        if is_new || is_near {
+            trial.since.get_or_insert(now);
+        }
+        trial.pause = (trial.pause * 2).clamp(PAUSES.0, if is_near { NEAR } else { PAUSES.1 });
+        trial.again = Some(now + trial.pause);
+        is_new
+    }
+
+    fn took(&mut self, turn: Turn, page: &FeedPage) {
+        self.rests = None;
+        let (taken, is_last) = (&mut self.taken, page.upto == page.head);
+        match turn {
+            Turn::Live => {
+                taken.place = Some(taken.place.unwrap_or(0).max(page.upto));
+                self.is_at_head = is_last;
+            }
+            Turn::Back => {
+                let Some(back) = taken.back.map(|back| back.max(page.upto)) else { return };
+                if taken.place.is_none() && is_last {
+                    (taken.place, self.is_at_head) = (Some(back), true);
+                }
+                taken.back = Some(back).filter(|back| taken.place.is_none_or(|place| *back < place));
+            }
+        }
+    }
+
+    fn rest(&mut self, now: Instant) {
+        let before = self.rests.map_or(RESTS.0 / 2, |(_, pause)| pause);
+        let pause = (before * 2).min(RESTS.1);
+        (self.rests, self.is_at_head) = (Some((now + pause, pause)), false);
+    }
+
+    /// Whether something of it is expected any moment.
+    fn is_arriving(&self, now: Instant) -> bool {
+        (self.taken.back.is_some() && !self.taken.is_again)
+            || is_fresh(self.locked_since, now)
+            || self.trials.values().any(|trial| is_fresh(trial.since, now))
+    }
+
+    fn lacks(&self) -> bool {
+        !self.taken.waits.is_empty() || self.taken.beyond.is_some() || self.taken.locked.is_some()
+    }
+}
+
+/// Which rows are asked for: new ones of all owners, or those that are read again. One never waits for the other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Turn {
+    Live,
+    Back,
+}
+
+/// A reader's places in a gateway's feed.
+#[derive(Debug)]
+pub(super) struct Places {
+    reader: Address,
+    feed: FeedId,
+    begun: Timestamp,
+    owners: BTreeMap<Address, Followed>,
+    turn: Turn,
+    asked: Feed,
+}
+
+impl Places {
+    /// As they were stored.
+    pub fn load(reader: Address, taken: FeedTaken) -> Self {
+        let owners = taken.owners.into_iter().map(|(owner, taken)| (owner, Followed { taken, ..Followed::default() }));
+        let (feed, begun, owners) = (taken.feed, taken.begun, owners.collect());
+        Self { reader, feed, begun, owners, turn: Turn::Live, asked: Feed::of(reader) }
+    }
+
+    /// As they are to be stored.
+    pub fn taken(&self) -> FeedTaken {
+        let owners = self.owners.iter().map(|(owner, one)| (*owner, one.taken.clone())).collect();
+        FeedTaken { feed: self.feed, begun: self.begun, owners }
+    }
+
+    /// Follows who shares now, and nobody else; again where more can be read than before, and all of it now and then. Returns
+    /// whether more may come for that.
+    pub fn adjust(&mut self, sources: &Sources, time: Timestamp) -> bool {
+        self.owners.retain(|owner, _| sources.contains_key(owner));
+        let is_due = time.0.saturating_sub(self.begun.0) > ANEW;
+        if is_due {
+            self.begun = time;
+            self.owners.values_mut().filter(|one| one.taken.place.is_some() && one.taken.back.is_none()).for_each(
+                |one| {
+                    one.read_anew();
+                    one.taken.is_again = true;
+                },
+            );
+        }
+        let mut is_more = false;
+        for (owner, (grant, epochs)) in sources {
+            let one = self.owners.entry(*owner).or_insert_with(|| {
+                is_more = true;
+                let taken = TakenOfOwner { back: Some(0), ..TakenOfOwner::default() };
+                Followed { taken, ..Followed::default() }
+            });
+            is_more |= one.adjust(*grant, epochs);
+        }
+        is_more
+    }
+
+    /// The owners that are followed.
+    pub fn owners(&self) -> BTreeSet<Address> {
+        self.owners.keys().copied().collect()
+    }
+
+    /// How many records of each owner may wait: less, where there are many owners.
+    fn room(&self) -> usize {
+        (16 * MOST_WAITING / self.owners.len().max(1)).clamp(16, MOST_WAITING)
+    }
+
+    fn of(&self, turn: Turn, now: Instant) -> Vec<Place> {
+        let awake = self.owners.iter().filter(|(_, one)| one.rests.is_none_or(|(until, _)| until <= now));
+        let places = awake.filter_map(|(owner, one)| {
+            let after = if turn == Turn::Live { one.taken.place } else { one.taken.back }?;
+            Some(Place { owner: *owner, after, grant: one.taken.known.grant })
+        });
+        let mut places: Vec<Place> = places.collect();
+        // Who is behind comes first, where there are more than fit into one request.
+        places.sort_by_key(|place| place.after);
+        places
+    }
+
+    /// What to ask for next; nothing if every owner rests.
+    pub fn asks(&mut self, now: Instant) -> Option<&Feed> {
+        let room = self.room();
+        self.owners.values_mut().for_each(|one| one.go_back(room, now));
+        let (live, back) = (self.of(Turn::Live, now), self.of(Turn::Back, now));
+        let live_own = live.iter().find(|place| place.owner == self.reader).copied();
+        let may_wait = back.is_empty() && live.len() < MOST_OWNERS;
+        let is_back = live.is_empty() || (self.turn == Turn::Live && !back.is_empty());
+        let (turn, mut places) = if is_back { (Turn::Back, back) } else { (Turn::Live, live) };
+        if places.is_empty() {
+            return None;
+        }
+        // The reader's own are never refused: a request that is all about others might be, and end the session.
+        let own = live_own.filter(|own| !places.iter().any(|place| place.owner == own.owner));
+        places.truncate(MOST_OWNERS - 1);
+        places.extend(own);
+        let rest = self.owners.values().filter_map(|one| one.rests.map(|(until, _)| until)).min();
+        let most = rest.map_or(WAIT, |until| until.saturating_duration_since(now).min(WAIT));
+        let wait = if may_wait { most } else { Duration::ZERO };
+        self.turn = turn;
+        self.asked = Feed { id: self.feed, wait, places, ..self.asked.clone() };
+        Some(&self.asked)
+    }
+
+    /// Whether the last request was for new rows while others are still read: a short look in between.
+    pub fn is_look_between(&self) -> bool {
+        self.turn == Turn::Live && self.asked.wait.is_zero()
+    }
+
+    /// Whether a page is of another feed: then nothing on it counts, and all is read anew.
+    pub fn is_of_another(&mut self, page: &FeedPage) -> bool {
+        self.feed = page.id;
+        if page.is_anew {
+            self.begun = Timestamp::now();
+            for one in self.owners.values_mut() {
+                one.taken.place = None;
+                one.read_anew();
+            }
+        }
+        page.is_anew
+    }
+
+    /// The newest epoch of an owner with keys here; nothing if nobody follows it.
+    pub fn newest(&self, owner: &Address) -> Option<u64> {
+        self.owners.get(owner).map(|one| one.taken.known.newest)
+    }
+
+    /// A record is dealt with.
+    pub fn done(&mut self, told: &Told) {
+        if let Some(one) = self.owners.get_mut(&told.owner) {
+            one.taken.waits.remove(&told.digest);
+            one.trials.remove(&told.digest);
+        }
+    }
+
+    /// Has a record wait. Returns whether it did not wait before.
+    pub fn wait(&mut self, told: Told, is_near: bool, now: Instant) -> bool {
+        let room = self.room();
+        self.owners.get_mut(&told.owner).is_some_and(|one| one.wait(told, is_near, (room, now)))
+    }
+
+    /// The key of a record was not handed over yet.
+    pub fn is_locked(&mut self, told: Told, now: Instant) {
+        if let Some(one) = self.owners.get_mut(&told.owner) {
+            one.taken.locked = Some(one.taken.locked.map_or(told.number, |lowest| lowest.min(told.number)));
+            one.locked_since.get_or_insert(now);
+        }
+    }
+
+    /// What is to be tried again.
+    pub fn due(&self, now: Instant) -> Vec<Told> {
+        let due = |one: &Followed, digest: &Digest| {
+            let trial = one.trials.get(digest).copied().unwrap_or_default();
+            trial.again.is_none_or(|again| again <= now)
+        };
+        let of = |(owner, one): (&Address, &Followed)| -> Vec<Told> {
+            let waits = one.taken.waits.iter().filter(|(digest, _)| due(one, digest));
+            waits
+                .map(|(digest, erased)| Told { owner: *owner, digest: *digest, number: 0, is_erased: *erased })
+                .collect()
+        };
+        self.owners.iter().flat_map(of).take(MOST_WAITING).collect()
+    }
+
+    /// Everything on a page was dealt with.
+    pub fn took(&mut self, page: &FeedPage, now: Instant) {
+        let refused: BTreeSet<Address> = page.refused.iter().map(|(owner, _)| *owner).collect();
+        let turn = self.turn;
+        for place in &self.asked.places {
+            match self.owners.get_mut(&place.owner) {
+                Some(one) if refused.contains(&place.owner) => one.rest(now),
+                Some(one) => one.took(turn, page),
+                None => {}
+            }
+        }
+    }
+
+    /// How the reader stands. An owner whose records the gateway does not give keeps nobody waiting.
+    pub fn standing(&self, now: Instant) -> Standing {
+        let awake = || self.owners.values().filter(|one| one.rests.is_none_or(|(until, _)| until <= now));
+        if awake().any(|one| one.is_arriving(now)) {
+            Standing::Arriving
+        } else if self.turn == Turn::Live && awake().all(|one| one.is_at_head) {
+            Standing::Here { lacks: self.owners.values().any(Followed::lacks) }
+        } else {
+            Standing::Reading
+        }
+    }
+
+    /// Owners whose records the gateway refuses for longer than it needs to see a block.
+    pub fn long_refused(&self) -> impl Iterator<Item = &Address> {
+        let long = |one: &Followed| one.rests.is_some_and(|(_, pause)| pause >= Duration::from_secs(4));
+        self.owners.iter().filter(move |(_, one)| long(one)).map(|(owner, _)| owner)
+    }
+}
+
+#[cfg(test)]
+mod tests;
