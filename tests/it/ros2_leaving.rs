@@ -348,6 +348,19 @@ fn a_program_that_replaces_its_participant_loses_nothing_repeats_nothing_and_hol
     assert_eq!(figures, [sent, sent, 0], "{summary}");
     assert_eq!(process_of(&site, READER, "--domain"), reader, "it was never started anew");
     latched.end();
+
+    // Every way of ending it in the middle of that: a node that comes makes it replace its participant, and so does being found
+    // by a program that was just started.
+    alice.json(&["topics", "watch", "/jazzy"]);
+    let last = robot(&pythons[0]);
+    let both = last.meets("subscribers", 60, "two of ours", |ids| ours(ids) == 2);
+    signal("KILL", &reader);
+    let neither = |ids: &[String]| !ids.iter().any(|id| both.contains(id));
+    last.meets("subscribers", GONE_AFTER_A_KILL, "its program was killed", neither);
+    last.meets("subscribers", 60, "two of the next program", |ids| ours(ids) == 2 && neither(ids));
+    site.stop("TERM", 20).expect_code(0);
+    last.meets("subscribers", GONE, "the site ended", |ids| ours(ids) == 0);
+    last.end();
 }
 
 /// Topics of the nodes that come and go, and how long each of them stays.

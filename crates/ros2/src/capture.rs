@@ -29,9 +29,11 @@ const BEAT: Duration = Duration::from_millis(100);
 const LOOK: Duration = Duration::from_secs(1);
 /// Interval between signs of life, and between looks at the threads.
 const ALIVE: Duration = Duration::from_millis(500);
-/// After meeting so many writers and readers of others the participant is replaced: rustdds keeps about 700 bytes of each as
-/// long as its topic is read, 3 MiB by then, and frees them with the participant alone. To find a domain anew costs seconds.
+/// After meeting so many writers and readers of others the participant is replaced: rustdds keeps about 700 bytes of each, 3 MiB
+/// by then, and frees them with the participant alone. To find a domain anew costs seconds, and a large one more: there it is
+/// after four times as many as there are writers, about twice as many as there are endpoints.
 const RENEW_AFTER: usize = 4096;
+const OF_A_LARGE_DOMAIN: usize = 4;
 /// How long two participants read beside each other at most. Fast DDS gives up a node that was killed after 20 s: until then
 /// the successor waits for it.
 const LONGEST_OVERLAP: Duration = Duration::from_secs(30);
@@ -41,7 +43,7 @@ const LEAVING: Duration = Duration::from_secs(2);
 const MOST_TOPICS: usize = 4096;
 
 /// Reads `domain` until the wishes end or `stop` is set; tells whether it is confined. Leaves the domain on every way out.
-/// Its participant is replaced after meeting `renew_after` endpoints of others, or as many as cost too much memory.
+/// Its participant is replaced after meeting `renew_after` endpoints of others; if `None`, before they cost too much memory.
 ///
 /// # Errors
 /// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
@@ -55,7 +57,7 @@ pub fn run(
     let mut out = BufWriter::with_capacity(256 << 10, to);
     send(&mut out, &Told::Hello { version: VERSION, domain, confined }, &[])?;
     out.flush().map_err(crate::pipe::PipeError::from)?;
-    let result = Child::begin((domain, renew_after.unwrap_or(RENEW_AFTER)), from, &mut out).and_then(|mut child| {
+    let result = Child::begin((domain, renew_after), from, &mut out).and_then(|mut child| {
         let result = child.joined().and_then(|()| child.run(stop));
         child.members.iter().for_each(|member| member.farewell.say());
         leave_soon();
@@ -82,7 +84,7 @@ struct Child<'a, W: Write> {
     /// Its participant, and for a while the successor behind it.
     members: Vec<Member>,
     lines: Lines,
-    renew_after: usize,
+    renew_after: Option<usize>,
     domain: u16,
     poll: Poll,
     wishes: Receiver<Option<Wish>>,
@@ -96,7 +98,7 @@ struct Child<'a, W: Write> {
 
 impl<'a, W: Write> Child<'a, W> {
     fn begin(
-        (domain, renew_after): (u16, usize),
+        (domain, renew_after): (u16, Option<usize>),
         from: impl Read + Send + 'static,
         out: &'a mut W,
     ) -> Result<Self, Ros2Error> {
@@ -207,10 +209,10 @@ impl<'a, W: Write> Child<'a, W> {
         Some(changed)
     }
 
-    /// What all participants of ours know of the writers of others.
+    /// What the participants of ours that stay know of the writers of others.
     fn writers(&mut self) -> Vec<DiscoveredWriterData> {
         let (mut all, mut newest) = (BTreeMap::new(), 0);
-        for member in &mut self.members {
+        for member in self.members.iter_mut().filter(|member| !member.leaves) {
             let mut found = member.writers();
             found.retain(|writer| !self.graph.is_own(&graph::prefix(&writer.publication_topic_data.key.to_bytes())));
             newest = found.len();
@@ -239,9 +241,10 @@ impl<'a, W: Write> Child<'a, W> {
         let wanted: BTreeSet<String> =
             self.wanted.iter().map(|topic| graph::dds_topic(topic)).chain([graph::NODES.to_owned()]).collect();
         self.lines.keep(|writer| self.graph.is_of_any(writer, &wanted));
-        let mut refused = Vec::new();
+        let (mut refused, nothing) = (Vec::new(), BTreeSet::new());
         for member in &mut self.members {
-            refused.extend(member.fit(&wanted, &self.graph, (self.poll.registry(), &mut self.next)));
+            let wanted = if member.leaves { &nothing } else { &wanted };
+            refused.extend(member.fit(wanted, &self.graph, (self.poll.registry(), &mut self.next)));
         }
         refused.into_iter().try_for_each(|(dds_topic, error)| self.refuse(&dds_topic, &error))
     }
@@ -249,9 +252,9 @@ impl<'a, W: Write> Child<'a, W> {
     /// Replaces a participant that has met too many: its successor reads the same beside it, and takes over each writer's
     /// messages, before it leaves.
     fn renew(&mut self) -> Result<(), Ros2Error> {
-        let mut passing = Vec::new();
+        let after = self.renew_after.unwrap_or(RENEW_AFTER.max(OF_A_LARGE_DOMAIN * self.graph.size()));
         match self.members.as_mut_slice() {
-            [only] if only.met >= self.renew_after => {
+            [only] if only.met >= after => {
                 only.met = 0;
                 // Where a second one cannot join, the first goes on as it is.
                 if let Ok(mut successor) = Member::join(self.domain, self.poll.registry()) {
@@ -262,23 +265,28 @@ impl<'a, W: Write> Child<'a, W> {
                     self.look()?;
                 }
             }
-            [former, successor] => {
+            [former, successor] if !former.leaves => {
                 let is_late = successor.begun.elapsed() >= LONGEST_OVERLAP;
                 let is_found = successor.complete.is_some_and(|since| since.elapsed() >= OVERLAP);
-                former.leaves |= is_late || is_found && self.lines.are_handed_over();
-                if former.has_left() && (is_late || is_found) {
-                    successor.met = 0;
-                    let former = self.members.remove(0);
-                    former.farewell.say();
-                    drop(former);
+                if is_late || is_found && self.lines.are_handed_over() {
+                    former.leaves = true;
+                    let mut passing = Vec::new();
                     self.lines.end(&mut passing);
-                    self.joined()?;
+                    self.pass_on(&mut passing)?;
                     self.look()?;
                 }
             }
+            [former, successor] if former.has_left() => {
+                successor.met = 0;
+                let former = self.members.remove(0);
+                former.farewell.say();
+                // That takes a moment, in which messages come. Without a thread for it they wait.
+                drop(std::thread::Builder::new().name("former".into()).spawn(move || drop(former)));
+                self.joined()?;
+            }
             _ => {}
         }
-        self.pass_on(&mut passing)
+        Ok(())
     }
 
     fn refuse(&mut self, dds_topic: &str, error: &Ros2Error) -> Result<(), Ros2Error> {
@@ -302,9 +310,9 @@ impl<'a, W: Write> Child<'a, W> {
             let Some(member) = self.members.get_mut(place) else { continue };
             let Some(subject) = member.take(key, kept, &mut taken) else { continue };
             let bringer = match self.members.as_slice() {
+                [former, _] if former.leaves => Bringer::Only,
                 [_, _] if place == 0 => Bringer::Former,
-                [former, _] if former.readings.values().any(|it| it.subject == subject) => Bringer::Successor,
-                [_, _] => Bringer::Heir,
+                [_, _] => Bringer::Successor,
                 _ => Bringer::Only,
             };
             if subject.dds_topic == graph::NODES {

@@ -128,6 +128,11 @@ impl Graph {
         self.known.insert(id);
     }
 
+    /// How many writers are present, also of what is not of ROS 2.
+    pub fn size(&self) -> usize {
+        self.writers.len()
+    }
+
     /// Their counts, where so many participants are present.
     pub fn counts(&self, participants: usize) -> Counts {
         let count = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);

@@ -13,13 +13,10 @@ const MOST_HELD: usize = 32 << 20;
 /// Whose reader took a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bringer {
-    /// There is no other participant of ours.
+    /// There is no other participant of ours that reads.
     Only,
-    /// It is about to leave.
     Former,
     Successor,
-    /// The successor, where the former one does not read.
-    Heir,
 }
 
 /// One writer's messages.
@@ -71,9 +68,6 @@ impl Lines {
     /// Takes a message; what is to be passed on now goes `into` the list, in its order.
     pub fn follow(&mut self, sample: Taken, bringer: Bringer, into: &mut Vec<Taken>) {
         let line = self.by_writer.entry(sample.writer).or_default();
-        if bringer == Bringer::Heir && !line.is_handed {
-            line.hand_over(&mut self.held, into);
-        }
         match bringer {
             Bringer::Former if line.is_handed => {}
             Bringer::Successor if !line.is_handed => {
@@ -102,7 +96,7 @@ impl Lines {
         self.by_writer.values().all(|line| line.is_handed || !line.is_heard)
     }
 
-    /// The former one is gone: the successor is the only one.
+    /// The former one leaves: the successor is the only one that reads.
     pub fn end(&mut self, into: &mut Vec<Taken>) {
         for line in self.by_writer.values_mut() {
             if !line.is_handed {
@@ -121,7 +115,7 @@ impl Lines {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Bringer::{Former, Heir, Only, Successor};
+    use Bringer::{Former, Only, Successor};
 
     /// What is passed on of one writer's messages, as its participants bring them.
     fn passed(brought: &[(Bringer, i64)]) -> (Vec<i64>, Lines) {
@@ -193,9 +187,6 @@ mod tests {
         lines.keep(|_| false);
         lines.end(&mut after);
         assert_eq!(after.len(), 2, "also of a writer that is gone");
-
-        let (numbers, _) = passed(&[gap.as_slice(), &[(Heir, 7)]].concat());
-        assert_eq!(numbers, [1, 5, 6, 7]);
 
         let (_, mut lines) = passed(&gap);
         lines.follow(sample(7, MOST_HELD), Successor, &mut after);

@@ -1,7 +1,6 @@
-//! `authros-ros2 --domain N [--publish | --bury PARTICIPANT | --renew-after N]`: started by a site of AuthROS, with a pipe as its input and
-//! output. It reads the domain, publishes in it, or says there that one of its kind was killed. Tests have it replace its
-//! participant sooner.
-//! It has no keys, and is of no use alone.
+//! `authros-ros2 --domain N [--publish | --bury PARTICIPANT | --renew-after N]`: started by a site of AuthROS, with a pipe as
+//! its input and output. It reads the domain, publishes in it, or says there that one of its kind was killed. Tests have it
+//! replace its participant sooner. It has no keys, and is of no use alone.
 
 use std::process::ExitCode;
 

@@ -41,6 +41,7 @@ pub struct Member {
     /// What it says when it leaves.
     pub farewell: Farewell,
     participants: BTreeSet<Prefix>,
+    /// When it joined.
     pub begun: Instant,
     /// Writers and readers that it has met since it has been the only one.
     pub met: usize,
@@ -48,7 +49,7 @@ pub struct Member {
     pub is_fitted: bool,
     /// Since when it has them, and knows every writer that its predecessor knows.
     pub complete: Option<Instant>,
-    /// Whether its readers are leaving because it has a successor: what they take still counts.
+    /// Whether it leaves because its successor brings everything.
     pub leaves: bool,
 }
 
@@ -139,9 +140,6 @@ impl Member {
         self.dismiss(wanted, registry);
         let (mut refused, before) = (Vec::new(), *next);
         self.is_fitted = true;
-        if self.leaves {
-            return refused;
-        }
         for topic in wanted {
             let mut offers: BTreeMap<Subject, Vec<Quality>> = BTreeMap::new();
             for found in graph.of_topic(topic) {
@@ -167,8 +165,7 @@ impl Member {
         let ended = |reading: &Reading| {
             !wanted.contains(&reading.subject.dds_topic) || reading.retires.is_some_and(|retires| retires <= now)
         };
-        let ended = |reading: &Reading| !reading.leaves && (self.leaves || ended(reading));
-        for reading in self.readings.values_mut().filter(|reading| ended(reading)) {
+        for reading in self.readings.values_mut().filter(|reading| !reading.leaves && ended(reading)) {
             self.departures.tell(reading.id());
             (reading.leaves, reading.retires) = (true, Some(now));
         }
@@ -212,7 +209,7 @@ impl Member {
         let reading = self.readings.get_mut(&key)?;
         let others = kept.saturating_sub(reading.kept());
         reading.take(into);
-        if reading.leaves && !self.leaves {
+        if reading.leaves {
             into.clear();
             return None;
         }
@@ -230,8 +227,8 @@ impl Member {
         told
     }
 
-    /// Whether nothing of it is left but itself.
+    /// Whether nothing of one that leaves is left but itself.
     pub fn has_left(&self) -> bool {
-        self.leaves && self.readings.is_empty() && self.describing.is_idle()
+        self.readings.is_empty() && self.describing.is_idle()
     }
 }
