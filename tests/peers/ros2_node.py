@@ -93,7 +93,7 @@ def publish(node):
         if time.monotonic() - told >= TICK:
             told = time.monotonic()
             say(sent=number + 1, at=time.time())
-    say(done=asked.number, seconds=time.monotonic() - begun)
+    say(done=asked.number, sent=asked.number, seconds=time.monotonic() - begun)
 
 
 def subscribe(node):
