@@ -124,7 +124,7 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
         &plant.home.path(),
         &process,
         "authros-ros2 --domain 7 --publish ",
-        &["MALLOC_ARENA_MAX"],
+        &["MALLOC_MMAP_THRESHOLD_"],
         "/tf_static",
     );
 

@@ -93,7 +93,7 @@ fn a_real_recorder_hears_by_rosrust_what_the_robot_said_until_the_revoke_and_its
     let calibration: Vec<Value> = messages(&bag, LATCHED).into_iter().map(|message| message[3].clone()).collect();
     let latched = || list(&reader.hear(1, &[LATCHED]), LATCHED);
     assert!(latched().last().is_some_and(|message| calibration.contains(message)));
-    let variables = ["MALLOC_ARENA_MAX", "ROS_HOSTNAME", "ROS_MASTER_URI"];
+    let variables = ["ROS_HOSTNAME", "ROS_MASTER_URI"];
     expect_no_key_in(&plant.home.path(), &process, "authros-rosrust --node authros_play_", &variables, LATCHED);
     support::process::signal("KILL", &process);
     wait_until(60, "another process", || {

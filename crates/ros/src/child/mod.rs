@@ -41,12 +41,12 @@ pub struct Errand {
     /// The program's path.
     pub program: PathBuf,
     pub arguments: Vec<String>,
-    /// Its whole environment, but for the bound of its arenas.
+    /// Its whole environment.
     pub environment: Vec<(&'static str, String)>,
 }
 
-/// Starts it: no environment but the errand's and a bound of its allocator's arenas, no terminal, a process group of its own,
-/// nothing open but the two pipes. Under root it runs as the user who owns nothing, or not at all.
+/// Starts it: no environment but the errand's, no terminal, a process group of its own, nothing open but the two pipes.
+/// Under root it runs as the user who owns nothing, or not at all.
 ///
 /// # Errors
 /// [`RosError::System`] if it does not start, [`RosError::NotAsNobody`] if that user cannot run it.
@@ -91,8 +91,6 @@ fn command(errand: &Errand, path: &Path) -> Command {
         .arg0(&errand.program)
         .args(&errand.arguments)
         .env_clear()
-        // Arenas keep what was freed in them (decision 072), and such a program's threads come and go.
-        .env("MALLOC_ARENA_MAX", "2")
         .envs(errand.environment.iter().map(|(name, value)| (name, value)))
         .current_dir("/")
         .stdin(Stdio::piped())

@@ -41,7 +41,9 @@ fn find(program: Option<&Path>) -> Result<PathBuf, RosError> {
 fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
     let arguments = ["--domain".to_owned(), domain.to_string()];
     let arguments = arguments.into_iter().chain(publishes.then(|| "--publish".to_owned())).collect();
-    Errand { program: program.to_owned(), arguments, environment: Vec::new() }
+    // What rustdds receives into goes back to the system when it is freed (decision 072).
+    let environment = vec![("MALLOC_MMAP_THRESHOLD_", (128 << 10).to_string())];
+    Errand { program: program.to_owned(), arguments, environment }
 }
 
 /// A topic of the domain.
