@@ -366,10 +366,10 @@ fn a_program_that_replaces_its_participant_loses_nothing_repeats_nothing_and_hol
 /// Topics of the nodes that come and go, and how long each of them stays.
 const CROWD: u64 = 100;
 const STAY: Duration = Duration::from_secs(10);
-/// What the peaks of the reading program in two parts of a run may differ by without growth, KiB. In the first ten minutes its
-/// heaps, one for each thread of two participants, come to their size; a run of less than fifteen may fail.
+/// What the reading program holds after replacing its participant may differ by so much in two parts of a run without growth, KiB.
+/// In between it grows to more than twice that, which one looks at by chance.
 const NOISE: u64 = 1024;
-/// It replaces its participant about every minute and a half, so that each part of the run has whole spans of that in it.
+/// It replaces its participant about every minute and a half, so that each part of the run has several spans of that in it.
 const OF_A_CROWD: u64 = 1000;
 
 #[test]
@@ -408,8 +408,8 @@ fn nodes_that_come_and_go_leave_nothing_behind_in_the_program_that_reads() {
             break;
         }
     }
-    let third = &held[held.len() * 2 / 3..];
-    let (before, after) = third.split_at(third.len() / 2);
-    let most = |held: &[u64]| held.iter().copied().max().expect("a node came");
-    assert!(most(after) <= most(before) + NOISE, "it grows: {held:?}");
+    // The first third is for coming to its size.
+    let (before, after) = held[held.len() / 3..].split_at(held.len() / 3);
+    let least = |held: &[u64]| held.iter().copied().min().expect("a node came");
+    assert!(least(after) <= least(before) + NOISE, "it grows: {held:?}");
 }
