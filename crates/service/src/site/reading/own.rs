@@ -132,8 +132,11 @@ impl Reading {
         let topic = clean(&row.topic, 255);
         let of = if row.is_named() { topic.as_str() } else { "a topic whose name is unknown here" };
         let mut steps = vec![
-            step("message", format!("{} bytes of {of}, captured {}", row.bytes, moment(row.captured_at))),
-            step("record", format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, moment(row.acknowledged_at))),
+            step("message", format!("{} bytes of {of}, captured {}", row.bytes, row.captured_at.in_milliseconds())),
+            step(
+                "record",
+                format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, row.acknowledged_at.in_milliseconds()),
+            ),
             step("digest", format!("SM3 {}", row.digest)),
             step("signature", format!("SM2 by signer {}", row.signer)),
         ];
@@ -145,7 +148,7 @@ impl Reading {
         let place = placed.and_then(|placed| placed.place);
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
-            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, moment(place.closed_at))));
+            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
             let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
             steps.push(step("proof", format!("leaf {index} of {count}, {hashes} hashes to the root")));
         }
@@ -295,12 +298,6 @@ fn unchecked() -> String {
          open here; check again while the console or `authros serve` has the keyring open",
         standing(RecordState::Verified)
     )
-}
-
-/// A moment to the millisecond.
-fn moment(at: Timestamp) -> String {
-    let text = at.to_string();
-    text.get(..23).map_or_else(|| text.clone(), |head| format!("{}Z", head.trim_end_matches('Z')))
 }
 
 /// What a record's state means, for readers who wonder what is still to come.
