@@ -405,9 +405,7 @@ pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> O
     if place.is_contradicted && row.state == RecordState::Verified {
         return Some("block");
     }
-    if place.block.is_none() {
-        return None;
-    }
+    place.block?;
     // A transaction of its own that is in no block stands before the batch's only until the batch is in one.
     if row.block.is_none() {
         return Some("transaction");
