@@ -18,7 +18,7 @@ use crate::crypto::{
 use crate::directory::{Granted, kept};
 use crate::model::{Address, Digest, GrantTerms, Header, PublicKey, RecordState, Scope, SignerId, TopicId, Verdict};
 use crate::retention::is_stated;
-use crate::store::{KeptEnvelope, RecordRow, Retained};
+use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 use crate::{Network, Owner, PipelineError, Plant, chain_proofs, columns};
 
 /// Reads records for one owner: their own, and those granted to them.
@@ -312,6 +312,21 @@ impl Reader<'_> {
     /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for the store.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
         Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
+    }
+
+    /// The reader's own records that a query finds, opened by what the home itself knows; without those that do not open.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn own_opened(
+        &self,
+        query: RecordQuery,
+    ) -> impl Iterator<Item = Result<(RecordRow, OpenedRecord), PipelineError>> {
+        let query = RecordQuery { owner: Some(self.reader.address), ..query };
+        self.plant.ledger.records.all(query).filter_map(|row| match row {
+            Ok(row) => Some(self.own_contents(&row).transpose()?.map(|opened| (row, opened))),
+            Err(error) => Some(Err(error.into())),
+        })
     }
 
     /// The stored bytes of a record.

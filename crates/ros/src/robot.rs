@@ -10,7 +10,7 @@ mod picture;
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -18,7 +18,7 @@ use crate::model::Timestamp;
 use crate::ros::address::{Endpoint, own_host};
 use crate::ros::publisher::{Advertised, Outlet, PublisherNode};
 use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
-use crate::ros::{RosError, RosrustPublisher};
+use crate::ros::{GraphPublisher as _, RosError, RosrustPublisher};
 use picture::Camera;
 
 pub use messages::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
@@ -52,9 +52,8 @@ impl Default for FleetOptions {
 
 /// Running robots. They unregister and end on drop; what is queued for subscribers is sent first.
 pub struct Fleet {
+    publishing: Publishing,
     nodes: Vec<PublisherNode>,
-    stopping: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
 }
 
 impl Fleet {
@@ -64,13 +63,10 @@ impl Fleet {
     /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, and failures of master,
     /// sockets and threads.
     pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
-        if robots > MOST_ROBOTS {
-            return Err(RosError::Robots(robots));
-        }
-        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
+        let periods = periods(robots, options)?;
         let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
         let host = own_host(None, &master, Instant::now() + PATIENCE)?;
-        let mut fleet = Self { nodes: Vec::new(), stopping: Arc::default(), threads: Vec::new() };
+        let mut fleet = Self { publishing: Publishing::default(), nodes: Vec::new() };
         for number in 1..=robots {
             fleet.add(&master, &host, number, periods)?;
         }
@@ -91,7 +87,7 @@ impl Fleet {
 
     /// Ends publishing and returns the final counts; then like dropping.
     pub fn stop(mut self) -> Vec<(String, u64)> {
-        self.end_publishing();
+        self.publishing.end();
         self.published()
     }
 
@@ -109,69 +105,99 @@ impl Fleet {
         let [odometry, pictures] = outlets.map(Arc::new);
         let both = vec![Arc::clone(&odometry), Arc::clone(&pictures)];
         self.nodes.push(PublisherNode::start(master.clone(), host, format!("/robot{number}_sim"), both)?);
-        let track = Track::of_robot(number);
-        self.publish("robot-odometry", odometry, periods.0, move |seq, age| {
-            Some(messages::odometry(seq, Timestamp::now(), &track.at(age)))
-        })?;
-        let mut camera = Camera::new(number, track);
-        self.publish("robot-camera", pictures, periods.1, move |seq, age| {
-            camera.shoot(seq, age).map(|jpeg| messages::compressed_image(seq, Timestamp::now(), number, &jpeg))
-        })
-    }
-
-    /// Publishes what `make` returns for number and age (seconds), once per period.
-    fn publish(
-        &mut self,
-        name: &str,
-        outlet: Arc<Outlet>,
-        period: Duration,
-        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
-    ) -> Result<(), RosError> {
-        let publish = move |seq, age| make(seq, age).inspect(|body| outlet.publish(body)).is_some();
-        self.threads.push(repeat(name, period, &self.stopping, publish)?);
-        Ok(())
-    }
-
-    fn end_publishing(&mut self) {
-        self.stopping.store(true, Ordering::SeqCst);
-        for thread in self.threads.drain(..) {
-            thread.thread().unpark();
-            let _ = thread.join();
-        }
+        let publish = |outlet: Arc<Outlet>| {
+            move |body: &[u8]| {
+                outlet.publish(body);
+                true
+            }
+        };
+        self.publishing.robot(number, periods, publish(odometry), publish(pictures))
     }
 }
 
 impl Drop for Fleet {
     fn drop(&mut self) {
-        self.end_publishing();
+        self.publishing.end();
         for node in &self.nodes {
             node.close(FAREWELL);
         }
     }
 }
 
-/// Does `work` with number and age (seconds) once per period, in a thread; what it does counts if it returns true.
-fn repeat(
-    name: &str,
-    period: Duration,
-    stopping: &Arc<AtomicBool>,
-    mut work: impl FnMut(u32, f64) -> bool + Send + 'static,
-) -> Result<JoinHandle<()>, RosError> {
-    let stopping = Arc::clone(stopping);
-    let work = move || {
-        let begun = Instant::now();
-        let mut due = begun;
-        let mut seq = 0u32;
-        while wait_until(due, &stopping) {
-            if work(seq, begun.elapsed().as_secs_f64()) {
-                seq = seq.wrapping_add(1);
+/// Threads that publish, each at a pace of its own. They end on drop.
+#[derive(Default)]
+struct Publishing {
+    stopping: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Publishing {
+    /// Does `work` with number and age (seconds) once per period, in a thread; what it does counts if it returns true.
+    fn repeat(
+        &mut self,
+        name: &str,
+        period: Duration,
+        mut work: impl FnMut(u32, f64) -> bool + Send + 'static,
+    ) -> Result<(), RosError> {
+        let stopping = Arc::clone(&self.stopping);
+        let work = move || {
+            let begun = Instant::now();
+            let mut due = begun;
+            let mut seq = 0u32;
+            while wait_until(due, &stopping) {
+                if work(seq, begun.elapsed().as_secs_f64()) {
+                    seq = seq.wrapping_add(1);
+                }
+                // After the machine was suspended continue from now: no burst of missed messages.
+                due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
             }
-            // After the machine was suspended continue from now: no burst of missed messages.
-            due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
+        };
+        let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+        self.threads.push(thread.map_err(|error| RosError::system("start a thread", &error))?);
+        Ok(())
+    }
+
+    /// Publishes where a robot of ROS 1 is and what it sees, each by what sends one message.
+    fn robot(
+        &mut self,
+        number: u16,
+        periods: (Duration, Duration),
+        mut odometry: impl FnMut(&[u8]) -> bool + Send + 'static,
+        mut picture: impl FnMut(&[u8]) -> bool + Send + 'static,
+    ) -> Result<(), RosError> {
+        let track = Track::of_robot(number);
+        self.repeat("robot-odometry", periods.0, move |seq, age| {
+            odometry(&messages::odometry(seq, Timestamp::now(), &track.at(age)))
+        })?;
+        let mut camera = Camera::new(number, track);
+        self.repeat("robot-camera", periods.1, move |seq, age| {
+            let jpeg = camera.shoot(seq, age);
+            jpeg.is_some_and(|jpeg| picture(&messages::compressed_image(seq, Timestamp::now(), number, &jpeg)))
+        })
+    }
+
+    /// Ends them.
+    fn end(&mut self) {
+        self.stopping.store(true, Ordering::SeqCst);
+        for thread in self.threads.drain(..) {
+            thread.thread().unpark();
+            drop(thread.join());
         }
-    };
-    let thread = std::thread::Builder::new().name(name.into()).spawn(work);
-    thread.map_err(|error| RosError::system("start a thread", &error))
+    }
+}
+
+impl Drop for Publishing {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// The periods of odometry and pictures.
+fn periods(robots: u16, options: FleetOptions) -> Result<(Duration, Duration), RosError> {
+    if robots > MOST_ROBOTS {
+        return Err(RosError::Robots(robots));
+    }
+    Ok((period(options.odometry_hz)?, period(options.picture_hz)?))
 }
 
 /// A topic of ours, by its definition.
@@ -270,9 +296,8 @@ const PICTURE_SIZE: usize = 60_000;
 
 /// Running robots of ROS 2. They leave the domain on drop.
 pub struct DomainFleet {
+    publishing: Publishing,
     publisher: Arc<Mutex<Ros2Publisher>>,
-    stopping: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
 }
 
 impl DomainFleet {
@@ -283,12 +308,9 @@ impl DomainFleet {
     /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, [`RosError::NoReader`] if that
     /// program is missing, [`RosError::NotPublished`] if it cannot publish there.
     pub fn start(domain: u16, program: Option<&Path>, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
-        if robots > MOST_ROBOTS {
-            return Err(RosError::Robots(robots));
-        }
-        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
+        let periods = periods(robots, options)?;
         let publisher = Arc::new(Mutex::new(Ros2Publisher::start(domain, program)?));
-        let mut fleet = Self { publisher, stopping: Arc::default(), threads: Vec::new() };
+        let mut fleet = Self { publishing: Publishing::default(), publisher };
         for number in 1..=robots {
             fleet.add(domain, number, periods)?;
         }
@@ -299,64 +321,40 @@ impl DomainFleet {
         let odometry = self.announce(domain, format!("/robot{number}/odom"), "nav_msgs/msg/Odometry", ODOMETRY_SIZE)?;
         let name = format!("/robot{number}/camera/compressed");
         let pictures = self.announce(domain, name, "sensor_msgs/msg/CompressedImage", PICTURE_SIZE)?;
-        let track = Track::of_robot(number);
-        self.publish("robot-odometry", odometry, periods.0, move |_, age| {
-            Some(messages::odometry_in_cdr(Timestamp::now(), &track.at(age)))
+        let send = |writer: u32| {
+            let publisher = Arc::clone(&self.publisher);
+            move |message: Vec<u8>| locked(&publisher).publish(writer, &message)
+        };
+        let (track, odometry, pictures) = (Track::of_robot(number), send(odometry), send(pictures));
+        self.publishing.repeat("robot-odometry", periods.0, move |_, age| {
+            odometry(messages::odometry_in_cdr(Timestamp::now(), &track.at(age)))
         })?;
         let mut camera = Camera::new(number, track);
-        self.publish("robot-camera", pictures, periods.1, move |seq, age| {
-            camera.shoot(seq, age).map(|jpeg| messages::compressed_image_in_cdr(Timestamp::now(), number, &jpeg))
+        self.publishing.repeat("robot-camera", periods.1, move |seq, age| {
+            let jpeg = camera.shoot(seq, age);
+            jpeg.is_some_and(|jpeg| pictures(messages::compressed_image_in_cdr(Timestamp::now(), number, &jpeg)))
         })
     }
 
     fn announce(&self, domain: u16, name: String, type_name: &str, size: usize) -> Result<u32, RosError> {
         let topic = Offered { name, type_name: type_name.to_owned(), encoding: LITTLE, offer: USUAL };
-        let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut publisher = locked(&self.publisher);
         let refused = |declined: Declined| RosError::NotPublished {
             domain,
             reason: format!("{}; choose a domain of their own for the robots, as --ros2 42", declined.reason),
         };
         publisher.advertise(&topic, size, (true, false))?.map_err(refused)
     }
-
-    fn publish(
-        &mut self,
-        name: &str,
-        writer: u32,
-        period: Duration,
-        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
-    ) -> Result<(), RosError> {
-        let publisher = Arc::clone(&self.publisher);
-        let publish = move |seq, age| {
-            let message = make(seq, age);
-            message.is_some_and(|message| {
-                publisher.lock().unwrap_or_else(PoisonError::into_inner).publish(writer, &message)
-            })
-        };
-        self.threads.push(repeat(name, period, &self.stopping, publish)?);
-        Ok(())
-    }
-}
-
-impl Drop for DomainFleet {
-    fn drop(&mut self) {
-        self.stopping.store(true, Ordering::SeqCst);
-        for thread in self.threads.drain(..) {
-            thread.thread().unpark();
-            drop(thread.join());
-        }
-    }
 }
 
 /// Running robots. They leave the graph on drop; what is queued for subscribers is sent first.
 pub struct RosrustFleet {
+    publishing: Publishing,
     nodes: Vec<Arc<Mutex<RosrustPublisher>>>,
-    stopping: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
 }
 
-fn locked(node: &Mutex<RosrustPublisher>) -> std::sync::MutexGuard<'_, RosrustPublisher> {
-    node.lock().unwrap_or_else(PoisonError::into_inner)
+fn locked<Publisher>(publisher: &Mutex<Publisher>) -> MutexGuard<'_, Publisher> {
+    publisher.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl RosrustFleet {
@@ -372,11 +370,8 @@ impl RosrustFleet {
         robots: u16,
         options: FleetOptions,
     ) -> Result<Self, RosError> {
-        if robots > MOST_ROBOTS {
-            return Err(RosError::Robots(robots));
-        }
-        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
-        let mut fleet = Self { nodes: Vec::new(), stopping: Arc::default(), threads: Vec::new() };
+        let periods = periods(robots, options)?;
+        let mut fleet = Self { publishing: Publishing::default(), nodes: Vec::new() };
         for number in 1..=robots {
             let node = RosrustPublisher::start(master_uri, None, &format!("robot{number}_sim"), program)?;
             fleet.add(node, number, periods)?;
@@ -393,47 +388,24 @@ impl RosrustFleet {
         }
         let node = Arc::new(Mutex::new(node));
         self.nodes.push(Arc::clone(&node));
-        let track = Track::of_robot(number);
-        self.publish("robot-odometry", (&node, odometry), periods.0, move |seq, age| {
-            Some(messages::odometry(seq, Timestamp::now(), &track.at(age)))
-        })?;
-        let mut camera = Camera::new(number, track);
-        self.publish("robot-camera", (&node, pictures), periods.1, move |seq, age| {
-            camera.shoot(seq, age).map(|jpeg| messages::compressed_image(seq, Timestamp::now(), number, &jpeg))
-        })
-    }
-
-    fn publish(
-        &mut self,
-        name: &str,
-        (node, about): (&Arc<Mutex<RosrustPublisher>>, Advertised),
-        period: Duration,
-        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
-    ) -> Result<(), RosError> {
-        let node = Arc::clone(node);
-        let publish = move |seq, age| {
-            let message = make(seq, age);
-            message.is_some_and(|message| {
+        let send = |about: Advertised| {
+            let node = Arc::clone(&node);
+            move |message: &[u8]| {
                 let mut node = locked(&node);
                 // A robot whose process ended comes back as one does that was switched off.
-                if node.broken().is_some() && node.revive().is_err() {
+                if node.broken().is_some() && node.come_back().is_err() {
                     return false;
                 }
-                node.publish(&about.topic, 0, &message)
-            })
+                node.publish(&about.topic, 0, message)
+            }
         };
-        self.threads.push(repeat(name, period, &self.stopping, publish)?);
-        Ok(())
+        self.publishing.robot(number, periods, send(odometry), send(pictures))
     }
 }
 
 impl Drop for RosrustFleet {
     fn drop(&mut self) {
-        self.stopping.store(true, Ordering::SeqCst);
-        for thread in self.threads.drain(..) {
-            thread.thread().unpark();
-            drop(thread.join());
-        }
+        self.publishing.end();
         self.nodes.iter().for_each(|node| locked(node).leave());
         let begun = Instant::now();
         while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| locked(node).is_sent()) {

@@ -417,11 +417,6 @@ impl Run {
         self.shared.kill();
     }
 
-    /// The number of its process.
-    pub fn process(&self) -> Option<u32> {
-        locked(&self.shared.child).as_ref().map(Child::id)
-    }
-
     /// See [`State::unconfirmed`].
     pub fn unconfirmed(&self) -> (usize, usize) {
         self.shared.state().unconfirmed()

@@ -74,14 +74,6 @@ impl Publisher {
         self.node.advertise(Arc::new(Outlet::new(topic.clone())))
     }
 
-    /// Registers all topics again, which recovers from a master's restart.
-    ///
-    /// # Errors
-    /// If the master does not answer or refuses.
-    pub fn register_again(&self) -> Result<(), RosError> {
-        self.node.register_all()
-    }
-
     /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced.
     pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
         let outlet = self.node.outlet_of(topic);
@@ -93,47 +85,9 @@ impl Publisher {
         self.node.outlet_of(topic).map_or(0, |outlet| outlet.subscribers())
     }
 
-    /// Whether a subscriber is so far behind that more messages would soon be dropped.
-    pub fn is_crowded(&self) -> bool {
-        self.node.outlets().iter().any(|outlet| outlet.is_crowded())
-    }
-
     /// Total messages that a subscriber missed because it read too slowly.
     pub fn overflowed(&self) -> u64 {
         self.node.overflowed()
-    }
-
-    /// Stops waiting for the subscribers that are behind now, until they have caught up.
-    pub fn outrun(&self) {
-        self.node.outlets().iter().for_each(|outlet| outlet.outrun());
-    }
-
-    /// Withdraws topics at once: what is queued for their subscribers is no longer sent.
-    pub fn cut(&self, topics: &[String]) {
-        self.node.withdraw(topics);
-    }
-
-    /// No more messages come; queued ones are still sent.
-    pub fn leave(&self) {
-        self.node.leave();
-    }
-
-    /// Whether everything queued has been sent, after [`Self::leave`].
-    pub fn is_sent(&self) -> bool {
-        self.node.is_sent()
-    }
-
-    /// Ends without further waiting. Returns the total messages that a subscriber missed.
-    pub fn end(self) -> u64 {
-        self.node.close(Duration::ZERO);
-        self.node.overflowed()
-    }
-
-    /// Drops at once what came from a source, including the topic's queues; other sources go on publishing it.
-    pub fn silence(&self, topic: &str, source: u64) {
-        if let Some(outlet) = self.node.outlet_of(topic) {
-            outlet.silence(source);
-        }
     }
 
     /// Unregisters and ends, after sending what is queued, for at most five seconds. Returns the total messages that a
@@ -144,139 +98,114 @@ impl Publisher {
     }
 }
 
-/// A publishing node, by one of the two.
-pub enum GraphPublisher {
-    /// Our own, in this process.
-    Own(Publisher),
-    /// rosrust, in a process without keys.
-    Rosrust(Box<RosrustPublisher>),
-}
-
-impl GraphPublisher {
+/// A publishing node: [`Publisher`], which is our own, or [`RosrustPublisher`], in a process without keys.
+pub trait GraphPublisher: Send + Sync {
     /// Announces a topic, and waits for the subscribers that the master knows, at most for `patience`.
     ///
     /// # Errors
     /// If the master does not answer or refuses, or the program does not run.
-    pub fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
-        match self {
-            Self::Own(publisher) => {
-                let known = publisher.advertise(topic)?;
-                let begun = Instant::now();
-                while publisher.subscribers(&topic.topic) < known && begun.elapsed() < patience {
-                    std::thread::sleep(Duration::from_millis(5));
-                }
-                Ok(())
-            }
-            Self::Rosrust(publisher) => publisher.advertise(topic, !patience.is_zero()),
-        }
-    }
+    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError>;
 
     /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced, or
     /// nobody publishes now. May block where [`Self::may_block`].
-    pub fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
-        match self {
-            Self::Own(publisher) => publisher.publish(topic, source, body),
-            Self::Rosrust(publisher) => publisher.publish(topic, source, body),
-        }
-    }
+    fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool;
 
     /// Whether publishing may wait, for a pipe that is full.
-    pub fn may_block(&self) -> bool {
-        match self {
-            Self::Own(_) => false,
-            Self::Rosrust(_) => true,
-        }
-    }
-
-    /// The number of the process that publishes, if it is not this one.
-    pub fn process(&self) -> Option<u32> {
-        match self {
-            Self::Own(_) => None,
-            Self::Rosrust(publisher) => publisher.process(),
-        }
-    }
+    fn may_block(&self) -> bool;
 
     /// Why nothing is published now, if that is so.
-    pub fn broken(&self) -> Option<String> {
-        match self {
-            Self::Own(_) => None,
-            Self::Rosrust(publisher) => publisher.broken(),
-        }
-    }
+    fn broken(&self) -> Option<String>;
 
     /// Whether a subscriber is so far behind that more messages would soon be dropped.
-    pub fn is_crowded(&self) -> bool {
-        match self {
-            Self::Own(publisher) => publisher.is_crowded(),
-            Self::Rosrust(publisher) => publisher.is_crowded(),
-        }
-    }
+    fn is_crowded(&self) -> bool;
 
     /// Stops waiting for the subscribers that are behind now, until they have caught up.
-    pub fn outrun(&self) {
-        match self {
-            Self::Own(publisher) => publisher.outrun(),
-            Self::Rosrust(publisher) => publisher.outrun(),
-        }
-    }
+    fn outrun(&self);
 
-    /// Comes back: our own registers all topics again, rosrust is started anew if it has ended.
+    /// Comes back: our own registers all topics again, rosrust is started anew if it has ended, with what was latched.
     ///
     /// # Errors
     /// If the master does not answer or refuses, or the program does not start.
-    pub fn come_back(&mut self) -> Result<(), RosError> {
-        match self {
-            Self::Own(publisher) => publisher.register_again(),
-            Self::Rosrust(publisher) => publisher.revive(),
-        }
-    }
+    fn come_back(&mut self) -> Result<(), RosError>;
 
     /// Withdraws topics at once: what is queued for their subscribers is no longer sent.
-    pub fn cut(&mut self, topics: &[String]) {
-        match self {
-            Self::Own(publisher) => publisher.cut(topics),
-            Self::Rosrust(publisher) => topics.iter().for_each(|topic| publisher.withdraw(topic)),
-        }
-    }
+    fn cut(&mut self, topics: &[String]);
 
     /// Drops at once what came from a source, including the topic's queues; other sources go on publishing it.
-    pub fn silence(&mut self, topic: &str, source: u64) {
-        match self {
-            Self::Own(publisher) => publisher.silence(topic, source),
-            Self::Rosrust(publisher) => publisher.silence(topic, source),
-        }
-    }
+    fn silence(&mut self, topic: &str, source: u64);
 
     /// No more messages come; queued ones are still sent.
-    pub fn leave(&self) {
-        match self {
-            Self::Own(publisher) => publisher.leave(),
-            Self::Rosrust(publisher) => publisher.leave(),
-        }
-    }
+    fn leave(&self);
 
-    /// Whether everything queued has been sent, after [`Self::leave`].
-    pub fn is_sent(&self) -> bool {
-        match self {
-            Self::Own(publisher) => publisher.is_sent(),
-            Self::Rosrust(publisher) => publisher.is_sent(),
-        }
-    }
+    /// Whether everything queued has been sent, after [`Self::leave`], or nobody sends it any more.
+    fn is_sent(&self) -> bool;
 
-    /// Total messages that a subscriber missed because it read too slowly.
-    pub fn missed(&self) -> u64 {
-        match self {
-            Self::Own(publisher) => publisher.overflowed(),
-            Self::Rosrust(publisher) => publisher.missed(),
-        }
-    }
+    /// Total messages that a subscriber missed because it read too slowly, or may have missed.
+    fn missed(&self) -> u64;
 
     /// Ends without further waiting. Returns the total messages that a subscriber missed.
-    pub fn end(self) -> u64 {
-        match self {
-            Self::Own(publisher) => publisher.end(),
-            Self::Rosrust(publisher) => publisher.end(),
+    fn end(self: Box<Self>) -> u64;
+}
+
+impl GraphPublisher for Publisher {
+    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
+        let known = Publisher::advertise(self, topic)?;
+        let begun = Instant::now();
+        while self.subscribers(&topic.topic) < known && begun.elapsed() < patience {
+            std::thread::sleep(Duration::from_millis(5));
         }
+        Ok(())
+    }
+
+    fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
+        Publisher::publish(self, topic, source, body)
+    }
+
+    fn may_block(&self) -> bool {
+        false
+    }
+
+    fn broken(&self) -> Option<String> {
+        None
+    }
+
+    fn is_crowded(&self) -> bool {
+        self.node.outlets().iter().any(|outlet| outlet.is_crowded())
+    }
+
+    fn outrun(&self) {
+        self.node.outlets().iter().for_each(|outlet| outlet.outrun());
+    }
+
+    fn come_back(&mut self) -> Result<(), RosError> {
+        self.node.register_all()
+    }
+
+    fn cut(&mut self, topics: &[String]) {
+        self.node.withdraw(topics);
+    }
+
+    fn silence(&mut self, topic: &str, source: u64) {
+        if let Some(outlet) = self.node.outlet_of(topic) {
+            outlet.silence(source);
+        }
+    }
+
+    fn leave(&self) {
+        self.node.leave();
+    }
+
+    fn is_sent(&self) -> bool {
+        self.node.is_sent()
+    }
+
+    fn missed(&self) -> u64 {
+        self.node.overflowed()
+    }
+
+    fn end(self: Box<Self>) -> u64 {
+        self.node.close(Duration::ZERO);
+        self.node.overflowed()
     }
 }
 
@@ -631,8 +560,36 @@ impl RosrustPublisher {
         }
     }
 
-    /// Hands out a message of one of a topic's sources; false if the topic is not announced or nobody publishes now.
-    pub fn publish(&mut self, topic: &str, source: u64, message: &[u8]) -> bool {
+    fn tell_withdrawn(&self, writer: u32) {
+        // A program that cannot be told has ended, or is killed, and nothing of this is announced anew.
+        drop(self.run.order(&Order::<Described>::Withdraw { writer }, &[]));
+    }
+
+    /// Whether its program can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.run.is_confined()
+    }
+
+    fn announce_again(&mut self) -> Result<(), RosError> {
+        let topics: Vec<Advertised> = self.announced.values().map(|announced| announced.about.clone()).collect();
+        for topic in topics {
+            let writer = self.announce(&topic, false)?;
+            let Some(announced) = self.announced.get_mut(&topic.topic) else { continue };
+            announced.writer = writer;
+            if let Some((_, message)) = &announced.latched {
+                self.run.publish(&Order::<Described>::Publish { writer }, message);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl GraphPublisher for RosrustPublisher {
+    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
+        RosrustPublisher::advertise(self, topic, !patience.is_zero())
+    }
+
+    fn publish(&mut self, topic: &str, source: u64, message: &[u8]) -> bool {
         let Some(announced) = self.announced.get_mut(topic) else { return false };
         if message.len() > LONGEST_PAYLOAD as usize {
             return false;
@@ -643,20 +600,46 @@ impl RosrustPublisher {
         self.run.publish(&Order::<Described>::Publish { writer: announced.writer }, message)
     }
 
-    /// Takes a topic back at once; what is queued for its subscribers is no longer sent.
-    pub fn withdraw(&mut self, topic: &str) {
-        if let Some(announced) = self.announced.remove(topic) {
-            self.tell_withdrawn(announced.writer);
+    fn may_block(&self) -> bool {
+        true
+    }
+
+    fn broken(&self) -> Option<String> {
+        self.run.broken()
+    }
+
+    fn come_back(&mut self) -> Result<(), RosError> {
+        if self.run.broken().is_none() {
+            return Ok(());
+        }
+        let run = Run::start(&self.errand, 0)?;
+        self.missed += self.run.missed();
+        self.run = run;
+        let done = self.joined().and_then(|()| self.announce_again());
+        if done.is_err() {
+            // It is tried again only if it has ended.
+            self.run.kill();
+        }
+        done
+    }
+
+    fn is_crowded(&self) -> bool {
+        self.run.is_crowded()
+    }
+
+    fn outrun(&self) {
+        drop(self.run.order(&Order::<Described>::Outrun, &[]));
+    }
+
+    fn cut(&mut self, topics: &[String]) {
+        for topic in topics {
+            if let Some(announced) = self.announced.remove(topic) {
+                self.tell_withdrawn(announced.writer);
+            }
         }
     }
 
-    fn tell_withdrawn(&self, writer: u32) {
-        // A program that cannot be told has ended, or is killed, and nothing of this is announced anew.
-        drop(self.run.order(&Order::<Described>::Withdraw { writer }, &[]));
-    }
-
-    /// Drops at once what came from a source, including the topic's queue; other sources go on publishing it.
-    pub fn silence(&mut self, topic: &str, source: u64) {
+    fn silence(&mut self, topic: &str, source: u64) {
         let Some(announced) = self.announced.remove(topic) else { return };
         self.tell_withdrawn(announced.writer);
         let latched = announced.latched.filter(|(of, _)| *of != source);
@@ -676,77 +659,19 @@ impl RosrustPublisher {
         self.announced.insert(topic.to_owned(), Announced { writer, about: announced.about, latched });
     }
 
-    /// Whether more messages should wait for subscribers that are behind, or for the program.
-    pub fn is_crowded(&self) -> bool {
-        self.run.is_crowded()
-    }
-
-    /// Waits no longer for subscribers that are behind now.
-    pub fn outrun(&self) {
-        drop(self.run.order(&Order::<Described>::Outrun, &[]));
-    }
-
-    /// Whether its program can open no file and no local socket.
-    pub fn is_confined(&self) -> bool {
-        self.run.is_confined()
-    }
-
-    /// The number of the process in which rosrust runs.
-    pub fn process(&self) -> Option<u32> {
-        self.run.process()
-    }
-
-    /// Why nothing is published now, if that is so.
-    pub fn broken(&self) -> Option<String> {
-        self.run.broken()
-    }
-
-    /// Starts the program anew if it has ended, with all topics and what was latched.
-    pub fn revive(&mut self) -> Result<(), RosError> {
-        if self.run.broken().is_none() {
-            return Ok(());
-        }
-        let run = Run::start(&self.errand, 0)?;
-        self.missed += self.run.missed();
-        self.run = run;
-        let done = self.joined().and_then(|()| self.announce_again());
-        if done.is_err() {
-            // It is tried again only if it has ended.
-            self.run.kill();
-        }
-        done
-    }
-
-    fn announce_again(&mut self) -> Result<(), RosError> {
-        let topics: Vec<Advertised> = self.announced.values().map(|announced| announced.about.clone()).collect();
-        for topic in topics {
-            let writer = self.announce(&topic, false)?;
-            let Some(announced) = self.announced.get_mut(&topic.topic) else { continue };
-            announced.writer = writer;
-            if let Some((_, message)) = &announced.latched {
-                self.run.publish(&Order::<Described>::Publish { writer }, message);
-            }
-        }
-        Ok(())
-    }
-
-    /// No more messages come; queued ones are still sent.
-    pub fn leave(&self) {
+    fn leave(&self) {
         drop(self.run.order(&Order::<Described>::Leave, &[]));
     }
 
-    /// Whether subscribers have everything, after [`Self::leave`], or nobody sends it any more.
-    pub fn is_sent(&self) -> bool {
+    fn is_sent(&self) -> bool {
         self.run.has_left() || self.run.broken().is_some()
     }
 
-    /// Messages that a subscriber, or every one, missed, or may have missed.
-    pub fn missed(&self) -> u64 {
+    fn missed(&self) -> u64 {
         self.missed + self.run.missed()
     }
 
-    /// Leaves the graph. Returns the total messages that subscribers missed; those still queued are among them.
-    pub fn end(self) -> u64 {
+    fn end(self: Box<Self>) -> u64 {
         let queued = if self.run.broken().is_some() { 0 } else { self.run.unconfirmed().0 };
         self.missed() + queued as u64
     }

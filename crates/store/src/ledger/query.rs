@@ -136,6 +136,26 @@ impl Records {
         })
     }
 
+    /// All records that a query finds, read page by page.
+    ///
+    /// # Errors
+    /// See [`Self::list`]; nothing follows a failure.
+    pub fn all(&self, query: RecordQuery) -> impl Iterator<Item = Result<RecordRow, StoreError>> {
+        let mut query = Some(query);
+        let pages = std::iter::from_fn(move || {
+            let asked = query.take()?;
+            let (rows, failed) = match self.list(&asked) {
+                Ok(RecordPage { rows, next }) => {
+                    query = next.map(|next| RecordQuery { after: Some(next), ..asked });
+                    (rows, None)
+                }
+                Err(error) => (Vec::new(), Some(Err(error))),
+            };
+            Some(rows.into_iter().map(Ok).chain(failed))
+        });
+        pages.flatten()
+    }
+
     /// The oldest records (by capture) in a state, of one owner or of all.
     pub fn in_state(
         &self,
