@@ -11,7 +11,7 @@ use super::printed::Teller;
 use super::recordings::absolute;
 use super::serve::Ending;
 use crate::model::ErrorKind;
-use crate::service::command::{FollowWishes, StopCapture};
+use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{FollowView, FollowedFile};
 use crate::service::{Client, Event, Failure, Needs};
@@ -73,7 +73,7 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
 
 async fn until_ended(client: &Client, wishes: FollowWishes, output: &Output) -> Result<FollowView, Failure> {
     let mut events = client.events();
-    let answer = client.ask(wishes);
+    let answer = client.ask(FollowFolder(wishes));
     tokio::pin!(answer);
     let (mut asked, mut teller, mut tick) = (false, Teller::default(), tokio::time::interval(TELLING));
     tick.reset();

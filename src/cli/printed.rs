@@ -18,7 +18,7 @@ use crate::app::{Keymap, keymap};
 use crate::config::DEFINITIONS;
 use crate::model::{ErrorKind, Timestamp, clean};
 use crate::paths::Home;
-use crate::service::command::{Command, RecordingProgress, StoreCommand};
+use crate::service::command::{Command, RecordingProgress};
 use crate::service::{Client, Failure};
 use crate::term::ConsoleOptions;
 use crate::ui::{Themes, theme};
@@ -226,7 +226,7 @@ impl Teller {
 
 /// Whether a request may take so long that its progress is shown.
 pub fn takes_long(command: &Command) -> bool {
-    matches!(command, Command::OfStore(StoreCommand::AuditRecords { .. }))
+    matches!(command, Command::AuditRecords { .. })
 }
 
 /// Waits for `work`, and tells meanwhile how far it is.

@@ -13,9 +13,9 @@ use super::update::{self, Feed, start};
 use super::verb::{Contents, Effect, Errand, Tag, Verb};
 use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName};
+use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{PlayEnd, PlayedView, TopicRow};
-use crate::service::{Command, Operation};
 
 /// Performs `verb`, or says why that is not possible now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
@@ -107,7 +107,7 @@ fn refuse(state: &mut State, verb: Verb, reason: &str) {
 }
 
 fn back_up(state: &mut State) -> Vec<Effect> {
-    vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })]
+    vec![state.send(Errand { command: Command::BackUpKeys, tag: Tag::BackUp })]
 }
 
 fn tasks(state: &mut State) {

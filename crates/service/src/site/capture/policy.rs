@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::model::{ProfileName, TopicRule};
-use crate::service::command::PolicyCommand;
 use crate::service::failure::input;
 use crate::service::reply::{Failure, PolicyRow, PolicyView};
 
@@ -13,34 +12,30 @@ use crate::service::reply::{Failure, PolicyRow, PolicyView};
 const LONGEST: u64 = 600_000;
 
 impl Capture {
-    /// Answers a command about rules.
-    pub(in crate::site) async fn policy(
+    /// What each topic does for this long.
+    pub async fn learn_policy(
         self: &Arc<Self>,
         profile: &ProfileName,
-        command: PolicyCommand,
+        milliseconds: u64,
     ) -> Result<PolicyView, Failure> {
-        match command {
-            PolicyCommand::Show => self.policy_view(profile, false).await,
-            PolicyCommand::Learn { milliseconds } => {
-                if !(1000..=LONGEST).contains(&milliseconds) {
-                    return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
-                }
-                self.ros.any().await?;
-                let learning = self.ros.learn();
-                self.ros.wishes_changed();
-                tokio::select! {
-                    () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
-                    () = self.life.stopped() => {}
-                }
-                let view = self.policy_view(profile, true).await;
-                drop(learning);
-                self.ros.wishes_changed();
-                view
-            }
+        if !(1000..=LONGEST).contains(&milliseconds) {
+            return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
         }
+        self.ros.any().await?;
+        let learning = self.ros.learn();
+        self.ros.wishes_changed();
+        tokio::select! {
+            () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
+            () = self.life.stopped() => {}
+        }
+        let view = self.policy_view(profile, true).await;
+        drop(learning);
+        self.ros.wishes_changed();
+        view
     }
 
-    async fn policy_view(self: &Arc<Self>, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
+    /// The rule of each topic.
+    pub async fn policy_view(self: &Arc<Self>, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
         let rules = &self.config.topic_rules;
         let row = |row: crate::service::reply::TopicRow| PolicyRow {
             rule: rules.of(&row.topic).map(|rule| TopicRule::clone(rule)),

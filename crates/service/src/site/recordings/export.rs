@@ -39,7 +39,7 @@ struct Export<'a> {
 }
 
 impl Recordings {
-    pub(super) async fn export_recording(
+    pub async fn export_recording(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         wishes: ExportWishes,

@@ -44,7 +44,7 @@ pub(super) struct ReadOut {
 }
 
 impl Recordings {
-    pub(super) async fn import_recording(
+    pub async fn import_recording(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         wishes: ImportWishes,

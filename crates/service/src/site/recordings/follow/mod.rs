@@ -132,7 +132,7 @@ impl Ended {
 
 impl Recordings {
     /// Seals what is recorded into a folder, until it is closed, this is ended, or the client has gone.
-    pub(super) async fn follow(
+    pub async fn follow(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         wishes: FollowWishes,
