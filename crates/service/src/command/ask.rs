@@ -23,8 +23,9 @@ pub trait Ask: Into<Command> {
     }
 }
 
-/// Generates `enum $wire` with a variant for each request, which names its answer and the right that it needs, and a type of
-/// the same name and fields that implements [`Ask`]. The entries under `groups` are further variants: lists of their own.
+/// Generates `enum $wire` with a variant for each request, which names its answer and the right that it needs, and a type
+/// of the same name and fields that implements [`Ask`]. The entries under `groups` are further variants: lists of their
+/// own.
 macro_rules! requests {
     (
         $(#[$outer:meta])*

@@ -1,5 +1,6 @@
-//! The rights that the list of requests names beside each request. An operator's connection may do what its rights say; all else is the owner's.
-//! Looking is what decrypts no message, changes nothing and hands out no file: opening records is not looking.
+//! The rights that the list of requests names beside each request. An operator's connection may do what its rights say;
+//! all else is the owner's. Looking is what decrypts no message, changes nothing and hands out no file: opening records
+//! is not looking.
 
 use serde::Deserialize;
 
