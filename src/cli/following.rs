@@ -14,7 +14,7 @@ use super::serve::until_done;
 use super::verbs::CHAIN;
 use super::{printed, serve};
 use crate::model::ErrorKind;
-use crate::service::command::{FollowWishes, StopCapture};
+use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{FollowView, FollowedFile};
 use crate::service::{Client, Event, Failure};
@@ -67,7 +67,7 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
     );
     let follow = async |client: &Client| {
         let telling = tell(client, client.events(), output);
-        until_done(client, wishes, StopCapture, words, output, telling).await
+        until_done(client, FollowFolder(wishes), StopCapture, words, output, telling).await
     };
     let view = context.with(CHAIN, ProfileNeed::Made, output, follow).await?;
     output.result(&view, || followed(&view));

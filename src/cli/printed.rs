@@ -19,7 +19,7 @@ use crate::app::{Keymap, Settings, keymap};
 use crate::config::DEFINITIONS;
 use crate::model::{ErrorKind, Timestamp, clean};
 use crate::paths::Home;
-use crate::service::command::{Command, RecordingProgress, StoreCommand};
+use crate::service::command::{Command, RecordingProgress};
 use crate::service::{Client, Failure};
 use crate::term::ConsoleOptions;
 use crate::ui::{Themes, theme};
@@ -231,7 +231,7 @@ impl Teller {
 
 /// Whether a request may take so long that its progress is shown.
 pub fn takes_long(command: &Command) -> bool {
-    matches!(command, Command::OfStore(StoreCommand::AuditRecords { .. }))
+    matches!(command, Command::AuditRecords { .. })
 }
 
 /// Tells every so often how far what runs is; never ends.

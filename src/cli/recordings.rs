@@ -13,7 +13,9 @@ use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::paths::Home;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::command::{Ask, ExportWishes, HomeWishes, ImportWishes, StopCapture};
+use crate::service::command::{
+    Ask, ExportRecording, ExportWishes, ImportHome, ImportRecording, ImportWishes, StopCapture,
+};
 use crate::service::reply::{ExportView, ExportedTopic, ImportView};
 use crate::service::{Client, Failure};
 use crate::store::files;
@@ -117,7 +119,7 @@ impl ExportArguments {
 /// # Errors
 /// What the site or the arguments say.
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, arguments.wishes()?, ProfileNeed::Made, output).await?;
+    let view = run(context, ImportRecording(arguments.wishes()?), ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }
@@ -129,7 +131,7 @@ pub async fn import(context: Context, arguments: ImportArguments, output: &Outpu
 pub async fn import_home(context: Context, home: &Path, output: &Output) -> Result<u8, Failure> {
     let home = absolute(home)?;
     bring_keyring(&context, &home, output)?;
-    let view = run(context, HomeWishes { home }, ProfileNeed::Unlocked, output).await?;
+    let view = run(context, ImportHome { home }, ProfileNeed::Unlocked, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }
@@ -164,7 +166,7 @@ fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), 
 /// # Errors
 /// What the site or the arguments say.
 pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, arguments.wishes()?, ProfileNeed::Unlocked, output).await?;
+    let view = run(context, ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
     output.result(&view, || exported(&view));
     Ok(export_code(&view, output))
 }

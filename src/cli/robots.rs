@@ -19,8 +19,8 @@ use crate::model::bytes::unhex;
 use crate::model::{PublicKey, SignerId, TopicRule, clean};
 use crate::service::Failure;
 use crate::service::command::{
-    AddDeviceAddress, AddDeviceTopics, LendDevice, ListDevices, ListRobots, Policy, PolicyCommand, PullRing,
-    RecallDevice, SetRobotPolicy, ShowRobot,
+    AddDeviceAddress, AddDeviceTopics, LearnPolicy, LendDevice, ListDevices, ListRobots, PullRing, RecallDevice,
+    SetRobotPolicy, ShowPolicy, ShowRobot,
 };
 use crate::service::failure::input;
 use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
@@ -317,10 +317,9 @@ impl PolicyArguments {
     ///
     /// # Errors
     /// Where the time is none.
-    pub fn question(&self) -> Result<Policy, Failure> {
+    pub fn question(&self) -> Result<Question, Failure> {
         let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
-        let with = if self.learn { PolicyCommand::Learn { milliseconds } } else { PolicyCommand::Show };
-        Ok(Policy { with })
+        Ok(if self.learn { LearnPolicy { milliseconds }.into() } else { ShowPolicy.into() })
     }
 }
 

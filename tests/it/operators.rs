@@ -183,7 +183,7 @@ fn the_homes_socket_is_its_owners_and_an_operator_gives_no_passphrase() {
     for command in [
         json!({ "command": "unlock", "passphrase": "a guess" }),
         json!({ "command": "unlock", "passphrase": ["not", "a", "text"] }),
-        json!({ "command": "of_store", "of_store": "back_up", "file": "/tmp/x", "passphrase": "a guess" }),
+        json!({ "command": "back_up", "file": "/tmp/x", "passphrase": "a guess" }),
     ] {
         let answer = line.ask("yard", &command);
         assert!(text(&answer["Err"], "message").contains("reads none here"), "{command}: {answer}");

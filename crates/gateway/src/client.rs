@@ -9,7 +9,6 @@ use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio::time::timeout;
 
 use crate::allocation::{AllocationRequest, Applicant, apply};
-use crate::command::answer::read_code;
 use crate::command::relay::LONGEST_PARAMETERS;
 use crate::command::request::MOST_DIGESTS;
 use crate::command::{
@@ -22,7 +21,7 @@ use crate::error::{Code, GatewayError, Refusal};
 use crate::feed::{Feed, FeedPage};
 use crate::frame::{Assembler, FrameKind, Line, LineError, Message};
 use crate::hello::{Agreed, ClientHello, Context, NetworkName};
-use crate::model::wire::Reader;
+use crate::model::wire::Wire as _;
 use crate::model::{Digest, ProfileName, Timestamp, Token, clean};
 use crate::receipt::Receipt;
 use crate::session::Session;
@@ -444,9 +443,7 @@ fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<
     if kind != FrameKind::Refusal {
         return Err(GatewayError::Unexpected("a frame of another kind"));
     }
-    let mut reader = Reader::new(&payload);
-    let code = read_code(&mut reader).and_then(|code| reader.end().map(|()| code));
-    Err(GatewayError::RefusedInClear(code.map_err(GatewayError::malformed("refusal"))?))
+    Err(GatewayError::RefusedInClear(Code::whole(&payload).map_err(GatewayError::malformed("refusal"))?))
 }
 
 impl Client {

@@ -11,7 +11,8 @@ pub use relay::{RelayCall, Relayed};
 pub use request::{DeviceNotice, GrantNotice, Notice, Request, RevokeNotice, Upload};
 
 use crate::crypto::{AccountSignature, ErasedStatement};
-use crate::model::wire::{Reader, WireError};
+use crate::model::layout;
+use crate::model::wire::{Reader, Wire, WireError, put_list, read_list};
 use crate::model::{Address, Digest, Domain, Header, Signature, SignerId, Token};
 use crate::session::{LONGEST_TEXT, SessionId};
 
@@ -292,34 +293,29 @@ impl ErasureNotice {
     }
 }
 
-/// Count (2) || length (4) and erasure each; what is too much is cut.
-fn encode_erasures(erasures: &[ErasureNotice]) -> Vec<u8> {
-    let erasures = &erasures[..erasures.len().min(MOST_ERASURES)];
-    let mut out = u16::try_from(erasures.len()).unwrap_or(0).to_be_bytes().to_vec();
-    for one in erasures {
-        let bytes = one.encode();
-        out.extend_from_slice(&u32::try_from(bytes.len()).unwrap_or(u32::MAX).to_be_bytes());
-        out.extend_from_slice(&bytes);
-    }
+/// Count (2) || each; what is too much is cut.
+fn list(all: &[impl Wire], most: usize) -> Vec<u8> {
+    let mut out = Vec::new();
+    put_list::<u16>(&mut out, all, most);
     out
 }
 
+/// Count (2) || length (4) and erasure each; what is too much is cut.
+fn encode_erasures(erasures: &[ErasureNotice]) -> Vec<u8> {
+    list(&erasures.iter().map(ErasureNotice::encode).collect::<Vec<_>>(), MOST_ERASURES)
+}
+
 fn read_erasures(reader: &mut Reader<'_>) -> Result<Vec<ErasureNotice>, WireError> {
-    let count = usize::from(reader.u16("erasure count")?);
-    if !(1..=MOST_ERASURES).contains(&count) {
-        return Err(WireError::Value("erasure count"));
-    }
-    let mut erasures = Vec::with_capacity(count);
-    for _ in 0..count {
-        let length = usize::try_from(reader.u32("erasure length")?).unwrap_or(usize::MAX);
-        if length > LONGEST_ERASURE {
+    let all: Vec<Vec<u8>> = read_list::<u16, _>(reader, 1..=MOST_ERASURES, ("erasure count", "erasure"))?;
+    let one = |bytes: &Vec<u8>| {
+        if bytes.len() > LONGEST_ERASURE {
             return Err(WireError::Value("erasure length"));
         }
-        let mut one = Reader::new(reader.take(length, "erasure")?);
-        erasures.push(ErasureNotice::read(&mut one)?);
-        one.end()?;
-    }
-    Ok(erasures)
+        let mut one = Reader::new(bytes);
+        let erasure = ErasureNotice::read(&mut one)?;
+        one.end().map(|()| erasure)
+    };
+    all.iter().map(one).collect()
 }
 
 /// What becomes of a copy at a gateway at its owner's word (1).
@@ -334,25 +330,15 @@ pub enum ErasureOutcome {
     Refused = 2,
 }
 
+layout!(ErasureOutcome by code, from_code);
+
 impl ErasureOutcome {
+    fn code(self) -> u8 {
+        self as u8
+    }
+
     fn from_code(code: u8) -> Option<Self> {
         [Self::Left, Self::Taken, Self::Refused].into_iter().find(|outcome| *outcome as u8 == code)
-    }
-
-    /// Count (2) || outcome (1) each.
-    fn encode_all(outcomes: &[Self]) -> Vec<u8> {
-        let outcomes = &outcomes[..outcomes.len().min(MOST_ERASURES)];
-        let count = u16::try_from(outcomes.len()).unwrap_or(0);
-        count.to_be_bytes().into_iter().chain(outcomes.iter().map(|outcome| *outcome as u8)).collect()
-    }
-
-    fn read_all(reader: &mut Reader<'_>) -> Result<Vec<Self>, WireError> {
-        let count = usize::from(reader.u16("outcome count")?);
-        if count > MOST_ERASURES {
-            return Err(WireError::Value("outcome count"));
-        }
-        let codes = reader.take(count, "outcome")?;
-        codes.iter().map(|code| Self::from_code(*code).ok_or(WireError::Value("outcome"))).collect()
     }
 }
 

@@ -27,6 +27,9 @@ use crate::server::Tally;
 use crate::session::{LONGEST_LIFE, Session};
 use crate::system_keys::{Cabinet, SystemKeyList};
 
+#[cfg(test)]
+pub(super) use self::agreed_elsewhere::serve_agreed;
+
 /// An allocation asks the chain: it gets this many times the patience of a hello.
 const ALLOCATION_PATIENCE: u32 = 3;
 /// The most frames of a session for allocation.
@@ -76,12 +79,11 @@ impl Shared {
     /// Rotates the system keys when it is time.
     pub fn rotate(&self) -> Result<(), Refusal> {
         let rotated = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now()));
-        rotated.map(|_| ()).map_err(Refusal::because(Code::Internal))
+        rotated.map(|_| ()).map_err(Refusal::internal)
     }
 
     fn receipt(&self, time: Timestamp, digests: Vec<Digest>) -> Result<Receipt, Refusal> {
-        Receipt::sign(self.provider(), &self.context.domain, &self.identity, time, digests)
-            .map_err(Refusal::because(Code::Internal))
+        Receipt::sign(self.provider(), &self.context.domain, &self.identity, time, digests).map_err(Refusal::internal)
     }
 }
 
@@ -123,24 +125,6 @@ pub(super) async fn serve(shared: Arc<Shared>, line: Line, peer: SocketAddr, sea
     connection.close(outcome).await;
 }
 
-/// Serves a session that was agreed elsewhere: tests try thousands of frames, each in its own session.
-#[cfg(test)]
-pub(super) async fn serve_agreed(
-    (shared, line, seat, stop): (Arc<Shared>, Line, Seat, watch::Receiver<bool>),
-    session: Session,
-    agreed: Agreed,
-    (name, binding): (ProfileName, Option<Binding>),
-) {
-    let peer = SocketAddr::from(([127, 0, 0, 1], 1));
-    let mut connection = Connection::new(shared, line, peer, seat, stop);
-    let deadline = Instant::now() + connection.shared.limits().hello_time;
-    let outcome = match binding {
-        Some(binding) => connection.transfer_frames(session, agreed, name, binding, deadline).await,
-        None => connection.allocation_frames(session, agreed, name, deadline).await,
-    };
-    connection.close(outcome).await;
-}
-
 struct Connection {
     shared: Arc<Shared>,
     line: Line,
@@ -171,7 +155,7 @@ impl Connection {
     async fn run(&mut self) -> Result<(), End> {
         let deadline = Instant::now() + self.shared.limits().hello_time;
         let identified = self.hello(deadline).await?;
-        match identified.purpose() {
+        match identified.purpose {
             Purpose::Allocation => self.allocation(identified, deadline).await,
             Purpose::Transfer => self.transfer(identified, deadline).await,
         }
@@ -238,7 +222,7 @@ impl Connection {
 
     /// A session without a transport key: few, small frames and a short life; a longer one only for reading the chain.
     async fn allocation(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
-        let (agreed, name) = (identified.agreed(), identified.name().clone());
+        let (agreed, name) = (identified.agreed(), identified.name.clone());
         self.allocation_frames(identified.session(None), agreed, name, hello_deadline).await
     }
 
@@ -280,8 +264,8 @@ impl Connection {
 
     /// A session under a transport key.
     async fn transfer(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
-        let binding = self.shared.desk.binding(identified.name()).await?;
-        let (agreed, name) = (identified.agreed(), identified.name().clone());
+        let binding = self.shared.desk.binding(&identified.name).await?;
+        let (agreed, name) = (identified.agreed(), identified.name.clone());
         let Some(binding) = binding else { return self.refuse_unknown(identified, hello_deadline).await };
         let session = identified.session(Some(&binding.key));
         self.transfer_frames(session, agreed, name, binding, hello_deadline).await
@@ -343,7 +327,7 @@ impl Connection {
 
     /// An unbound name fails like a wrong key.
     async fn refuse_unknown(&mut self, identified: Identified, deadline: Instant) -> Result<(), End> {
-        let key = TransportKey::generate().map_err(Refusal::because(Code::Internal))?;
+        let key = TransportKey::generate().map_err(Refusal::internal)?;
         let mut session = identified.session(Some(&key));
         let payload = self.expect(FrameKind::Transfer, deadline).await?;
         session.open(&payload)?;
@@ -376,5 +360,27 @@ impl Connection {
             Some(outcome) => self.reply(session, request, outcome).await,
             None => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod agreed_elsewhere {
+    use super::*;
+
+    /// Serves a session that was agreed elsewhere: tests try thousands of frames, each in its own session.
+    pub async fn serve_agreed(
+        (shared, line, seat, stop): (Arc<Shared>, Line, Seat, watch::Receiver<bool>),
+        session: Session,
+        agreed: Agreed,
+        (name, binding): (ProfileName, Option<Binding>),
+    ) {
+        let peer = SocketAddr::from(([127, 0, 0, 1], 1));
+        let mut connection = Connection::new(shared, line, peer, seat, stop);
+        let deadline = Instant::now() + connection.shared.limits().hello_time;
+        let outcome = match binding {
+            Some(binding) => connection.transfer_frames(session, agreed, name, binding, deadline).await,
+            None => connection.allocation_frames(session, agreed, name, deadline).await,
+        };
+        connection.close(outcome).await;
     }
 }

@@ -235,6 +235,8 @@ codes! {
     Method = 26 Refused "the gateway does not forward this request to the chain; use a node for it";
 }
 
+crate::model::layout!(Code by number, from_number);
+
 impl Code {
     /// The two bytes on the wire.
     pub fn number(self) -> u16 {
@@ -283,6 +285,11 @@ impl Refusal {
     /// With a detail for the log.
     pub fn new(code: Code, detail: impl fmt::Display) -> Self {
         Self { code, detail: detail.to_string() }
+    }
+
+    /// With `Internal`, for use in `map_err`: keeps the cause for the log.
+    pub fn internal(cause: impl fmt::Display) -> Self {
+        Self::new(Code::Internal, cause)
     }
 
     /// For use in `map_err`: keeps the cause for the log.

@@ -4,10 +4,11 @@
 
 use std::time::Duration;
 
-use crate::command::answer::{LONGEST_PROOF, read_code};
+use crate::command::answer::LONGEST_PROOF;
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
 use crate::error::Code;
-use crate::model::wire::{Reader, WireError};
+use crate::model::layout;
+use crate::model::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::model::{
     Address, Digest, Domain, Fact, Hash, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId,
 };
@@ -35,6 +36,8 @@ pub struct Place {
     /// grant as the one in force tells nothing of this owner; 0 = whichever is in force, and the reader's own records.
     pub grant: u64,
 }
+
+layout!(Place { owner: "owner", after: "number", grant: "grant" });
 
 impl Place {
     /// How a grant is named, by its transaction.
@@ -89,18 +92,9 @@ impl Feed {
     pub(crate) fn encode(&self) -> Vec<u8> {
         let wait = u16::try_from(self.wait.as_millis()).unwrap_or(u16::MAX);
         let mut out = [&self.id[..], &wait.to_be_bytes(), &[self.kind.map_or(0, RecordKind::code)]].concat();
-        let counted = |length: usize| u8::try_from(length.min(MOST_NAMED)).unwrap_or(0);
-        out.push(counted(self.topics.len()));
-        self.topics.iter().take(MOST_NAMED).for_each(|topic| out.extend_from_slice(&topic.0));
-        out.push(counted(self.recorders.len()));
-        self.recorders.iter().take(MOST_NAMED).for_each(|recorder| out.extend_from_slice(&recorder.0));
-        let owners = u16::try_from(self.places.len().min(MOST_OWNERS)).unwrap_or(0);
-        out.extend_from_slice(&owners.to_be_bytes());
-        for Place { owner, after, grant } in self.places.iter().take(MOST_OWNERS) {
-            out.extend_from_slice(&owner.0);
-            out.extend_from_slice(&after.to_be_bytes());
-            out.extend_from_slice(&grant.to_be_bytes());
-        }
+        put_list::<u8>(&mut out, &self.topics, MOST_NAMED);
+        put_list::<u8>(&mut out, &self.recorders, MOST_NAMED);
+        put_list::<u16>(&mut out, &self.places, MOST_OWNERS);
         out
     }
 
@@ -110,23 +104,12 @@ impl Feed {
             0 => None,
             code => Some(RecordKind::from_code(code).ok_or(WireError::Value("kind"))?),
         };
-        let named = |count: u8, field| match usize::from(count) {
-            count if count <= MOST_NAMED => Ok(count),
-            _ => Err(WireError::Value(field)),
-        };
-        let count = named(reader.u8("topic count")?, "topic count")?;
-        let topics = (0..count).map(|_| reader.array("topic id").map(TopicId)).collect::<Result<_, _>>()?;
-        let count = named(reader.u8("recorder count")?, "recorder count")?;
-        let recorders = (0..count).map(|_| reader.array("recorder").map(RecorderId)).collect::<Result<_, _>>()?;
-        let count = usize::from(reader.u16("owner count")?);
-        if !(1..=MOST_OWNERS).contains(&count) || wait > LONGEST_WAIT {
-            return Err(WireError::Value("owner count or wait"));
+        if wait > LONGEST_WAIT {
+            return Err(WireError::Value("wait"));
         }
-        let mut place = || {
-            let (owner, after) = (Address(reader.array("owner")?), reader.u64("number")?);
-            Ok(Place { owner, after, grant: reader.u64("grant")? })
-        };
-        let places = (0..count).map(|_| place()).collect::<Result<_, WireError>>()?;
+        let topics = read_list::<u8, _>(reader, 0..=MOST_NAMED, ("topic count", "topic id"))?;
+        let recorders = read_list::<u8, _>(reader, 0..=MOST_NAMED, ("recorder count", "recorder"))?;
+        let places = read_list::<u16, _>(reader, 1..=MOST_OWNERS, ("owner count", "owner"))?;
         Ok(Self { id, wait, kind, topics, recorders, places })
     }
 }
@@ -161,44 +144,20 @@ pub struct FeedEntry {
     pub proof: Vec<u8>,
 }
 
-impl FeedEntry {
-    fn encode(&self, out: &mut Vec<u8>) {
-        let proof = &self.proof[..self.proof.len().min(LONGEST_PROOF)];
-        let parts: [&[u8]; 13] = [
-            &self.number.to_be_bytes(),
-            &[self.fact.code()],
-            &self.digest.0,
-            &self.owner.0,
-            &self.recorder.0,
-            &self.seq.to_be_bytes(),
-            &self.topic_id.0,
-            &self.epoch.to_be_bytes(),
-            &self.captured_at.0.to_be_bytes(),
-            &self.length.to_be_bytes(),
-            &[self.kind.code()],
-            &u32::try_from(proof.len()).unwrap_or(0).to_be_bytes(),
-            proof,
-        ];
-        parts.iter().for_each(|part| out.extend_from_slice(part));
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        Ok(Self {
-            number: reader.u64("number")?,
-            fact: Fact::from_code(reader.u8("fact")?).ok_or(WireError::Value("fact"))?,
-            digest: Digest(reader.array("digest")?),
-            owner: Address(reader.array("owner")?),
-            recorder: RecorderId(reader.array("recorder")?),
-            seq: reader.u64("seq")?,
-            topic_id: TopicId(reader.array("topic id")?),
-            epoch: reader.u64("epoch")?,
-            captured_at: Timestamp(reader.u64("capture time")?),
-            length: reader.u64("length")?,
-            kind: RecordKind::from_code(reader.u8("kind")?).ok_or(WireError::Value("kind"))?,
-            proof: read_proof(reader)?,
-        })
-    }
-}
+layout!(FeedEntry {
+    number: "number",
+    fact: "fact",
+    digest: "digest",
+    owner: "owner",
+    recorder: "recorder",
+    seq: "seq",
+    topic_id: "topic id",
+    epoch: "epoch",
+    captured_at: "capture time",
+    length: "length",
+    kind: "kind",
+    proof: "proof",
+});
 
 /// Length (4) || proof.
 pub(crate) fn read_proof(reader: &mut Reader<'_>) -> Result<Vec<u8>, WireError> {
@@ -281,46 +240,31 @@ impl FeedPage {
     }
 
     pub(crate) fn encode(&self) -> Vec<u8> {
-        let (refused, entries) = (self.refused.iter().take(MOST_OWNERS), self.entries.iter().take(MOST_ENTRIES));
-        let count = |length: usize| u16::try_from(length).unwrap_or(0).to_be_bytes();
-        let mut out =
-            [&self.id[..], &[u8::from(self.is_anew)], &self.head.to_be_bytes(), &self.upto.to_be_bytes()].concat();
-        out.extend_from_slice(&count(refused.len()));
-        for (owner, code) in refused {
-            out.extend_from_slice(&owner.0);
-            out.extend_from_slice(&code.number().to_be_bytes());
-        }
-        out.extend_from_slice(&count(entries.len()));
-        entries.for_each(|entry| entry.encode(&mut out));
-        out.extend_from_slice(&self.time.0.to_be_bytes());
-        out.extend_from_slice(&self.signature.0);
+        let mut out = self.id.to_vec();
+        self.is_anew.put(&mut out);
+        (self.head, self.upto).put(&mut out);
+        put_list::<u16>(&mut out, &self.refused, MOST_OWNERS);
+        put_list::<u16>(&mut out, &self.entries, MOST_ENTRIES);
+        (self.time, self.signature).put(&mut out);
         out
     }
 
     pub(crate) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let (id, anew) = (reader.array("feed id")?, reader.u8("anew")?);
+        let (id, is_anew) = (reader.array("feed id")?, bool::read(reader, "anew")?);
         let (head, upto) = (reader.u64("head")?, reader.u64("upto")?);
-        if anew > 1 {
-            return Err(WireError::Value("anew"));
+        let refused = read_list::<u16, _>(reader, 0..=MOST_OWNERS, ("refused count", "refused owner"))?;
+        let entries: Vec<FeedEntry> = read_list::<u16, _>(reader, 0..=MOST_ENTRIES, ("entry count", "entry"))?;
+        if entries.iter().any(|entry| entry.proof.len() > LONGEST_PROOF) {
+            return Err(WireError::Value("proof length"));
         }
-        let count = bounded(reader.u16("refused count")?, MOST_OWNERS, "refused count")?;
-        let mut one = || Ok((Address(reader.array("owner")?), read_code(reader)?));
-        let refused = (0..count).map(|_| one()).collect::<Result<_, WireError>>()?;
-        let count = bounded(reader.u16("entry count")?, MOST_ENTRIES, "entry count")?;
-        let entries: Vec<FeedEntry> = (0..count).map(|_| FeedEntry::read(reader)).collect::<Result<_, _>>()?;
         // A follower goes by these numbers: they rise, and lie within what the page says of itself.
         let rise = entries.is_sorted_by(|one, next| one.number < next.number);
         if !rise || upto > head || entries.last().is_some_and(|last| last.number > upto) {
             return Err(WireError::Value("number"));
         }
-        let (time, signature) = (Timestamp(reader.u64("time")?), Signature(reader.array("signature")?));
-        Ok(Self { id, is_anew: anew == 1, head, upto, refused, entries, time, signature })
+        let (time, signature) = (Timestamp::read(reader, "time")?, Signature::read(reader, "signature")?);
+        Ok(Self { id, is_anew, head, upto, refused, entries, time, signature })
     }
-}
-
-fn bounded(count: u16, most: usize, field: &'static str) -> Result<usize, WireError> {
-    let count = usize::from(count);
-    if count <= most { Ok(count) } else { Err(WireError::Value(field)) }
 }
 
 fn signed_bytes(domain: &Domain, statement: &[u8]) -> Vec<u8> {

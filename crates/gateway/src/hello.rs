@@ -6,7 +6,8 @@ use zeroize::Zeroizing;
 use crate::crypto::kdf::{Info, derived};
 use crate::crypto::{Ephemeral, Provider, SmKeyPair, TransportKey, domain, random_bytes, signer_id};
 use crate::error::{Code, GatewayError, Refusal};
-use crate::model::wire::{Reader, WireError};
+use crate::model::layout;
+use crate::model::wire::{Reader, Wire as _, WireError};
 use crate::model::{Address, Digest, Domain, Hash, ProfileName, PublicKey, Signature, SignerId};
 use crate::session::{Session, SessionId, SessionKeys, Side};
 
@@ -145,16 +146,6 @@ impl ClientAgreed {
         &self.0.agreed
     }
 
-    /// The steps of the key agreement, for test vectors.
-    #[cfg(test)]
-    pub(super) fn steps(&self) -> Vec<(&'static str, Vec<u8>)> {
-        vec![
-            ("shared secret", self.0.secret.to_vec()),
-            ("transcript digest", self.0.transcript.0.to_vec()),
-            ("identify key and nonce", self.0.identify_key().to_vec()),
-        ]
-    }
-
     /// The payload of the identify frame, and the session. A session for transfer needs the transport key.
     ///
     /// # Errors
@@ -183,9 +174,9 @@ impl GatewayHello {
         list: ListSummary,
         payload: &[u8],
     ) -> Result<(Vec<u8>, Self), Refusal> {
-        let internal = Refusal::because(Code::Internal);
-        let ephemeral = Ephemeral::generate(context.provider).map_err(&internal)?;
-        let nonces = (random_bytes().map_err(&internal)?, SessionId(random_bytes().map_err(&internal)?));
+        let ephemeral = Ephemeral::generate(context.provider).map_err(Refusal::internal)?;
+        let nonces =
+            (random_bytes().map_err(Refusal::internal)?, SessionId(random_bytes().map_err(Refusal::internal)?));
         Self::answer_with(context, identity, list, payload, nonces, ephemeral)
     }
 
@@ -208,8 +199,7 @@ impl GatewayHello {
             Answer { nonce, point, session, list, identity: identity.public, signature: Signature([0; 64]) };
         let transcript = transcript(&context, &hello, &answer);
         let signed = signed_bytes(&context.domain, &transcript);
-        answer.signature =
-            context.provider.sign(&identity.secret, &signed).map_err(Refusal::because(Code::Internal))?;
+        answer.signature = context.provider.sign(&identity.secret, &signed).map_err(Refusal::internal)?;
         let secret = ephemeral.agree(&hello.point).map_err(Refusal::because(Code::Malformed))?;
         let agreed = answer.agreed(hello.nonce);
         Ok((answer.encode(), Self(Shared { context, secret, transcript, agreed })))
@@ -237,21 +227,13 @@ impl GatewayHello {
 pub struct Identified {
     shared: Shared,
     identify: Vec<u8>,
-    purpose: Purpose,
-    name: ProfileName,
+    /// The purpose of the session.
+    pub purpose: Purpose,
+    /// The name the client gave.
+    pub name: ProfileName,
 }
 
 impl Identified {
-    /// The name the client gave.
-    pub fn name(&self) -> &ProfileName {
-        &self.name
-    }
-
-    /// The purpose of the session.
-    pub fn purpose(&self) -> Purpose {
-        self.purpose
-    }
-
     /// The terms agreed.
     pub fn agreed(&self) -> Agreed {
         self.shared.agreed
@@ -294,6 +276,8 @@ pub struct NetworkName {
     pub contract: Address,
 }
 
+layout!(NetworkName { chain_id: "chain id", genesis: "genesis", contract: "contract" });
+
 impl NetworkName {
     /// The request for it.
     pub const INQUIRY: [u8; 1] = [VERSION];
@@ -305,7 +289,7 @@ impl NetworkName {
 
     /// The payload of the frame, 61 bytes.
     pub fn encode(&self) -> Vec<u8> {
-        [&[VERSION], &self.chain_id.to_be_bytes()[..], &self.genesis.0, &self.contract.0].concat()
+        self.behind(&[VERSION])
     }
 
     /// From the payload of a frame.
@@ -313,17 +297,7 @@ impl NetworkName {
     /// # Errors
     /// [`WireError`] if it is not of this version.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(payload);
-        if reader.u8("version")? != VERSION {
-            return Err(WireError::Value("version"));
-        }
-        let network = Self {
-            chain_id: reader.u64("chain id")?,
-            genesis: Hash(reader.array("genesis")?),
-            contract: Address(reader.array("contract")?),
-        };
-        reader.end()?;
-        Ok(network)
+        Self::whole_behind(&[VERSION], "version", payload)
     }
 }
 
@@ -338,10 +312,12 @@ pub struct Hello {
     pub point: PublicKey,
 }
 
+layout!(Hello { domain: "domain", nonce: "nonce", point: "point" });
+
 impl Hello {
     /// The payload of the frame, 130 bytes.
     pub fn encode(&self) -> Vec<u8> {
-        [&[VERSION, SUITE_SM][..], &self.domain.0, &self.nonce, &self.point.0].concat()
+        self.behind(&[VERSION, SUITE_SM])
     }
 
     /// From the payload of a frame; the point is not checked yet.
@@ -354,13 +330,7 @@ impl Hello {
         if (version, suite) != (VERSION, SUITE_SM) {
             return Err(Refusal::new(Code::Version, format_args!("version {version}, suite {suite}")));
         }
-        let hello = Self {
-            domain: Domain(reader.array("domain")?),
-            nonce: reader.array("nonce")?,
-            point: PublicKey(reader.array("point")?),
-        };
-        reader.end()?;
-        Ok(hello)
+        Ok(Self::whole(reader.rest())?)
     }
 }
 
@@ -391,25 +361,27 @@ pub struct Answer {
     pub signature: Signature,
 }
 
+layout!(ListSummary { version: "list version", digest: "list digest" });
+layout!(Answer {
+    nonce: "nonce",
+    point: "point",
+    session: "session",
+    list: "list",
+    identity: "identity key",
+    signature: "signature",
+});
+
 impl Answer {
     /// The payload without the signature, 218 bytes: the gateway's part of the transcript.
     pub fn unsigned(&self) -> Vec<u8> {
-        let version = self.list.version.to_be_bytes();
-        let parts: [&[u8]; 7] = [
-            &[VERSION, SUITE_SM],
-            &self.nonce,
-            &self.point.0,
-            &self.session.0,
-            &version,
-            &self.list.digest.0,
-            &self.identity.0,
-        ];
-        parts.concat()
+        let mut out = self.encode();
+        out.truncate(out.len() - Signature::LENGTH);
+        out
     }
 
     /// The payload of the frame, 282 bytes.
     pub fn encode(&self) -> Vec<u8> {
-        [&self.unsigned()[..], &self.signature.0].concat()
+        self.behind(&[VERSION, SUITE_SM])
     }
 
     /// From the payload of a frame; neither point nor signature is checked yet.
@@ -417,20 +389,7 @@ impl Answer {
     /// # Errors
     /// [`WireError`] if it is not an answer of this version.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(payload);
-        if reader.array("version")? != [VERSION, SUITE_SM] {
-            return Err(WireError::Value("version"));
-        }
-        let answer = Self {
-            nonce: reader.array("nonce")?,
-            point: PublicKey(reader.array("point")?),
-            session: SessionId(reader.array("session")?),
-            list: ListSummary { version: reader.u64("list version")?, digest: Digest(reader.array("list digest")?) },
-            identity: PublicKey(reader.array("identity key")?),
-            signature: Signature(reader.array("signature")?),
-        };
-        reader.end()?;
-        Ok(answer)
+        Self::whole_behind(&[VERSION, SUITE_SM], "version", payload)
     }
 
     fn agreed(&self, client_nonce: [u8; 32]) -> Agreed {

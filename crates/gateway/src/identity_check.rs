@@ -110,7 +110,7 @@ pub async fn check_records(
     let verify = move || verify_all(context, uploads, &signers);
     let received = match few {
         true => verify()?,
-        false => tokio::task::spawn_blocking(verify).await.map_err(Refusal::because(Code::Internal))??,
+        false => tokio::task::spawn_blocking(verify).await.map_err(Refusal::internal)??,
     };
     check_own(caller, &received)?;
     Ok(received)

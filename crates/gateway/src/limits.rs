@@ -289,8 +289,7 @@ impl Drop for Seat {
             counts.leave_visit(number);
         }
         counts.connections = counts.connections.saturating_sub(1);
-        counts.change(&self.place, |peer| peer.connections = peer.connections.saturating_sub(1));
-        counts.change_network(&self.place, |network| network.connections = network.connections.saturating_sub(1));
+        counts.change(&self.place, |share| share.connections = share.connections.saturating_sub(1));
     }
 }
 
@@ -306,7 +305,9 @@ impl Drop for Charge {
     fn drop(&mut self) {
         let mut counts = self.peers.lock();
         counts.charged = counts.charged.saturating_sub(self.bytes);
-        counts.change(&self.place, |peer| peer.charged = peer.charged.saturating_sub(self.bytes));
+        if let Some(peer) = counts.peers.get_mut(&self.place.peer) {
+            peer.charged = peer.charged.saturating_sub(self.bytes);
+        }
     }
 }
 
@@ -327,26 +328,23 @@ struct Place {
     pub network: Option<IpAddr>,
 }
 
+/// What a peer holds, or the peers of a network together.
 #[derive(Debug)]
-struct Peer {
+struct Share {
     pub connections: usize,
     pub handshakes: usize,
     pub visits: usize,
-    pub charged: usize,
     arrivals: Bucket,
+}
+
+#[derive(Debug)]
+struct Peer {
+    pub share: Share,
+    pub charged: usize,
     pub frames: Bucket,
     pub bytes: Bucket,
     pub relays: Bucket,
     newcomers: Bucket,
-}
-
-/// What the peers of a network hold together.
-#[derive(Debug)]
-struct Network {
-    pub connections: usize,
-    pub handshakes: usize,
-    pub visits: usize,
-    arrivals: Bucket,
 }
 
 /// A connection that may have to make room for another one.
@@ -370,7 +368,7 @@ struct Counts {
     /// When idle peers were last forgotten.
     forgot: Option<Instant>,
     pub peers: HashMap<IpAddr, Peer>,
-    pub networks: HashMap<IpAddr, Network>,
+    pub networks: HashMap<IpAddr, Share>,
 }
 
 fn masked(address: Ipv6Addr, bits: u32) -> IpAddr {
@@ -385,14 +383,24 @@ fn place_of(address: IpAddr) -> Place {
     }
 }
 
+impl Share {
+    /// Of one peer, or of `times` as many.
+    fn new(limits: &Limits, times: f64, now: Instant) -> Self {
+        let arrivals = Bucket::new(limits.handshake_rate * times, limits.handshake_burst * times, now);
+        Self { connections: 0, handshakes: 0, visits: 0, arrivals }
+    }
+
+    /// Whether it holds nothing and owes nothing.
+    fn is_idle(&mut self, now: Instant) -> bool {
+        self.connections == 0 && self.arrivals.is_full(now)
+    }
+}
+
 impl Peer {
     fn new(limits: &Limits, now: Instant) -> Self {
         Self {
-            connections: 0,
-            handshakes: 0,
-            visits: 0,
+            share: Share::new(limits, 1.0, now),
             charged: 0,
-            arrivals: Bucket::new(limits.handshake_rate, limits.handshake_burst, now),
             frames: Bucket::new(limits.frame_rate, limits.frame_rate, now),
             bytes: Bucket::new(limits.byte_rate, limits.byte_rate, now),
             relays: Bucket::new(limits.relay_rate, limits.relay_burst, now),
@@ -402,20 +410,13 @@ impl Peer {
 
     /// Whether it holds nothing and owes nothing.
     fn is_idle(&mut self, now: Instant) -> bool {
-        let buckets = [&mut self.arrivals, &mut self.relays, &mut self.newcomers];
-        let owes = buckets.into_iter().any(|bucket| !bucket.is_full(now));
-        self.connections == 0 && self.charged == 0 && !owes
+        self.share.is_idle(now) && self.charged == 0 && self.relays.is_full(now) && self.newcomers.is_full(now)
     }
 }
 
-impl Network {
-    fn new(limits: &Limits, now: Instant) -> Self {
-        #[expect(clippy::cast_precision_loss, reason = "a handful")]
-        let peers = PEERS_OF_NETWORK as f64;
-        let arrivals = Bucket::new(limits.handshake_rate * peers, limits.handshake_burst * peers, now);
-        Self { connections: 0, handshakes: 0, visits: 0, arrivals }
-    }
-}
+/// How many times as much an IPv6 network may use as one peer.
+#[expect(clippy::cast_precision_loss, reason = "a handful")]
+const TIMES: f64 = PEERS_OF_NETWORK as f64;
 
 impl Counts {
     /// Where a connection from `address` is counted; creates its peer and network if necessary.
@@ -435,7 +436,7 @@ impl Counts {
                     network = UNREMEMBERED;
                 }
             }
-            self.networks.entry(network).or_insert_with(|| Network::new(limits, now));
+            self.networks.entry(network).or_insert_with(|| Share::new(limits, TIMES, now));
             place.network = Some(network);
         }
         place
@@ -448,7 +449,7 @@ impl Counts {
         }
         self.forgot = Some(now);
         self.peers.retain(|_, peer| !peer.is_idle(now));
-        self.networks.retain(|_, network| network.connections > 0 || !network.arrivals.is_full(now));
+        self.networks.retain(|_, network| !network.is_idle(now));
     }
 
     /// Whether one more connection fits here; if so, it is counted as an arrival.
@@ -457,22 +458,19 @@ impl Counts {
     /// [`Refusal`] with `Busy`.
     pub fn check_room(&mut self, place: &Place, limits: &Limits, now: Instant) -> Result<(), Refusal> {
         let busy = |what: &str, of: &IpAddr| Err(Refusal::new(Code::Busy, format_args!("too many {what} of {of}")));
-        let network = place.network.and_then(|key| self.networks.get_mut(&key).map(|network| (key, network)));
-        if let Some((key, network)) = network {
-            if network.connections >= limits.connections_of_peer.saturating_mul(PEERS_OF_NETWORK) {
+        let all = limits.connections_of_peer.saturating_mul(PEERS_OF_NETWORK);
+        let network = place.network.and_then(|key| Some((key, self.networks.get_mut(&key)?)));
+        let network = network.map(|(key, share)| (key, share, all, limits.handshakes_of_network()));
+        let peer = self.peers.get_mut(&place.peer).map(|peer| (place.peer, &mut peer.share));
+        let peer = peer.map(|(key, share)| (key, share, limits.connections_of_peer, limits.handshakes_of_peer()));
+        for (key, share, connections, handshakes) in network.into_iter().chain(peer) {
+            if share.connections >= connections {
                 return busy("connections", &key);
             }
-            if network.handshakes >= limits.handshakes_of_network() || !network.arrivals.take_if_there(now) {
+            // Those under way may finish; otherwise a crowd behind one address would drop each other forever.
+            if share.handshakes >= handshakes || !share.arrivals.take_if_there(now) {
                 return busy("handshakes", &key);
             }
-        }
-        let Some(peer) = self.peers.get_mut(&place.peer) else { return Ok(()) };
-        if peer.connections >= limits.connections_of_peer {
-            return busy("connections", &place.peer);
-        }
-        // Those under way may finish; otherwise a crowd behind one address would drop each other forever.
-        if peer.handshakes >= limits.handshakes_of_peer() || !peer.arrivals.take_if_there(now) {
-            return busy("handshakes", &place.peer);
         }
         Ok(())
     }
@@ -490,9 +488,9 @@ impl Counts {
         self.numbers += 1;
         self.handshaking.insert(self.numbers, Evictable { place, evict });
         self.connections += 1;
-        self.change(&place, |peer| (peer.connections, peer.handshakes) = (peer.connections + 1, peer.handshakes + 1));
-        self.change_network(&place, |network| {
-            (network.connections, network.handshakes) = (network.connections + 1, network.handshakes + 1);
+        self.change(&place, |share| {
+            share.connections += 1;
+            share.handshakes += 1;
         });
         (self.numbers, evicted)
     }
@@ -500,23 +498,15 @@ impl Counts {
     /// Returns a handshake's place; does nothing if it has none any more.
     pub fn leave_handshake(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
         let Evictable { place, evict } = self.handshaking.remove(&number)?;
-        self.change(&place, |peer| peer.handshakes = peer.handshakes.saturating_sub(1));
-        self.change_network(&place, |network| network.handshakes = network.handshakes.saturating_sub(1));
+        self.change(&place, |share| share.handshakes = share.handshakes.saturating_sub(1));
         Some(evict)
     }
 
-    /// Changes the counts of a peer.
-    pub fn change(&mut self, place: &Place, change: impl FnOnce(&mut Peer)) {
-        if let Some(peer) = self.peers.get_mut(&place.peer) {
-            change(peer);
-        }
-    }
-
-    /// Changes the counts of a network.
-    pub fn change_network(&mut self, place: &Place, change: impl FnOnce(&mut Network)) {
-        if let Some(network) = place.network.and_then(|key| self.networks.get_mut(&key)) {
-            change(network);
-        }
+    /// Changes what a peer and its network hold.
+    pub fn change(&mut self, place: &Place, change: impl Fn(&mut Share)) {
+        let network = place.network.and_then(|key| self.networks.get_mut(&key));
+        let peer = self.peers.get_mut(&place.peer).map(|peer| &mut peer.share);
+        peer.into_iter().chain(network).for_each(change);
     }
 
     /// Gives a connection a visitor's place. If all are taken, the oldest visitor of those who hold the most has to go:
@@ -528,7 +518,7 @@ impl Counts {
         let of_network = limits.visits_of_peer.saturating_mul(2);
         let network = place.network.and_then(|key| self.networks.get(&key));
         let has_share = network.is_some_and(|network| network.visits >= of_network)
-            || self.peers.get(&place.peer).is_none_or(|peer| peer.visits >= limits.visits_of_peer);
+            || self.peers.get(&place.peer).is_none_or(|peer| peer.share.visits >= limits.visits_of_peer);
         if has_share {
             return Err(Refusal::new(Code::Busy, format_args!("too many visitors, one more from {}", place.peer)));
         }
@@ -540,8 +530,7 @@ impl Counts {
         let (evict, evicted) = oneshot::channel();
         self.numbers += 1;
         self.visiting.insert(self.numbers, Evictable { place, evict });
-        self.change(&place, |peer| peer.visits += 1);
-        self.change_network(&place, |network| network.visits += 1);
+        self.change(&place, |share| share.visits += 1);
         Ok((self.numbers, evicted))
     }
 
@@ -549,7 +538,7 @@ impl Counts {
     fn visit_to_end(&self) -> Option<u64> {
         let held = |place: &Place| match place.network {
             Some(network) => self.networks.get(&network).map_or(0, |network| network.visits),
-            None => self.peers.get(&place.peer).map_or(0, |peer| peer.visits),
+            None => self.peers.get(&place.peer).map_or(0, |peer| peer.share.visits),
         };
         let visits = self.visiting.iter().map(|(number, visit)| (held(&visit.place), Reverse(*number)));
         visits.max().map(|(_, Reverse(number))| number)
@@ -557,20 +546,18 @@ impl Counts {
 
     /// Counts a transaction of a newcomer; `false` if its peer, or all peers together, have sent as many as they may.
     pub fn take_newcomer(&mut self, place: &Place, limits: &Limits, now: Instant) -> bool {
-        #[expect(clippy::cast_precision_loss, reason = "a handful")]
-        let burst = limits.newcomer_burst * PEERS_OF_NETWORK as f64;
         if self.peers.get_mut(&place.peer).is_some_and(|peer| !peer.newcomers.take_if_there(now)) {
             return false;
         }
-        let all = self.newcomers.get_or_insert_with(|| Bucket::new(limits.newcomer_rate, burst, now));
+        let all =
+            self.newcomers.get_or_insert_with(|| Bucket::new(limits.newcomer_rate, limits.newcomer_burst * TIMES, now));
         all.take_if_there(now)
     }
 
     /// Returns a visitor's place; does nothing if it has none any more.
     pub fn leave_visit(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
         let Evictable { place, evict } = self.visiting.remove(&number)?;
-        self.change(&place, |peer| peer.visits = peer.visits.saturating_sub(1));
-        self.change_network(&place, |network| network.visits = network.visits.saturating_sub(1));
+        self.change(&place, |share| share.visits = share.visits.saturating_sub(1));
         Some(evict)
     }
 }

@@ -2,7 +2,7 @@
 //! (2) || digests (32 each) || signature (64).
 
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
-use crate::model::wire::{Reader, WireError};
+use crate::model::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::model::{Digest, Domain, PublicKey, Signature, Timestamp};
 
 /// The most digests in one receipt.
@@ -26,10 +26,8 @@ fn signed_bytes(domain: &Domain, time: Timestamp, digests: &[Digest]) -> Vec<u8>
 }
 
 fn put(out: &mut Vec<u8>, time: Timestamp, digests: &[Digest]) {
-    let digests = &digests[..digests.len().min(MOST_DIGESTS)];
-    out.extend_from_slice(&time.0.to_be_bytes());
-    out.extend_from_slice(&u16::try_from(digests.len()).unwrap_or(u16::MAX).to_be_bytes());
-    digests.iter().for_each(|digest| out.extend_from_slice(&digest.0));
+    time.put(out);
+    put_list::<u16>(out, digests, MOST_DIGESTS);
 }
 
 impl Receipt {
@@ -79,13 +77,9 @@ impl Receipt {
     }
 
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let time = Timestamp(reader.u64("time")?);
-        let count = usize::from(reader.u16("digest count")?);
-        if count > MOST_DIGESTS {
-            return Err(WireError::Value("digest count"));
-        }
-        let digests = (0..count).map(|_| reader.array("digest").map(Digest)).collect::<Result<_, _>>()?;
-        Ok(Self { time, digests, signature: Signature(reader.array("signature")?) })
+        let time = Timestamp::read(reader, "time")?;
+        let digests = read_list::<u16, _>(reader, 0..=MOST_DIGESTS, ("digest count", "digest"))?;
+        Ok(Self { time, digests, signature: Signature::read(reader, "signature")? })
     }
 }
 

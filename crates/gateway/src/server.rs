@@ -83,12 +83,6 @@ impl Server {
         ServerWatch(Arc::clone(&self.shared))
     }
 
-    /// State shared by its connections, for tests that serve one themselves.
-    #[cfg(test)]
-    pub(super) fn shared(&self) -> Arc<Shared> {
-        Arc::clone(&self.shared)
-    }
-
     /// Waits until it stops accepting connections through a fault of its own. Drop it then.
     pub async fn broken(&mut self) {
         // How it ended makes no difference.
@@ -281,6 +275,13 @@ impl Drop for Presence {
 #[cfg(test)]
 mod tally_tests {
     use super::*;
+
+    impl Server {
+        /// State shared by its connections, for tests that serve one themselves.
+        pub(crate) fn shared(&self) -> Arc<Shared> {
+            Arc::clone(&self.shared)
+        }
+    }
 
     #[test]
     fn a_session_counts_while_it_lasts_and_refusals_stay() {

@@ -27,6 +27,8 @@ pub const LONGEST_TEXT: usize = CAP_AFTER - OVERHEAD;
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct SessionId(pub [u8; 16]);
 
+crate::model::layout!(SessionId(0));
+
 impl fmt::Debug for SessionId {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "SessionId({})", hex(&self.0))
@@ -117,19 +119,9 @@ impl Session {
         Self { provider, id, sending, receiving, begun: Instant::now(), broken: false }
     }
 
-    /// Its id.
-    pub fn id(&self) -> SessionId {
-        self.id
-    }
-
     /// The counter of the next frame sealed here.
     pub fn next_counter(&self) -> u64 {
         self.sending.counter
-    }
-
-    /// When it began.
-    pub fn begun(&self) -> Instant {
-        self.begun
     }
 
     /// Whether it must be replaced by a new one: too many frames, or too old at `now`.
@@ -154,9 +146,7 @@ impl Session {
         let mut sealed = Vec::with_capacity(text.len() + 16);
         sealed.extend_from_slice(text);
         let keys = &self.sending.keys;
-        self.provider
-            .gcm_seal(&keys.key, &keys.nonce(counter), &aad, &mut sealed)
-            .map_err(Refusal::because(Code::Internal))?;
+        self.provider.gcm_seal(&keys.key, &keys.nonce(counter), &aad, &mut sealed).map_err(Refusal::internal)?;
         self.sending.counter = counter + 1;
         Ok([&aad[1..], &sealed].concat())
     }
@@ -169,19 +159,6 @@ impl Session {
         let opened = self.opened(payload);
         self.broken |= opened.is_err();
         opened
-    }
-
-    /// Keys and ivs of a client's session, for test vectors.
-    #[cfg(test)]
-    pub(super) fn key_bytes(&self) -> Vec<(&'static str, Vec<u8>)> {
-        let bytes = |keys: &DirectionKeys| [&keys.key[..], &keys.iv[..]].concat();
-        vec![("client key and iv", bytes(&self.sending.keys)), ("gateway key and iv", bytes(&self.receiving.keys))]
-    }
-
-    /// Forgets that a frame was refused, for tests that try many.
-    #[cfg(test)]
-    pub(super) fn mend(&mut self) {
-        self.broken = false;
     }
 
     fn opened(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>), Refusal> {
@@ -219,6 +196,24 @@ mod tests {
     use super::*;
     use crate::crypto::{ProviderName, provider};
     use proptest::prelude::*;
+
+    impl Session {
+        /// Keys and ivs of a client's session, for test vectors.
+        pub fn key_bytes(&self) -> Vec<(&'static str, Vec<u8>)> {
+            let bytes = |keys: &DirectionKeys| [&keys.key[..], &keys.iv[..]].concat();
+            vec![("client key and iv", bytes(&self.sending.keys)), ("gateway key and iv", bytes(&self.receiving.keys))]
+        }
+
+        /// Its id.
+        pub fn id(&self) -> SessionId {
+            self.id
+        }
+
+        /// Forgets that a frame was refused, for tests that try many.
+        pub fn mend(&mut self) {
+            self.broken = false;
+        }
+    }
 
     fn pair(material: &[u8]) -> (Session, Session) {
         let provider = provider(ProviderName::RustCrypto);

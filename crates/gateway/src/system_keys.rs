@@ -263,13 +263,13 @@ impl Cabinet {
             let secret = read_secret(&key_path(&directory, &key.id()))?;
             keys.push((*key, secret));
         }
-        let first = stored.is_none();
+        // The first one is published as every next one is.
         let list = match stored {
             Some(list) => list,
-            None => first_list(&directory, provider, domain, &identity, schedule, now, &mut keys)?,
+            None => sign_list(provider, domain, &identity, 0, now, Vec::new())?,
         };
         let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
-        if !cabinet.rotate(now)?.published && !first {
+        if !cabinet.rotate(now)?.published {
             cabinet.publish_anew(now)?;
         }
         cabinet.erase_strays()?;
@@ -298,14 +298,6 @@ impl Cabinet {
         key.filter(|(key, _)| now < after(key.not_after, self.schedule.grace)).map(|(_, secret)| secret)
     }
 
-    /// When [`Self::rotate`] next has something to do.
-    pub fn next_rotation(&self) -> Timestamp {
-        let current = self.list.keys.first().map_or(Timestamp(0), |key| key.not_after);
-        let retired = self.keys.iter().filter(|(key, _)| !self.list.keys.contains(key));
-        let erase = retired.map(|(key, _)| after(key.not_after, self.schedule.grace)).min();
-        erase.map_or(current, |erase| erase.min(current))
-    }
-
     /// Publishes a new list when the current key has expired, and erases keys past their grace period.
     ///
     /// # Errors
@@ -326,6 +318,10 @@ impl Cabinet {
     fn publish_anew(&mut self, now: Timestamp) -> Result<(), CryptoError> {
         let version = (self.list.version + 1).max(now.seconds());
         let keys = self.list.keys.clone();
+        self.publish(version, now, keys)
+    }
+
+    fn publish(&mut self, version: u64, now: Timestamp, keys: Vec<SystemKey>) -> Result<(), CryptoError> {
         let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
         write_private(&self.directory.join(LIST), &list.encode())?;
         self.list = list;
@@ -344,10 +340,8 @@ impl Cabinet {
         }
         // The seconds keep versions increasing even if the list was lost with its file.
         let version = (self.list.version + 1).max(now.seconds());
-        let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
-        write_private(&self.directory.join(LIST), &list.encode())?;
+        self.publish(version, now, keys)?;
         self.keys.extend(fresh);
-        self.list = list;
         Ok(())
     }
 
@@ -412,23 +406,6 @@ fn sign_list(
 ) -> Result<SystemKeyList, CryptoError> {
     let expires_at = keys.last().map_or(now, |key| key.not_after);
     SystemKeyList::sign(provider, domain, identity, version, (now, expires_at), keys)
-}
-
-fn first_list(
-    directory: &Path,
-    provider: &dyn Provider,
-    domain: Domain,
-    identity: &SmKeyPair,
-    schedule: Schedule,
-    now: Timestamp,
-    keys: &mut Vec<(SystemKey, SmSecret)>,
-) -> Result<SystemKeyList, CryptoError> {
-    let current = make_key(directory, provider, now, schedule.lifetime)?;
-    let next = make_key(directory, provider, current.0.not_after, schedule.lifetime)?;
-    let list = sign_list(provider, domain, identity, now.seconds().max(1), now, vec![current.0, next.0])?;
-    write_private(&directory.join(LIST), &list.encode())?;
-    keys.extend([current, next]);
-    Ok(list)
 }
 
 /// The list on disk, if it is this gateway's, of this network and intact.

@@ -98,6 +98,7 @@ macro_rules! fixed_bytes {
         }
 
         as_text!($name);
+        crate::layout!($name(0));
     )*};
 }
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Digest;
 use crate::display::clean;
-use crate::wire::{Reader, WireError};
+use crate::wire::{Wire as _, WireError};
 
 /// How an embedded chain seals its blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -121,7 +121,8 @@ impl From<Consensus> for String {
 // How digests are put on the chain.
 
 /// The two ways of anchoring.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::Display, strum::EnumString)]
+#[strum(serialize_all = "lowercase", parse_err_fn = no_mode, parse_err_ty = AnchorModeError)]
 pub enum AnchorMode {
     /// The Merkle root of a batch in one transaction.
     #[default]
@@ -135,25 +136,8 @@ pub enum AnchorMode {
 #[error("choose batch (Merkle roots) or each (one dataUpload per record)")]
 pub struct AnchorModeError;
 
-impl FromStr for AnchorMode {
-    type Err = AnchorModeError;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        match text {
-            "batch" => Ok(Self::Batch),
-            "each" => Ok(Self::Each),
-            _ => Err(AnchorModeError),
-        }
-    }
-}
-
-impl fmt::Display for AnchorMode {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Batch => "batch",
-            Self::Each => "each",
-        })
-    }
+fn no_mode(_: &str) -> AnchorModeError {
+    AnchorModeError
 }
 
 // The body of an audit record: the head of a home's audit log, anchored on the chain while the log changes.
@@ -174,11 +158,17 @@ pub struct AuditHead {
     pub previous_hash: Digest,
 }
 
+crate::layout!(AuditHead {
+    line: "line",
+    hash: "hash",
+    previous_line: "previous line",
+    previous_hash: "previous hash",
+});
+
 impl AuditHead {
     /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
-        let (line, previous) = (self.line.to_be_bytes(), self.previous_line.to_be_bytes());
-        [&LABEL[..], &line, &self.hash.0, &previous, &self.previous_hash.0].concat()
+        self.behind(&LABEL)
     }
 
     /// Parses a whole body.
@@ -186,17 +176,7 @@ impl AuditHead {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one head, or it does not continue the one before.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        if reader.array::<20>("label")? != LABEL {
-            return Err(WireError::Value("label"));
-        }
-        let head = Self {
-            line: reader.u64("line")?,
-            hash: Digest(reader.array("hash")?),
-            previous_line: reader.u64("previous line")?,
-            previous_hash: Digest(reader.array("previous hash")?),
-        };
-        reader.end()?;
+        let head = Self::whole_behind(&LABEL, "label", bytes)?;
         if head.line <= head.previous_line {
             return Err(WireError::Value("line"));
         }

@@ -1,6 +1,6 @@
 //! What is reported about a topic: gaps, and messages held in quarantine.
 
-use crate::wire::{Reader, WireError, put_text};
+use crate::wire::{Reader, Wire, WireError};
 use crate::{Digest, Timestamp, TopicId};
 
 /// First bytes of the body.
@@ -89,21 +89,37 @@ pub struct GapReport {
     pub last_at: Timestamp,
 }
 
+crate::layout!(LossReason by code, from_code);
+crate::layout!(GapReport {
+    topic_id: "topic id",
+    topic: "topic",
+    publisher: "publisher",
+    reason: "reason",
+    count: "count",
+    numbers: "numbers",
+    first_at: "first time",
+    last_at: "last time",
+});
+
+/// Whether there are any (1), then both, zeros if there are none.
+impl Wire for Option<(u32, u32)> {
+    fn put(&self, out: &mut Vec<u8>) {
+        (self.is_some(), self.unwrap_or_default()).put(out);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        match Wire::read(reader, field)? {
+            (true, pair) => Ok(Some(pair)),
+            (false, (0, 0)) => Ok(None),
+            (false, _) => Err(WireError::Value(field)),
+        }
+    }
+}
+
 impl GapReport {
     /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = [&GAP_LABEL[..], &self.topic_id.0].concat();
-        put_text(&mut out, &self.topic);
-        put_text(&mut out, &self.publisher);
-        out.push(self.reason.code());
-        out.extend_from_slice(&self.count.to_be_bytes());
-        let (first, last) = self.numbers.unwrap_or_default();
-        out.push(u8::from(self.numbers.is_some()));
-        out.extend_from_slice(&first.to_be_bytes());
-        out.extend_from_slice(&last.to_be_bytes());
-        out.extend_from_slice(&self.first_at.0.to_be_bytes());
-        out.extend_from_slice(&self.last_at.0.to_be_bytes());
-        out
+        self.behind(&GAP_LABEL)
     }
 
     /// Parses a whole body.
@@ -111,24 +127,7 @@ impl GapReport {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        if reader.array::<13>("label")? != GAP_LABEL {
-            return Err(WireError::Value("label"));
-        }
-        let topic_id = TopicId(reader.array("topic id")?);
-        let (topic, publisher) = (reader.text("topic")?, reader.text("publisher")?);
-        let reason = LossReason::from_code(reader.u8("reason")?).ok_or(WireError::Value("reason"))?;
-        let count = reader.u64("count")?;
-        let numbered = reader.u8("has numbers")?;
-        let pair = (reader.u32("first number")?, reader.u32("last number")?);
-        let numbers = match (numbered, pair) {
-            (1, pair) => Some(pair),
-            (0, (0, 0)) => None,
-            _ => return Err(WireError::Value("has numbers")),
-        };
-        let (first_at, last_at) = (Timestamp(reader.u64("first time")?), Timestamp(reader.u64("last time")?));
-        reader.end()?;
-        Ok(Self { topic_id, topic, publisher, reason, count, numbers, first_at, last_at })
+        Self::whole_behind(&GAP_LABEL, "label", bytes)
     }
 }
 
@@ -161,16 +160,20 @@ pub struct QuarantineReport {
     pub rolling: Digest,
 }
 
+crate::layout!(QuarantineReport {
+    topic_id: "topic id",
+    topic: "topic",
+    minute: "minute",
+    first_seq: "first seq",
+    last_seq: "last seq",
+    count: "count",
+    rolling: "rolling hash",
+});
+
 impl QuarantineReport {
     /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = [&QUARANTINE_LABEL[..], &self.topic_id.0].concat();
-        put_text(&mut out, &self.topic);
-        for number in [self.minute, self.first_seq, self.last_seq, self.count] {
-            out.extend_from_slice(&number.to_be_bytes());
-        }
-        out.extend_from_slice(&self.rolling.0);
-        out
+        self.behind(&QUARANTINE_LABEL)
     }
 
     /// Parses a whole body.
@@ -178,21 +181,7 @@ impl QuarantineReport {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        if reader.array::<20>("label")? != QUARANTINE_LABEL {
-            return Err(WireError::Value("label"));
-        }
-        let report = Self {
-            topic_id: TopicId(reader.array("topic id")?),
-            topic: reader.text("topic")?,
-            minute: reader.u64("minute")?,
-            first_seq: reader.u64("first seq")?,
-            last_seq: reader.u64("last seq")?,
-            count: reader.u64("count")?,
-            rolling: Digest(reader.array("rolling hash")?),
-        };
-        reader.end()?;
-        Ok(report)
+        Self::whole_behind(&QUARANTINE_LABEL, "label", bytes)
     }
 }
 

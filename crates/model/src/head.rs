@@ -4,13 +4,15 @@
 use std::collections::BTreeMap;
 
 use super::bytes::Digest;
-use super::wire::{Reader, WireError, put_text};
+use super::wire::{Reader, Wire, WireError, put_text, read_list};
 
 /// The most tags in a head.
 pub const MOST_TAGS: usize = 64;
 
 /// How the body was compressed before it was sealed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::FromRepr, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
+#[repr(u8)]
 pub enum Compression {
     /// Not compressed.
     None,
@@ -21,29 +23,14 @@ pub enum Compression {
 }
 
 impl Compression {
-    /// Every method, in the order of the codes.
-    const ALL: [Self; 3] = [Self::None, Self::Lz4, Self::Matrix];
-
     /// Its code in the head.
     fn code(self) -> u8 {
-        match self {
-            Self::None => 0,
-            Self::Lz4 => 1,
-            Self::Matrix => 2,
-        }
-    }
-
-    fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|compression| compression.code() == code)
+        self as u8
     }
 
     /// Its name for people.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Lz4 => "lz4",
-            Self::Matrix => "matrix",
-        }
+        self.into()
     }
 }
 
@@ -73,6 +60,19 @@ pub struct Head {
 /// The tag that simulated robots send.
 pub const SIMULATED: (&str, &str) = ("simulated", "true");
 
+crate::layout!(Compression by code, from_repr);
+crate::layout!(Head {
+    topic: "topic",
+    type_name: "type",
+    md5sum: "md5sum",
+    definition: "definition",
+    caller_id: "caller id",
+    boot_id: "boot id",
+    compression: "compression",
+    plain_length: "plain length",
+    tags: "tag",
+});
+
 impl Head {
     /// Whether a simulated robot sent it.
     pub fn is_simulated(&self) -> bool {
@@ -84,22 +84,7 @@ impl Head {
     /// Texts have a two-byte length; definition (32), boot id (16), compression (1),
     /// plain length (8), tag count (2) and pairs, in the order of the tags' bytes.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = Vec::with_capacity(192);
-        for text in [&self.topic, &self.type_name, &self.md5sum] {
-            put_text(&mut out, text);
-        }
-        out.extend_from_slice(&self.definition.0);
-        put_text(&mut out, &self.caller_id);
-        out.extend_from_slice(&self.boot_id);
-        out.push(self.compression.code());
-        out.extend_from_slice(&self.plain_length.to_be_bytes());
-        let count = self.tags.len().min(MOST_TAGS);
-        out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
-        for (key, value) in self.tags.iter().take(count) {
-            put_text(&mut out, key);
-            put_text(&mut out, value);
-        }
-        out
+        self.encoded()
     }
 
     /// Parses a whole head.
@@ -107,38 +92,27 @@ impl Head {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one head.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        let head = Self {
-            topic: reader.text("topic")?,
-            type_name: reader.text("type")?,
-            md5sum: reader.text("md5sum")?,
-            definition: Digest(reader.array("definition")?),
-            caller_id: reader.text("caller id")?,
-            boot_id: reader.array("boot id")?,
-            compression: Compression::from_code(reader.u8("compression")?).ok_or(WireError::Value("compression"))?,
-            plain_length: reader.u64("plain length")?,
-            tags: read_tags(&mut reader)?,
-        };
-        reader.end()?;
-        Ok(head)
+        Self::whole(bytes)
     }
 }
 
-fn read_tags(reader: &mut Reader<'_>) -> Result<BTreeMap<String, String>, WireError> {
-    let count = usize::from(reader.u16("tag count")?);
-    if count > MOST_TAGS {
-        return Err(WireError::Value("tag count"));
-    }
-    let mut tags: BTreeMap<String, String> = BTreeMap::new();
-    for _ in 0..count {
-        let (tag, value) = (reader.text("tag")?, reader.text("tag value")?);
-        // In order and without duplicates: every head has exactly one encoding.
-        if tags.last_key_value().is_some_and(|(last, _)| *last >= tag) {
-            return Err(WireError::Value("tag"));
+/// Tags by their names: without duplicates and in one order, so that every head has exactly one encoding.
+impl Wire for BTreeMap<String, String> {
+    fn put(&self, out: &mut Vec<u8>) {
+        u16::try_from(self.len().min(MOST_TAGS)).unwrap_or(0).put(out);
+        for (tag, value) in self.iter().take(MOST_TAGS) {
+            put_text(out, tag);
+            put_text(out, value);
         }
-        tags.insert(tag, value);
     }
-    Ok(tags)
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        let tags: Vec<(String, String)> = read_list::<u16, _>(reader, 0..=MOST_TAGS, ("tag count", field))?;
+        if !tags.is_sorted_by(|(one, _), (next, _)| one < next) {
+            return Err(WireError::Value(field));
+        }
+        Ok(tags.into_iter().collect())
+    }
 }
 
 #[cfg(test)]
@@ -181,7 +155,7 @@ mod tests {
             let head = Head {
                 topic, type_name: "a/B".into(), md5sum: "0".repeat(32), definition: Digest([1; 32]),
                 caller_id: caller, boot_id: [2; 16], plain_length: length, tags,
-                compression: Compression::from_code(code).expect("known"),
+                compression: Compression::from_repr(code).expect("known"),
             };
             prop_assert_eq!(Head::parse(&head.encode()), Ok(head));
         }

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::bytes::{Commit, Domain, FilterId, RecorderId, Salt, SignerId, TopicId};
-use super::wire::{Reader, WireError};
+use super::wire::{Reader, Wire, WireError, put_list, read_list};
 use super::{Address, Timestamp};
 
 /// First eight bytes of every record; the first is not a text character, so that text tools cannot corrupt a record
@@ -28,11 +28,13 @@ pub const LARGEST_STORED: u64 = u64::MAX >> 1;
 pub const TAG_LENGTH: usize = 16;
 
 /// The kind of a record; never derived from ROS names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::FromRepr, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
+#[repr(u8)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordKind {
     /// A captured message.
-    Data,
+    Data = 1,
     /// A message definition, sent once per epoch, topic and definition.
     Definition,
     /// A count of messages lost.
@@ -53,26 +55,14 @@ pub enum RecordKind {
 }
 
 impl RecordKind {
-    const ALL: [Self; 9] = [
-        Self::Data,
-        Self::Definition,
-        Self::Gap,
-        Self::Quarantine,
-        Self::Key,
-        Self::Retention,
-        Self::Succession,
-        Self::Audit,
-        Self::Attachment,
-    ];
-
     /// The byte in the header.
     pub fn code(self) -> u8 {
-        self as u8 + 1
+        self as u8
     }
 
     /// From the byte in the header.
     pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.code() == code)
+        Self::from_repr(code)
     }
 
     /// Whether it holds what its owner recorded or imported, rather than what a site says about that.
@@ -82,17 +72,7 @@ impl RecordKind {
 
     /// One word for screens and JSON.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Data => "data",
-            Self::Definition => "definition",
-            Self::Gap => "gap",
-            Self::Quarantine => "quarantine",
-            Self::Key => "key",
-            Self::Retention => "retention",
-            Self::Succession => "succession",
-            Self::Audit => "audit",
-            Self::Attachment => "attachment",
-        }
+        self.into()
     }
 }
 
@@ -129,6 +109,24 @@ pub struct Header {
     pub commit: Commit,
 }
 
+crate::layout!(RecordKind by code, from_code);
+crate::layout!(Header {
+    kind: "kind",
+    domain: "domain",
+    owner: "owner",
+    signer: "signer",
+    epoch: "epoch",
+    recorder: "recorder",
+    seq: "seq",
+    topic_id: "topic id",
+    filters: "filter",
+    captured_at: "capture time",
+    head_length: "head length",
+    body_length: "body length",
+    salt: "salt",
+    commit: "commit",
+});
+
 impl Header {
     /// The bytes in front of the sealed head; they are the AAD of both head and body.
     ///
@@ -138,24 +136,8 @@ impl Header {
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(256);
         out.extend_from_slice(&MAGIC);
-        out.extend_from_slice(&[VERSION, SUITE_SM, self.kind.code()]);
-        out.extend_from_slice(&self.domain.0);
-        out.extend_from_slice(&self.owner.0);
-        out.extend_from_slice(&self.signer.0);
-        out.extend_from_slice(&self.epoch.to_be_bytes());
-        out.extend_from_slice(&self.recorder.0);
-        out.extend_from_slice(&self.seq.to_be_bytes());
-        out.extend_from_slice(&self.topic_id.0);
-        let filters = &self.filters[..self.filters.len().min(MOST_FILTERS)];
-        out.push(u8::try_from(filters.len()).unwrap_or(0));
-        for filter in filters {
-            out.extend_from_slice(&filter.0);
-        }
-        out.extend_from_slice(&self.captured_at.0.to_be_bytes());
-        out.extend_from_slice(&self.head_length.to_be_bytes());
-        out.extend_from_slice(&self.body_length.to_be_bytes());
-        out.extend_from_slice(&self.salt.0);
-        out.extend_from_slice(&self.commit.0);
+        out.extend_from_slice(&[VERSION, SUITE_SM]);
+        self.put(&mut out);
         out
     }
 
@@ -165,30 +147,10 @@ impl Header {
     /// [`WireError`] if the bytes are not a version 1 header; nothing is allocated before a check.
     pub fn parse(bytes: &[u8]) -> Result<(Self, usize), WireError> {
         let mut reader = Reader::new(bytes);
-        let header = Self::read(&mut reader)?;
-        Ok((header, bytes.len() - reader.rest().len()))
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         expect(reader.array("magic")? == MAGIC, "magic")?;
         expect(reader.u8("version")? == VERSION, "version")?;
         expect(reader.u8("suite")? == SUITE_SM, "suite")?;
-        let header = Self {
-            kind: RecordKind::from_code(reader.u8("kind")?).ok_or(WireError::Value("kind"))?,
-            domain: Domain(reader.array("domain")?),
-            owner: Address(reader.array("owner")?),
-            signer: SignerId(reader.array("signer")?),
-            epoch: reader.u64("epoch")?,
-            recorder: RecorderId(reader.array("recorder")?),
-            seq: reader.u64("seq")?,
-            topic_id: TopicId(reader.array("topic id")?),
-            filters: read_filters(reader)?,
-            captured_at: Timestamp(reader.u64("capture time")?),
-            head_length: reader.u32("head length")?,
-            body_length: reader.u64("body length")?,
-            salt: Salt(reader.array("salt")?),
-            commit: Commit(reader.array("commit")?),
-        };
+        let header = Self::read(&mut reader, "header")?;
         let tag = u32::try_from(TAG_LENGTH).unwrap_or(16);
         expect((tag..=LARGEST_HEAD).contains(&header.head_length), "head length")?;
         expect((u64::from(tag)..=LARGEST_BODY).contains(&header.body_length), "body length")?;
@@ -196,14 +158,18 @@ impl Header {
         expect((1..=LARGEST_SEQ).contains(&header.seq), "seq, which is 1 to 2^40,")?;
         expect(header.captured_at.0 <= LARGEST_STORED, "capture time")?;
         expect(header.recorder.is_of(&header.signer), "recorder, which is not of the key that signs,")?;
-        Ok(header)
+        Ok((header, bytes.len() - reader.rest().len()))
     }
 }
 
-fn read_filters(reader: &mut Reader<'_>) -> Result<Vec<FilterId>, WireError> {
-    let count = usize::from(reader.u8("filter count")?);
-    expect(count <= MOST_FILTERS, "filter count")?;
-    (0..count).map(|_| reader.array("filter").map(FilterId)).collect()
+impl Wire for Vec<FilterId> {
+    fn put(&self, out: &mut Vec<u8>) {
+        put_list::<u8>(out, self, MOST_FILTERS);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        read_list::<u8, _>(reader, 0..=MOST_FILTERS, ("filter count", field))
+    }
 }
 
 fn expect(condition: bool, field: &'static str) -> Result<(), WireError> {
@@ -281,7 +247,7 @@ mod tests {
 
     #[test]
     fn kinds_have_distinct_codes() {
-        for kind in RecordKind::ALL {
+        for kind in (0..=u8::MAX).filter_map(RecordKind::from_code) {
             assert_eq!(RecordKind::from_code(kind.code()), Some(kind));
         }
         assert_eq!(RecordKind::from_code(0), None);

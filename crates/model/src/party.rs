@@ -10,7 +10,7 @@ use sha3::{Digest as _, Keccak256};
 use crate::bytes::{PublicKey, Signature, Token, hex, unhex};
 use crate::clean;
 use crate::text::{as_text, names};
-use crate::wire::{Reader, WireError};
+use crate::wire::{Wire as _, WireError};
 
 /// Why a text names no party.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -93,6 +93,8 @@ impl fmt::Display for Party {
 
 names!(ContactName, OperatorName, ProfileName);
 as_text!(ContactName, Party, Address, ProfileName);
+crate::layout!(Address(0));
+crate::layout!(Identity { token: "token", signing: "signing key", envelope: "envelope key", proof: "proof" });
 
 // An Ethereum externally owned account (EOA), shown in EIP-55 checksum form.
 
@@ -223,7 +225,7 @@ impl Identity {
 
     /// The argument of the contract's `register`.
     pub fn encode(&self) -> Vec<u8> {
-        [&self.token.0[..], &self.signing.0, &self.envelope.0, &self.proof.0].concat()
+        self.encoded()
     }
 
     /// From the chain's bytes.
@@ -231,15 +233,7 @@ impl Identity {
     /// # Errors
     /// [`WireError`] if they are not exactly [`Self::LENGTH`] bytes.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        let identity = Self {
-            token: Token(reader.array("token")?),
-            signing: PublicKey(reader.array("signing key")?),
-            envelope: PublicKey(reader.array("envelope key")?),
-            proof: Signature(reader.array("proof")?),
-        };
-        reader.end()?;
-        Ok(identity)
+        Self::whole(bytes)
     }
 }
 
@@ -271,7 +265,8 @@ impl FromStr for OperatorName {
 }
 
 /// A right that an operator may have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum OperatorRight {
     /// Read what needs no decryption of a message: lists, states, checks, the audit log.
@@ -284,11 +279,7 @@ pub enum OperatorRight {
 
 impl OperatorRight {
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Look => "look",
-            Self::Capture => "capture",
-            Self::Grant => "grant",
-        }
+        self.into()
     }
 }
 

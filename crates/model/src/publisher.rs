@@ -139,8 +139,9 @@ impl FromStr for ListedPublishers {
 }
 
 /// How a topic's publishers get pinned.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::EnumString)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case", parse_err_fn = no_mode, parse_err_ty = PublisherError)]
 pub enum PinMode {
     /// The first ones seen, if none are named.
     #[default]
@@ -151,21 +152,13 @@ pub enum PinMode {
     Off,
 }
 
-impl FromStr for PinMode {
-    type Err = PublisherError;
-
-    fn from_str(text: &str) -> Result<Self, PublisherError> {
-        match text {
-            "first" => Ok(Self::First),
-            "list" => Ok(Self::List),
-            "off" => Ok(Self::Off),
-            other => Err(PublisherError::Mode(clean(other, 40))),
-        }
-    }
+fn no_mode(text: &str) -> PublisherError {
+    PublisherError::Mode(clean(text, 40))
 }
 
 /// Why a publisher does not count as a pinned one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum Doubt {
     /// No publisher with this caller id is pinned.
@@ -188,14 +181,7 @@ impl Doubt {
 
     /// Its name, one word: for the tag in sealed heads, the ledger and JSON.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::New => "new",
-            Self::Host => "host",
-            Self::Type => "type",
-            Self::Replaced => "replaced",
-            Self::Undecided => "undecided",
-            Self::Unconfirmed => "unconfirmed",
-        }
+        self.into()
     }
 
     /// Its meaning.

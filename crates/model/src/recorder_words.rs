@@ -2,7 +2,7 @@
 //! sequence numbers of its topics, and the head over these numbers, which can be disclosed without them.
 
 use crate::bytes::{RecorderId, SignerId};
-use crate::wire::{Reader, WireError};
+use crate::wire::{Reader, Wire as _, WireError};
 use crate::{Digest, Hash, TopicId};
 
 /// First bytes of a birth.
@@ -34,9 +34,7 @@ impl Birth {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = labelled(bytes, BIRTH)?;
-        let predecessor = RecorderId(reader.array("predecessor")?);
-        reader.end()?;
+        let predecessor = RecorderId::whole_behind(BIRTH, "label", bytes)?;
         Ok(Self { predecessor: Some(predecessor).filter(|recorder| recorder.0 != [0; RecorderId::LENGTH]) })
     }
 }
@@ -68,7 +66,7 @@ impl Heights {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one list, or its topics are not in order.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = labelled(bytes, HEIGHTS)?;
+        let mut reader = Reader::new(bytes.strip_prefix(HEIGHTS).ok_or(WireError::Value("label"))?);
         let (count, mut topics) = (reader.u32("count")?, Vec::new());
         for _ in 0..count {
             let topic = TopicId(reader.array("topic id")?);
@@ -95,13 +93,15 @@ pub struct Heads {
     pub previous: Digest,
 }
 
+crate::layout!(Heads { count: "count", root: "root", heights: "heights", previous: "previous" });
+
 impl Heads {
     /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/Heads";
 
     /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
-        [HEADS, &self.count.to_be_bytes(), &self.root.0, &self.heights.0, &self.previous.0].concat()
+        self.behind(HEADS)
     }
 
     /// Parses a whole body.
@@ -109,24 +109,8 @@ impl Heads {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = labelled(bytes, HEADS)?;
-        let heads = Self {
-            count: reader.u32("count")?,
-            root: Hash(reader.array("root")?),
-            heights: Digest(reader.array("heights")?),
-            previous: Digest(reader.array("previous")?),
-        };
-        reader.end()?;
-        Ok(heads)
+        Self::whole_behind(HEADS, "label", bytes)
     }
-}
-
-fn labelled<'a>(bytes: &'a [u8], label: &[u8]) -> Result<Reader<'a>, WireError> {
-    let mut reader = Reader::new(bytes);
-    if reader.take(label.len(), "label")? != label {
-        return Err(WireError::Value("label"));
-    }
-    Ok(reader)
 }
 
 // Recorder ids: who numbers a record. Each id carries a tag of the key that signs, so nobody can number in the name of

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::text::{as_text, names};
 use crate::topic_rule::{TopicRules, fits};
-use crate::wire::{Reader, WireError, put_text};
+use crate::wire::{Reader, Wire as _, WireError, put_text};
 use crate::{ByteSize, Digest, Timestamp, TopicId, TopicPattern, clean, time_span};
 
 /// First bytes of the body.
@@ -154,17 +154,21 @@ pub struct RetentionReport {
     pub rolling: Digest,
 }
 
+crate::layout!(RetentionReport {
+    topic_id: "topic id",
+    topic: "topic",
+    rule: "rule",
+    first_seq: "first seq",
+    last_seq: "last seq",
+    count: "count",
+    bytes: "bytes",
+    rolling: "rolling hash",
+});
+
 impl RetentionReport {
     /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = [&LABEL[..], &self.topic_id.0].concat();
-        put_text(&mut out, &self.topic);
-        put_text(&mut out, &self.rule);
-        for number in [self.first_seq, self.last_seq, self.count, self.bytes] {
-            out.extend_from_slice(&number.to_be_bytes());
-        }
-        out.extend_from_slice(&self.rolling.0);
-        out
+        self.behind(&LABEL)
     }
 
     /// Parses a whole body.
@@ -172,22 +176,7 @@ impl RetentionReport {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        if reader.array::<19>("label")? != LABEL {
-            return Err(WireError::Value("label"));
-        }
-        let report = Self {
-            topic_id: TopicId(reader.array("topic id")?),
-            topic: reader.text("topic")?,
-            rule: reader.text("rule")?,
-            first_seq: reader.u64("first seq")?,
-            last_seq: reader.u64("last seq")?,
-            count: reader.u64("count")?,
-            bytes: reader.u64("bytes")?,
-            rolling: Digest(reader.array("rolling hash")?),
-        };
-        reader.end()?;
-        Ok(report)
+        Self::whole_behind(&LABEL, "label", bytes)
     }
 }
 

@@ -151,6 +151,8 @@ impl<'de> Deserialize<'de> for Wei {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Timestamp(pub u64);
 
+crate::layout!(Timestamp(0));
+
 impl Timestamp {
     /// The system clock's current time.
     pub fn now() -> Self {

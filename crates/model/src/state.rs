@@ -3,7 +3,21 @@
 use serde::{Deserialize, Serialize};
 
 /// The state of a record. Every transition is a compare-and-set in the ledger.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    strum::IntoStaticStr,
+    strum::VariantArray,
+)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum RecordState {
     /// In memory, not yet sealed.
@@ -28,40 +42,17 @@ pub enum RecordState {
     Tampered,
     /// Stored, but its signer may not sign for its owner now. Nobody here anchors it until that right is back.
     #[serde(rename = "waits: right ended")]
+    #[strum(to_string = "waits: right ended")]
     RightEnded,
 }
 
 impl RecordState {
     /// All states, in the order of a record's life.
-    pub const ALL: [Self; 11] = [
-        Self::Captured,
-        Self::Stored,
-        Self::Batched,
-        Self::Submitted,
-        Self::Mined,
-        Self::Confirmed,
-        Self::Verified,
-        Self::Quarantined,
-        Self::Dropped,
-        Self::Tampered,
-        Self::RightEnded,
-    ];
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     /// One word for screens, JSON and the ledger.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Captured => "captured",
-            Self::Stored => "stored",
-            Self::Batched => "batched",
-            Self::Submitted => "submitted",
-            Self::Mined => "mined",
-            Self::Confirmed => "confirmed",
-            Self::Verified => "verified",
-            Self::Quarantined => "quarantined",
-            Self::Dropped => "dropped",
-            Self::Tampered => "tampered",
-            Self::RightEnded => "waits: right ended",
-        }
+        self.into()
     }
 
     /// The number in the ledger.
@@ -95,6 +86,8 @@ pub enum Fact {
     /// It is verified, and its ciphertext was deleted.
     Erased = 3,
 }
+
+crate::layout!(Fact by code, from_code);
 
 impl Fact {
     /// The number in the ledger and on the wire.
@@ -189,7 +182,7 @@ mod tests {
 
     #[test]
     fn codes_and_words_are_distinct_and_stable() {
-        for (index, state) in RecordState::ALL.into_iter().enumerate() {
+        for (index, state) in RecordState::ALL.iter().copied().enumerate() {
             assert_eq!(usize::from(state.code()), index);
             assert_eq!(RecordState::from_code(state.code()), Some(state));
         }
@@ -197,7 +190,7 @@ mod tests {
         assert!(!RecordState::Verified.is_pending());
         assert!(!RecordState::Tampered.is_pending());
         assert!(!RecordState::RightEnded.is_pending() && RecordState::RightEnded.is_before_block());
-        for state in RecordState::ALL {
+        for &state in RecordState::ALL {
             assert_eq!(serde_json::to_value(state).expect("JSON"), state.word(), "one word everywhere");
         }
     }

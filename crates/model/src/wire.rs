@@ -81,6 +81,190 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// What is written in one way, and read again.
+pub trait Wire: Sized {
+    /// Appends its encoding.
+    fn put(&self, out: &mut Vec<u8>);
+
+    /// Takes it from the front; `field` is what errors call it.
+    ///
+    /// # Errors
+    /// [`WireError`] if it is not there, or not allowed.
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError>;
+
+    /// Its encoding.
+    fn encoded(&self) -> Vec<u8> {
+        self.behind(&[])
+    }
+
+    /// From a whole encoding.
+    ///
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one.
+    fn whole(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        let value = Self::read(&mut reader, "structure")?;
+        reader.end()?;
+        Ok(value)
+    }
+
+    /// Its encoding with a label before it.
+    fn behind(&self, label: &[u8]) -> Vec<u8> {
+        let mut out = Vec::with_capacity(256);
+        out.extend_from_slice(label);
+        self.put(&mut out);
+        out
+    }
+
+    /// From a whole encoding with a label before it, which errors call `field`.
+    ///
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one.
+    fn whole_behind(label: &[u8], field: &'static str, bytes: &[u8]) -> Result<Self, WireError> {
+        Self::whole(bytes.strip_prefix(label).ok_or(WireError::Value(field))?)
+    }
+}
+
+/// Structures whose encoding is that of their fields, in this order, each with what errors call it.
+#[macro_export]
+macro_rules! layout {
+    ($($name:ident { $($field:ident: $word:literal),+ $(,)? })+) => {$(
+        impl $crate::wire::Wire for $name {
+            fn put(&self, out: &mut Vec<u8>) {
+                $($crate::wire::Wire::put(&self.$field, out);)+
+            }
+
+            fn read(reader: &mut $crate::wire::Reader<'_>, _: &'static str) -> Result<Self, $crate::wire::WireError> {
+                $(let $field = $crate::wire::Wire::read(reader, $word)?;)+
+                Ok(Self { $($field),+ })
+            }
+        }
+    )+};
+    ($($name:ident(0))+) => {$(
+        impl $crate::wire::Wire for $name {
+            fn put(&self, out: &mut Vec<u8>) {
+                $crate::wire::Wire::put(&self.0, out);
+            }
+
+            fn read(
+                reader: &mut $crate::wire::Reader<'_>,
+                field: &'static str,
+            ) -> Result<Self, $crate::wire::WireError> {
+                $crate::wire::Wire::read(reader, field).map(Self)
+            }
+        }
+    )+};
+    ($($name:ident by $code:ident, $from:ident)+) => {$(
+        impl $crate::wire::Wire for $name {
+            fn put(&self, out: &mut Vec<u8>) {
+                $crate::wire::Wire::put(&self.$code(), out);
+            }
+
+            fn read(reader: &mut $crate::wire::Reader<'_>, field: &'static str) -> Result<Self, $crate::wire::WireError> {
+                Self::$from($crate::wire::Wire::read(reader, field)?).ok_or($crate::wire::WireError::Value(field))
+            }
+        }
+    )+};
+}
+
+macro_rules! numbers {
+    ($($number:ident)+) => {$(
+        impl Wire for $number {
+            fn put(&self, out: &mut Vec<u8>) {
+                out.extend_from_slice(&self.to_be_bytes());
+            }
+
+            fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+                reader.$number(field)
+            }
+        }
+    )+};
+}
+
+numbers!(u8 u16 u32 u64);
+
+impl<const N: usize> Wire for [u8; N] {
+    fn put(&self, out: &mut Vec<u8>) {
+        out.extend_from_slice(self);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        reader.array(field)
+    }
+}
+
+/// 1 or 0.
+impl Wire for bool {
+    fn put(&self, out: &mut Vec<u8>) {
+        out.push(u8::from(*self));
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        match reader.u8(field)? {
+            byte @ 0..=1 => Ok(byte == 1),
+            _ => Err(WireError::Value(field)),
+        }
+    }
+}
+
+/// With a two-byte length before it.
+impl Wire for String {
+    fn put(&self, out: &mut Vec<u8>) {
+        put_text(out, self);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        reader.text(field)
+    }
+}
+
+/// With a four-byte length before them.
+impl Wire for Vec<u8> {
+    fn put(&self, out: &mut Vec<u8>) {
+        u32::try_from(self.len()).unwrap_or(u32::MAX).put(out);
+        out.extend_from_slice(self);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        let length = usize::try_from(reader.u32(field)?).unwrap_or(usize::MAX);
+        Ok(reader.take(length, field)?.to_vec())
+    }
+}
+
+impl<A: Wire, B: Wire> Wire for (A, B) {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.0.put(out);
+        self.1.put(out);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        Ok((A::read(reader, field)?, B::read(reader, field)?))
+    }
+}
+
+/// Appends how many there are, and each; what is beyond `most` is cut.
+pub fn put_list<Count: Wire + TryFrom<usize> + Default>(out: &mut Vec<u8>, list: &[impl Wire], most: usize) {
+    let list = &list[..list.len().min(most)];
+    Count::try_from(list.len()).unwrap_or_default().put(out);
+    list.iter().for_each(|one| one.put(out));
+}
+
+/// As many as their count says, which must be one of `allowed`. `fields`: what errors call the count, and one of them.
+///
+/// # Errors
+/// [`WireError`] before anything is kept if there may not be as many; else that of one of them.
+pub fn read_list<Count: Wire + Into<usize>, One: Wire>(
+    reader: &mut Reader<'_>,
+    allowed: std::ops::RangeInclusive<usize>,
+    fields: (&'static str, &'static str),
+) -> Result<Vec<One>, WireError> {
+    let count: usize = Count::read(reader, fields.0)?.into();
+    if !allowed.contains(&count) {
+        return Err(WireError::Value(fields.0));
+    }
+    (0..count).map(|_| One::read(reader, fields.1)).collect()
+}
+
 /// Appends `text` with a two-byte length before it, truncated to 65,535 bytes at a character boundary.
 pub fn put_text(out: &mut Vec<u8>, text: &str) {
     let kept = &text[..text.floor_char_boundary(usize::from(u16::MAX))];

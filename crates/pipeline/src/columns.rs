@@ -89,7 +89,7 @@ impl ShownState {
 
     /// The state that belongs to these words.
     pub fn from_word(word: &str) -> Option<Self> {
-        let kept = RecordState::ALL.into_iter().map(Self::Kept);
+        let kept = RecordState::ALL.iter().copied().map(Self::Kept);
         let more = [Caveat::Deleted, Caveat::Unread, Caveat::NamesUnchecked].into_iter().map(Self::Verified);
         kept.chain(more).chain([Self::Refused(Refusal::FalseName)]).find(|state| state.word() == word)
     }

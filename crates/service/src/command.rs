@@ -3,22 +3,17 @@
 #[macro_use]
 mod ask;
 
-mod administration;
-mod choices;
 pub mod filter;
-mod playing;
-mod recordings;
 mod right;
+mod wishes;
 
-pub use self::administration::Administration;
 pub use self::ask::Ask;
-pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::filter::Term;
-pub use self::playing::{Pace, PlayWishes, Remap};
-pub use self::recordings::{
-    ExportWishes, FollowWishes, HomeWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress,
-};
 pub use self::right::{Kind, Needed};
+pub use self::wishes::{
+    Administration, Epochs, ExportWishes, FollowWishes, Held, ImportWishes, KeyKind, Pace, PairKind, PlayWishes, Remap,
+    UploadQuery,
+};
 pub use crate::store::AuditQuery;
 
 use std::fmt;
@@ -27,6 +22,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 use zeroize::{Zeroize, ZeroizeOnDrop};
 
+use self::right::{CAPTURE, GRANT, LOOK, OWNER, PASSPHRASE};
 use crate::model::{
     Address, ContactName, IncidentName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TopicPattern,
     TypeName,
@@ -34,10 +30,10 @@ use crate::model::{
 use crate::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, AuditCheck, AuditView, BackupView, CaptureSummary,
     ChainView, CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView,
-    DeviceRow, DeviceTopicsView, EnrolledView, ErasureView, EvidenceView, ExportedFile, GatewayStatusView, GatewayView,
-    GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PlayedView,
-    PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, RingPullView, RobotRow, RobotView, ServedView,
-    SiteView, StampView, TopicRow, TransactionView,
+    DeviceRow, DeviceTopicsView, EnrolledView, ErasureView, EvidenceView, ExportView, ExportedFile, FollowView,
+    GatewayStatusView, GatewayView, GrantRow, IdentityView, ImportView, IncidentView, KeyChangeView, KeysView,
+    OpenedView, PathView, PinsView, PlayedView, PolicyView, ProgressView, Provenance, QuarantineView, RecordAudit,
+    RecordPage, RingPullView, RobotRow, RobotView, ServedView, SiteView, StampView, TopicRow, TransactionView,
 };
 use crate::ros::readable::Exported;
 
@@ -49,18 +45,18 @@ requests! {
     CreateIdentity {
         /// Protects the keyring.
         passphrase: SecretText,
-    } => IdentityView;
+    } => IdentityView, PASSPHRASE;
     /// Show the profile's public identity; needs no passphrase.
-    ShowIdentity => IdentityView;
+    ShowIdentity => IdentityView, LOOK;
     /// Open the keyring for this session of the site.
     Unlock {
         /// The keyring's passphrase.
         passphrase: SecretText,
-    } => IdentityView;
+    } => IdentityView, PASSPHRASE;
     /// Register the identity on the chain.
-    Register => IdentityView;
+    Register => IdentityView, OWNER;
     /// Keys with fingerprints and epochs.
-    ListKeys => KeysView;
+    ListKeys => KeysView, LOOK;
     /// Replace one key with one from a file.
     LoadKey {
         /// Which key.
@@ -69,32 +65,32 @@ requests! {
         path: std::path::PathBuf,
         /// Passphrase of a V3 keystore file.
         passphrase: Option<SecretText>,
-    } => KeysView;
+    } => KeysView, PASSPHRASE;
     /// Begin a new epoch.
-    RotateKeys => TransactionView;
+    RotateKeys => TransactionView, OWNER;
     /// Replace the envelope pair with a new one.
-    RotateEnvelope => KeysView;
+    RotateEnvelope => KeysView, OWNER;
     /// Who is affected by another SM2 pair; changes nothing.
     ForeseeKeyChange {
         /// Which pair.
         kind: PairKind,
-    } => KeyChangeView;
+    } => KeyChangeView, LOOK;
     /// Protect the keyring with another passphrase.
     ChangePassphrase {
         /// The current one.
         old: SecretText,
         /// The new one.
         new: SecretText,
-    } => ();
+    } => (), PASSPHRASE;
     /// Export one key.
     ExportKey {
         /// Which key.
         kind: KeyKind,
         /// Passphrase for the V3 keystore to be written (EOA only).
         passphrase: Option<SecretText>,
-    } => SecretBytes;
+    } => SecretBytes, PASSPHRASE;
     /// All topics of the ROS graph.
-    ListTopics => Vec<TopicRow>;
+    ListTopics => Vec<TopicRow>, LOOK;
     /// When there are own records of a topic, where some are missing, and what was quarantined; needs no passphrase.
     TopicCoverage {
         /// The topic.
@@ -108,55 +104,55 @@ requests! {
         until: Option<Timestamp>,
         /// Divided into this many parts, 1 to 1,000.
         parts: usize,
-    } => CoverageView;
+    } => CoverageView, LOOK;
     /// Capture a topic until it is unwatched, across restarts.
     WatchTopic {
         /// The topic.
         topic: TopicName,
         /// Refuse other types.
         type_name: Option<TypeName>,
-    } => ();
+    } => (), CAPTURE;
     /// Stop capturing a topic.
     UnwatchTopic {
         /// The topic.
         topic: TopicName,
-    } => ();
+    } => (), CAPTURE;
     /// Pinned publishers, and alarms about others.
     ListPins {
         /// Only for this topic.
         topic: Option<TopicName>,
-    } => PinsView;
+    } => PinsView, LOOK;
     /// Accept publishers of a topic.
     PinTopic {
         /// The topic.
         topic: TopicName,
         /// Their publishers; empty = those being read now.
         publishers: Vec<Publisher>,
-    } => PinsView;
+    } => PinsView, CAPTURE;
     /// No longer accept a caller id on a topic.
     UnpinTopic {
         /// The topic.
         topic: TopicName,
         /// The node name.
         caller_id: String,
-    } => PinsView;
+    } => PinsView, CAPTURE;
     /// Quarantined messages, oldest first.
     ListQuarantine {
         /// Only of this topic.
         topic: Option<TopicName>,
         /// At most this many, 1 to 1,000.
         limit: usize,
-    } => QuarantineView;
+    } => QuarantineView, LOOK;
     /// Release quarantined messages.
     ReleaseHeld {
         /// Which ones.
         held: Held,
-    } => DecidedView;
+    } => DecidedView, OWNER;
     /// Delete quarantined messages.
     DiscardHeld {
         /// Which ones.
         held: Held,
-    } => DecidedView;
+    } => DecidedView, OWNER;
     /// Capture topics until a count or time is reached; answered when everything captured is verified.
     Capture {
         /// The topics.
@@ -169,32 +165,48 @@ requests! {
         milliseconds: Option<u64>,
         /// Tags for the sealed head.
         tags: Vec<(String, String)>,
-    } => CaptureSummary;
+    } => CaptureSummary, CAPTURE;
     /// End the running captures and imports of this profile now (their answers follow).
-    StopCapture => ();
-    /// Rules for topics.
-    Policy {
-        /// The action.
-        with: PolicyCommand,
-    } => PolicyView;
+    StopCapture => (), CAPTURE;
+    /// The rule of each topic.
+    ShowPolicy => PolicyView, LOOK;
+    /// What each topic of the graph does for a while; looks at the graph only, for rules to be written.
+    LearnPolicy {
+        /// How long to look, milliseconds.
+        milliseconds: u64,
+    } => PolicyView, CAPTURE;
+    // Recordings are files that the site reads and writes as its user.
+    /// Seal the messages of a recording as records; answered when all are verified.
+    ImportRecording(wishes: ImportWishes) => ImportView, OWNER;
+    /// Seal what is recorded into a folder, until it is closed or this is ended.
+    FollowFolder(wishes: FollowWishes) => FollowView, OWNER;
+    /// Seal every message of another home of the same owner; answered when all are verified.
+    ImportHome {
+        /// Its folder, absolute; read by the site, which runs as the same user.
+        home: PathBuf,
+    } => ImportView, OWNER;
+    /// Write records that this profile may read as a recording.
+    ExportRecording(wishes: ExportWishes) => ExportView, OWNER;
+    /// How far the profile's imports, exports, audits and back-ups are; needs no keyring.
+    RecordingProgress => Vec<ProgressView>, LOOK;
     /// Own records.
-    ListUploads(query: UploadQuery) => RecordPage;
+    ListUploads(query: UploadQuery) => RecordPage, LOOK;
     /// One own record with its provenance.
     ShowUpload {
         /// Its id, or the beginning of its digest.
         id: String,
-    } => Provenance;
+    } => Provenance, LOOK;
     /// One own record's files for third parties to check.
     ExportUpload {
         /// Its id.
         id: String,
         /// With full addresses.
         addresses: bool,
-    } => Vec<ExportedFile>;
+    } => Vec<ExportedFile>, OWNER;
     /// Own records with all their proofs, in one file.
-    ExportEvidence(wishes: EvidenceWishes) => EvidenceView;
+    ExportEvidence(wishes: EvidenceWishes) => EvidenceView, OWNER;
     /// Get time stamps now for what the authorities have not stamped yet.
-    StampEvidence => StampView;
+    StampEvidence => StampView, OWNER;
     /// Share with another account.
     Grant {
         /// The reader.
@@ -205,78 +217,78 @@ requests! {
         epochs: Epochs,
         /// When the grant ends.
         expires: Option<Timestamp>,
-    } => TransactionView;
+    } => TransactionView, GRANT;
     /// Extend an active grant.
     ExtendGrant {
         /// The reader.
         grantee: Party,
         /// Its new end; `None` = no end.
         expires: Option<Timestamp>,
-    } => TransactionView;
+    } => TransactionView, GRANT;
     /// Stop sharing with an account; begins a new epoch.
     Revoke {
         /// The reader to revoke.
         grantee: Party,
-    } => TransactionView;
+    } => TransactionView, GRANT;
     /// Grants given and received.
-    ListGrants => Vec<GrantRow>;
+    ListGrants => Vec<GrantRow>, LOOK;
     /// Records others share with this profile.
-    ListShared(query: UploadQuery) => RecordPage;
+    ListShared(query: UploadQuery) => RecordPage, LOOK;
     /// The paper's Data_Check of one record: digest against the chain, signature, and the contract's answer about the
     /// right to read it.
     CheckShared {
         /// Its id.
         id: String,
-    } => CheckView;
+    } => CheckView, LOOK;
     /// Check, decrypt and decode one record (shared or own).
     OpenShared {
         /// Its id.
         id: String,
-    } => Box<OpenedView>;
+    } => Box<OpenedView>, OWNER;
     /// Publish shared records in a ROS graph, each checked first; ends at the latest with the connection that requested
     /// it.
-    Play(wishes: PlayWishes) => PlayedView;
+    Play(wishes: PlayWishes) => PlayedView, OWNER;
     /// End this profile's playback (the answers follow).
-    StopPlay => ();
+    StopPlay => (), OWNER;
     /// Let a device sign for the profile.
     LendDevice {
         /// SM3 of its public key.
         device: SignerId,
         /// When the loan ends, whole seconds.
         until: Option<Timestamp>,
-    } => TransactionView;
+    } => TransactionView, OWNER;
     /// Recall a device.
     RecallDevice {
         /// The device's id, or the beginning of it.
         device: String,
-    } => TransactionView;
+    } => TransactionView, OWNER;
     /// Give an enrolled robot the keys for more topics.
     AddDeviceTopics {
         /// Its name, the device's id, or the beginning of it.
         device: String,
         /// The topics.
         topics: Vec<TopicName>,
-    } => DeviceTopicsView;
+    } => DeviceTopicsView, OWNER;
     /// Give an enrolled robot a further address of its gateway.
     AddDeviceAddress {
         /// Its name, the device's id, or the beginning of it.
         device: String,
         /// Host:port.
         address: String,
-    } => DeviceAddressesView;
+    } => DeviceAddressesView, OWNER;
     /// Make a robot a device of the profile, known to its gateway.
-    EnrolDevice(wishes: super::site::EnrolWishes) => EnrolledView;
+    EnrolDevice(wishes: super::site::EnrolWishes) => EnrolledView, PASSPHRASE;
     /// Devices lent and recalled.
-    ListDevices => Vec<DeviceRow>;
+    ListDevices => Vec<DeviceRow>, LOOK;
     /// Compare a fingerprint with that of an account's registered key.
     CompareFingerprint {
         /// As a person passed it on.
         fingerprint: String,
         /// The account; `None` = this profile's own.
         account: Option<Party>,
-    } => CompareView;
+    } => CompareView, LOOK;
     /// The address book of this home.
-    ListContacts => Vec<ContactRow>;
+    ListContacts => Vec<ContactRow>, LOOK;
     /// Add an account.
     AddContact {
         /// Its name here.
@@ -285,35 +297,35 @@ requests! {
         address: Address,
         /// Of its SM2 key, as a person passed it on.
         fingerprint: Option<String>,
-    } => Vec<ContactRow>;
+    } => Vec<ContactRow>, OWNER;
     /// Remove an account.
     RemoveContact {
         /// Its name.
         name: ContactName,
-    } => Vec<ContactRow>;
+    } => Vec<ContactRow>, OWNER;
     /// Accept the key that an account has registered now as the right one.
     ConfirmContact {
         /// Its name.
         name: ContactName,
         /// Only if it has this fingerprint.
         fingerprint: Option<String>,
-    } => Vec<ContactRow>;
+    } => Vec<ContactRow>, OWNER;
     /// An act of the contract's administrator.
-    Administer(act: Administration) => TransactionView;
+    Administer(act: Administration) => TransactionView, OWNER;
     /// Name who may stop a succession of the profile's account; `None` = nobody.
     NameRecovery {
         /// The account.
         recovery: Option<Party>,
-    } => TransactionView;
+    } => TransactionView, OWNER;
     /// The chain as seen by this profile.
-    ChainStatus => Box<ChainView>;
+    ChainStatus => Box<ChainView>, LOOK;
     /// Pending and completed successions, and the profile's recovery account.
-    ListSuccessions => Box<AdministrationView>;
+    ListSuccessions => Box<AdministrationView>, LOOK;
     /// Deploy the contract and pin it; refused if one is pinned already.
     DeployContract {
         /// The delay before a succession, seconds [default: a week].
         delay: Option<u64>,
-    } => DeployedView;
+    } => DeployedView, OWNER;
     /// Cancel a transaction of this profile that is in no block: an empty one takes its nonce. Records that it anchored
     /// are anchored again.
     CancelTransaction {
@@ -321,12 +333,12 @@ requests! {
         nonce: u64,
         /// The account; `None` = the profile's own.
         account: Option<Address>,
-    } => TransactionView;
+    } => TransactionView, OWNER;
     /// Answer other tools' JSON-RPC for the embedded chain, until the connection that requested it ends.
     ServeChain {
         /// The address, on loopback.
         address: std::net::SocketAddr,
-    } => ServedView;
+    } => ServedView, OWNER;
     /// Serve robots and operators that run no chain client, until the connection that requested it ends. The profile's
     /// account anchors what they send.
     ServeGateway {
@@ -334,39 +346,89 @@ requests! {
         address: std::net::SocketAddr,
         /// Also for owners who were not admitted, whatever the settings say.
         open: bool,
-    } => GatewayView;
+    } => GatewayView, OWNER;
     /// Health, counts and alerts of the whole site.
-    SiteStatus => SiteView;
+    SiteStatus => SiteView, LOOK;
     /// The newest matching audit lines.
-    ListAudit(query: AuditQuery) => Vec<AuditView>;
+    ListAudit(query: AuditQuery) => Vec<AuditView>, LOOK;
     /// Recompute the whole audit log and compare it with the heads anchored by this profile.
     VerifyAudit {
         /// Also the anchored heads: needs the keyring open.
         heads: bool,
-    } => AuditCheck;
+    } => AuditCheck, LOOK;
     /// The whole audit log as a file for third parties.
     ExportAudit {
         /// With full addresses.
         addresses: bool,
-    } => Vec<ExportedFile>;
+    } => Vec<ExportedFile>, OWNER;
     /// Claims the profile for a console until the connection ends; refused if one is open already.
-    OpenConsole => ();
+    OpenConsole => (), LOOK;
+    /// One record, checked and opened, with its message as a file.
+    ViewFile {
+        /// Its id.
+        id: String,
+        /// The format; `None` = a picture's own bytes if it is one, else the message's.
+        kind: Option<Exported>,
+    } => Box<OpenedView>, OWNER;
+    /// The robot's positions, from the records of a topic up to this one.
+    ViewPath {
+        /// Its id.
+        id: String,
+        /// At most this many records, including this one; 2 to [`LONGEST_PATH`].
+        records: usize,
+    } => PathView, OWNER;
+    /// Compare all records with their proofs and the chain.
+    AuditRecords {
+        /// Also every stored byte and every signature.
+        deep: bool,
+        /// Only records captured at this time or later.
+        since: Option<Timestamp>,
+    } => Box<RecordAudit>, LOOK;
+    // Records of other profiles are not this owner's to show.
+    /// Records of all profiles of the home.
+    ListAllUploads(query: UploadQuery) => RecordPage, OWNER;
+    /// Write keyrings, store and chain, settings and pins into one encrypted file.
+    BackUp {
+        /// The file, absolute; must not exist.
+        file: PathBuf,
+        /// Protects the backup.
+        passphrase: SecretText,
+    } => BackupView, PASSPHRASE;
+    /// Show which records would be erased, or erase them; needs the keyring.
+    EraseRecords(wishes: ErasureWishes) => ErasureView, OWNER;
+    /// Wipe the keys for reading, granting and revoking from memory, while capture and anchoring go on. `Unlock` brings
+    /// them back.
+    Lock => IdentityView, OWNER;
+    /// Pause the capture of all watched topics, or resume it; watched topics stay watched.
+    HoldCapture {
+        /// Whether it is paused.
+        hold: bool,
+    } => (), CAPTURE;
+    /// The profile's keyring as stored on disk, under its passphrase.
+    BackUpKeys => SecretBytes, OWNER;
+    /// Active alerts.
+    ListAlerts => AlertsView, LOOK;
+    /// Send a test alert, marked as such, and return the reply.
+    TestAlert => AlertTestView, OWNER;
+    /// Who is connected to the gateway of this site, its system keys, and its refusals.
+    GatewayStatus => GatewayStatusView, LOOK;
+    /// Let an owner use the gateway of this home.
+    Admit {
+        /// The owner.
+        owner: Party,
+    } => Vec<AdmittedView>, OWNER;
+    /// No longer let an owner use it.
+    Dismiss {
+        /// The owner.
+        owner: Party,
+    } => Vec<AdmittedView>, OWNER;
+    /// The admitted owners.
+    ListAdmitted => Vec<AdmittedView>, LOOK;
     groups {
-        /// Recordings: bags and MCAP.
-        Recording {
-            /// The action.
-            with: RecordingCommand,
-        },
-        /// View opened records: as files, as a path.
-        View(Viewing),
-        /// About the whole store.
-        OfStore(StoreCommand),
-        /// Operations on the site itself.
-        Operate(Operation),
         /// Incidents: spans of own records, kept together.
-        OfIncident(IncidentCommand),
+        OfIncident(IncidentCommand);
         /// Robots: what is asked of them.
-        OfRobot(RobotCommand),
+        OfRobot(RobotCommand);
     }
 }
 
@@ -377,31 +439,6 @@ pub struct Request {
     pub profile: ProfileName,
     /// The command.
     pub command: Command,
-}
-
-requests! {
-    /// Work on the whole store; only erasing needs the keyring.
-    #[serde(rename_all = "snake_case", tag = "of_store")]
-    enum StoreCommand by Command::OfStore;
-    /// Compare all records with their proofs and the chain.
-    AuditRecords {
-        /// Also every stored byte and every signature.
-        deep: bool,
-        /// Only records captured at this time or later.
-        since: Option<Timestamp>,
-    } => Box<RecordAudit>;
-    /// Records of all profiles of the home.
-    #[serde(rename = "list_uploads")]
-    ListAllUploads(query: UploadQuery) => RecordPage;
-    /// Write keyrings, store and chain, settings and pins into one encrypted file.
-    BackUp {
-        /// The file, absolute; must not exist.
-        file: PathBuf,
-        /// Protects the backup.
-        passphrase: SecretText,
-    } => BackupView;
-    /// Show which records would be erased, or erase them; needs the keyring.
-    EraseRecords(wishes: ErasureWishes) => ErasureView;
 }
 
 /// What is to be erased, and why.
@@ -462,65 +499,31 @@ requests! {
         /// Robots whose rings are asked for it; then the keyring is needed.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         robots: Vec<String>,
-    } => IncidentView;
+    } => IncidentView, OWNER;
     /// All incidents of the profile, each with what it holds.
-    ListIncidents => Vec<IncidentView>;
+    ListIncidents => Vec<IncidentView>, LOOK;
     /// One of them.
     ShowIncident {
         /// Its name.
         name: IncidentName,
-    } => IncidentView;
+    } => IncidentView, LOOK;
     /// Add a note.
     NoteIncident {
         /// Its name.
         name: IncidentName,
         /// The note.
         text: String,
-    } => IncidentView;
+    } => IncidentView, OWNER;
     /// End its span now; its records stay held.
     CloseIncident {
         /// Its name.
         name: IncidentName,
-    } => IncidentView;
+    } => IncidentView, OWNER;
     /// Remove it: its records are subject to retention again.
     RemoveIncident {
         /// Its name.
         name: IncidentName,
-    } => Vec<IncidentView>;
-}
-
-requests! {
-    /// One of these.
-    #[serde(rename_all = "snake_case", tag = "operation")]
-    enum Operation by Command::Operate;
-    /// Wipe the keys for reading, granting and revoking from memory, while capture and anchoring go on. `Unlock` brings
-    /// them back.
-    Lock => IdentityView;
-    /// Pause the capture of all watched topics, or resume it; watched topics stay watched.
-    HoldCapture {
-        /// Whether it is paused.
-        hold: bool,
-    } => ();
-    /// The profile's keyring as stored on disk, under its passphrase.
-    BackUpKeys => SecretBytes;
-    /// Active alerts.
-    ListAlerts => AlertsView;
-    /// Send a test alert, marked as such, and return the reply.
-    TestAlert => AlertTestView;
-    /// Who is connected to the gateway of this site, its system keys, and its refusals.
-    GatewayStatus => GatewayStatusView;
-    /// Let an owner use the gateway of this home.
-    Admit {
-        /// The owner.
-        owner: Party,
-    } => Vec<AdmittedView>;
-    /// No longer let an owner use it.
-    Dismiss {
-        /// The owner.
-        owner: Party,
-    } => Vec<AdmittedView>;
-    /// The admitted owners.
-    ListAdmitted => Vec<AdmittedView>;
+    } => Vec<IncidentView>, OWNER;
 }
 
 /// The longest policy of a robot, bytes.
@@ -542,47 +545,26 @@ requests! {
         topics: Vec<TopicPattern>,
         /// Takes from this incident what is not named here.
         incident: Option<IncidentName>,
-    } => RingPullView;
+    } => RingPullView, OWNER;
     /// The enrolled robots, each with the policy wanted and the one it works by.
-    ListRobots => Vec<RobotRow>;
+    ListRobots => Vec<RobotRow>, LOOK;
     /// One robot with its policy, topics and losses.
     ShowRobot {
         /// Its name, or the beginning of its device's id.
         name: String,
-    } => RobotView;
+    } => RobotView, LOOK;
+    // The account signs what a robot obeys.
     /// Set the policy of a robot.
     SetRobotPolicy {
         /// Its name, or the beginning of its device's id.
         name: String,
         /// The policy, as TOML; empty = the robot's own settings alone.
         text: String,
-    } => RobotView;
+    } => RobotView, OWNER;
 }
 
 /// The most records of a path.
 pub const LONGEST_PATH: usize = 1_000;
-
-requests! {
-    /// Requests about opened records.
-    #[serde(rename_all = "snake_case", tag = "view")]
-    enum Viewing by Command::View;
-    /// One record, checked and opened, with its message as a file.
-    #[serde(rename = "file")]
-    ViewFile {
-        /// Its id.
-        id: String,
-        /// The format; `None` = a picture's own bytes if it is one, else the message's.
-        kind: Option<Exported>,
-    } => Box<OpenedView>;
-    /// The robot's positions, from the records of a topic up to this one.
-    #[serde(rename = "path")]
-    ViewPath {
-        /// Its id.
-        id: String,
-        /// At most this many records, including this one; 2 to [`LONGEST_PATH`].
-        records: usize,
-    } => PathView;
-}
 
 /// A secret text on its way to the site of the same user: a passphrase. Never in Debug.
 #[derive(Clone, Serialize, Deserialize, Zeroize, ZeroizeOnDrop)]

@@ -29,13 +29,12 @@ pub mod reply;
 pub mod restoring;
 pub mod site;
 pub mod socket;
-mod verdict;
 pub mod verification;
 #[cfg(test)]
 mod wire_tests;
 
 pub use client::{Call, Client};
-pub use command::{Ask, Command, Epochs, KeyKind, Operation, Request, SecretBytes, SecretText, UploadQuery};
+pub use command::{Ask, Command, Epochs, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
 pub use event::{Event, NoticeLevel, Part};
 pub use reply::{Failure, Reply};
 pub use site::{

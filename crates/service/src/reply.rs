@@ -2,8 +2,6 @@
 
 mod chain;
 mod identity;
-mod playing;
-mod recordings;
 mod records;
 mod site;
 mod topics;
@@ -18,17 +16,15 @@ pub use self::identity::{
     EnrolledView, EpochRecords, EpochView, GrantRow, GrantState, IdentityView, KeyChangeView, KeysView, ProposalView,
     RecoveryView, RobotGatewayView, SuccessionView, TransactionView,
 };
-pub use self::playing::{PlayEnd, PlayedView};
-pub use self::recordings::{
-    ExportView, ExportedTopic, FollowView, FollowedFile, ImportView, ImportedTopic, PolicyRow, PolicyView,
-    ProgressView, RecordingReply, Refused,
-};
 pub use self::records::{
     Caveat, CheckView, ContractAnswer, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView,
     Refusal, ShownState, StampView, StampedView,
 };
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
-pub use self::topics::{CaptureSummary, CoverageView, HeldUp, TopicRow, TopicSummary};
+pub use self::topics::{
+    CaptureSummary, CoverageView, ExportView, ExportedTopic, FollowView, FollowedFile, HeldUp, ImportView,
+    ImportedTopic, PlayEnd, PlayedView, PolicyRow, PolicyView, ProgressView, Refused, TopicRow, TopicSummary,
+};
 pub use crate::ros::graph::Unreached as UnreachedView;
 pub use crate::ros::recording::Unusable as LeftOut;
 pub use crate::store::{
@@ -123,9 +119,15 @@ replies! {
     Coverage(CoverageView);
     /// To `Capture`.
     Captured(CaptureSummary);
-    /// To `Recording`.
-    Recording(RecordingReply);
-    /// To `Policy`.
+    /// To `ImportRecording` and `ImportHome`.
+    Imported(ImportView);
+    /// To `FollowFolder`.
+    Followed(FollowView);
+    /// To `ExportRecording`.
+    Exported(ExportView);
+    /// To `RecordingProgress`.
+    Progress(Vec<ProgressView>);
+    /// To `ShowPolicy` and `LearnPolicy`.
     Policy(PolicyView);
     /// To lists of records.
     Records(RecordPage);
@@ -159,7 +161,7 @@ replies! {
     Check(CheckView);
     /// To `OpenShared`.
     Opened(Box<OpenedView>);
-    /// To `Viewing::Path`.
+    /// To `ViewPath`.
     Path(PathView);
     /// To commands about pins.
     Pins(PinsView);
@@ -177,13 +179,13 @@ replies! {
     Served(ServedView);
     /// To `ServeGateway`.
     Gateway(GatewayView);
-    /// To `Operation::GatewayStatus`.
+    /// To `GatewayStatus`.
     GatewayStatus(GatewayStatusView);
-    /// To `Operation::Admit`, `Operation::Dismiss` and `Operation::ListAdmitted`.
+    /// To `Admit`, `Dismiss` and `ListAdmitted`.
     Admitted(Vec<AdmittedView>);
-    /// To `Operation::ListAlerts`.
+    /// To `ListAlerts`.
     Alerts(AlertsView);
-    /// To `Operation::TestAlert`.
+    /// To `TestAlert`.
     AlertTested(AlertTestView);
     /// To `SiteStatus`.
     Site(SiteView);
@@ -210,7 +212,8 @@ replies! {
 }
 
 /// The severity of an alert.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
     /// Somebody should look at it today.
@@ -222,10 +225,7 @@ pub enum Severity {
 impl Severity {
     /// In one word.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Warning => "warning",
-            Self::Critical => "critical",
-        }
+        self.into()
     }
 }
 

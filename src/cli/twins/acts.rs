@@ -13,7 +13,7 @@ use crate::service::command::{
     Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
     ShowRobot,
 };
-use crate::service::{Command, Epochs, KeyKind, Operation, SecretText};
+use crate::service::{Command, Epochs, KeyKind, SecretText};
 
 const OWNER: Address = Address([0xab; 20]);
 /// 2027-01-31T12:00:00Z
@@ -89,8 +89,8 @@ fn acts_of_keys() -> Vec<Act> {
         (Tag::LoadKey(KeyKind::Eoa), keystore, "keys load --eoa '/a key.json' --keystore-passphrase-file FILE".into()),
         (Tag::ExportKey(KeyKind::Sm4), export, "keys export sm4 --out FILE".into()),
         (Tag::Rotate, Command::RotateKeys, "keys rotate".into()),
-        (Tag::Lock, Command::Operate(Operation::Lock), "identity lock".into()),
-        (Tag::BackUp, Command::Operate(Operation::BackUpKeys), "keys backup --out FILE".into()),
+        (Tag::Lock, Command::Lock, "identity lock".into()),
+        (Tag::BackUp, Command::BackUpKeys, "keys backup --out FILE".into()),
     ]
 }
 
@@ -221,7 +221,7 @@ fn every_act_of_the_console_has_the_line_that_a_person_would_type() {
 #[test]
 fn what_is_no_act_has_none_and_another_profile_is_named() {
     let state = State::new(Settings { profile: "bob".parse().expect("a name"), ..Settings::default() });
-    let hold = Errand { command: Command::Operate(Operation::HoldCapture { hold: true }), tag: Tag::HoldCapture };
+    let hold = Errand { command: Command::HoldCapture { hold: true }, tag: Tag::HoldCapture };
     assert_eq!(palette::twin(&state, &hold), None);
     let rotate = Errand { command: Command::RotateKeys, tag: Tag::Rotate };
     assert_eq!(palette::twin(&state, &rotate).as_deref(), Some("authros --profile bob keys rotate"));

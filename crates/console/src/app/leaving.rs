@@ -6,8 +6,8 @@ use super::keymap::Key;
 use super::popup::Popup;
 use super::update::Feed;
 use super::verb::{Effect, Errand, Tag};
+use crate::service::Command;
 use crate::service::reply::{HeldUp, TopicRow};
-use crate::service::{Command, Operation};
 
 /// How far leaving has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,7 +150,7 @@ pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
 }
 
 fn hold(state: &mut State, hold: bool) -> Effect {
-    let command = Command::Operate(Operation::HoldCapture { hold });
+    let command = Command::HoldCapture { hold };
     state.send(Errand { command, tag: Tag::HoldCapture })
 }
 

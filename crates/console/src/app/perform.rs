@@ -13,9 +13,9 @@ use super::update::{self, Feed, start};
 use super::verb::{Contents, Effect, Errand, Tag, Verb};
 use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName};
+use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{PlayedView, TopicRow};
-use crate::service::{Command, Operation};
 
 /// Performs `verb`, or says why that is not possible now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
@@ -41,7 +41,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Lock => return update::lock(state),
         Verb::Undo => return undo(state),
         Verb::BackUp => {
-            return vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })];
+            return vec![state.send(Errand { command: Command::BackUpKeys, tag: Tag::BackUp })];
         }
         Verb::ChooseTheme => return choosing::choose(state),
         Verb::Ascii => return vec![Effect::ToggleAscii],

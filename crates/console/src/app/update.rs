@@ -11,7 +11,7 @@ use super::{Screen, State, alerts, incidents, leaving, opening, palette, policie
 use crate::model::{RecordState, Timestamp};
 use crate::service::command::{AuditQuery, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
-use crate::service::{Command, Event, Failure, NoticeLevel, Operation, Part};
+use crate::service::{Command, Event, Failure, NoticeLevel, Part};
 use strum::{EnumCount, EnumIter, IntoEnumIterator as _};
 
 /// The first effects of a console: claim the profile, request what is on screen.
@@ -241,7 +241,7 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Contacts => exists.then_some(Command::ListContacts),
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),
-        Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
+        Feed::Gateway => Some(Command::GatewayStatus),
         Feed::Robots => policies::is_open(state).then(|| ListRobots.into()),
     }
 }
@@ -413,7 +413,7 @@ pub fn lock(state: &mut State) -> Vec<Effect> {
     if state.work.contains(&Tag::Lock) {
         return Vec::new();
     }
-    vec![state.send(Errand { command: Command::Operate(Operation::Lock), tag: Tag::Lock })]
+    vec![state.send(Errand { command: Command::Lock, tag: Tag::Lock })]
 }
 
 /// When the keyring locks unless a key is pressed first.
@@ -458,7 +458,7 @@ pub enum Feed {
     Chain,
     /// `ListAudit`.
     Audit,
-    /// `Operation::GatewayStatus`.
+    /// `GatewayStatus`.
     Gateway,
     /// `ListContacts`.
     Contacts,

@@ -1,11 +1,11 @@
 //! The gateway's answers, by Command.
 
-use crate::model::wire::{Reader, WireError};
+use crate::model::wire::{Reader, Wire, WireError, read_list};
 use crate::model::{PublicKey, Signature, Timestamp};
 
 use super::relay::Relayed;
 use super::request::MOST_DIGESTS;
-use super::{Command, ErasedRecord, ErasureOutcome};
+use super::{Command, ErasedRecord, ErasureOutcome, MOST_ERASURES, list};
 use crate::error::Code;
 use crate::feed::{FeedPage, read_proof};
 use crate::gateway::receipt::Receipt;
@@ -58,54 +58,26 @@ pub enum Found {
     Erased(ErasedRecord),
 }
 
-impl Found {
-    fn encode(&self, out: &mut Vec<u8>) {
-        let record = match self {
-            Self::Missing(code) => {
-                out.push(0);
-                return out.extend_from_slice(&code.number().to_be_bytes());
-            }
-            Self::Here => return out.push(1),
-            Self::Held(record) => {
-                out.push(2);
-                record.encode()
-            }
-            Self::Erased(erased) => {
-                out.push(3);
-                erased.clone().into_fetched().encode()
-            }
-        };
-        out.extend_from_slice(&u32::try_from(record.len()).unwrap_or(u32::MAX).to_be_bytes());
-        out.extend_from_slice(&record);
+impl Wire for Found {
+    fn put(&self, out: &mut Vec<u8>) {
+        match self {
+            Self::Missing(code) => (0u8, *code).put(out),
+            Self::Here => 1u8.put(out),
+            Self::Held(record) => (2u8, record.encode()).put(out),
+            Self::Erased(erased) => (3u8, erased.clone().into_fetched().encode()).put(out),
+        }
     }
 
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let tag = reader.u8("what was found")?;
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        let tag = reader.u8(field)?;
         match tag {
-            0 => return Ok(Self::Missing(read_code(reader)?)),
+            0 => return Code::read(reader, "code").map(Self::Missing),
             1 => return Ok(Self::Here),
             2 | 3 => {}
-            _ => return Err(WireError::Value("what was found")),
+            _ => return Err(WireError::Value(field)),
         }
-        let length = usize::try_from(reader.u32("record length")?).unwrap_or(usize::MAX);
-        let mut one = Reader::new(reader.take(length, "record")?);
-        let record = Fetched::read(&mut one)?;
+        let record = Fetched::read(&mut Reader::new(&Vec::<u8>::read(reader, "record")?))?;
         if tag == 2 { Ok(Self::Held(record)) } else { ErasedRecord::from_fetched(record).map(Self::Erased) }
-    }
-
-    fn encode_all(all: &[Self]) -> Vec<u8> {
-        let all = &all[..all.len().min(MOST_DIGESTS)];
-        let mut out = u16::try_from(all.len()).unwrap_or(0).to_be_bytes().to_vec();
-        all.iter().for_each(|found| found.encode(&mut out));
-        out
-    }
-
-    fn read_all(reader: &mut Reader<'_>) -> Result<Vec<Self>, WireError> {
-        let count = usize::from(reader.u16("record count")?);
-        if count > MOST_DIGESTS {
-            return Err(WireError::Value("record count"));
-        }
-        (0..count).map(|_| Self::read(reader)).collect()
     }
 }
 
@@ -155,12 +127,12 @@ impl Answer {
         match self {
             Self::SystemKeys(list) => list.clone(),
             Self::Receipt(_, receipt) => receipt.encode(),
-            Self::Time(time) => time.0.to_be_bytes().to_vec(),
+            Self::Time(time) => time.encoded(),
             Self::Relayed(relayed) => relayed.encode(),
-            Self::Erasures(outcomes) => ErasureOutcome::encode_all(outcomes),
+            Self::Erasures(outcomes) => list(outcomes, MOST_ERASURES),
             Self::Feed(page) => page.encode(),
-            Self::Records(found) => Found::encode_all(found),
-            Self::Refused(code) => code.number().to_be_bytes().to_vec(),
+            Self::Records(found) => list(found, MOST_DIGESTS),
+            Self::Refused(code) => code.encoded(),
         }
     }
 
@@ -181,18 +153,18 @@ impl Answer {
             | Command::GrantNotice
             | Command::RevokeNotice
             | Command::DeviceNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
-            Command::Erase => Self::Erasures(ErasureOutcome::read_all(&mut reader)?),
+            Command::Erase => {
+                Self::Erasures(read_list::<u16, _>(&mut reader, 0..=MOST_ERASURES, ("outcome count", "outcome"))?)
+            }
             Command::Feed => Self::Feed(Box::new(FeedPage::read(&mut reader)?)),
-            Command::Records => Self::Records(Found::read_all(&mut reader)?),
-            Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
+            Command::Records => {
+                Self::Records(read_list::<u16, _>(&mut reader, 0..=MOST_DIGESTS, ("record count", "what was found"))?)
+            }
+            Command::Ping => Self::Time(Timestamp::read(&mut reader, "time")?),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
-            Command::Refuse => Self::Refused(read_code(&mut reader)?),
+            Command::Refuse => Self::Refused(Code::read(&mut reader, "code")?),
         };
         reader.end()?;
         Ok(answer)
     }
-}
-
-pub(crate) fn read_code(reader: &mut Reader<'_>) -> Result<Code, WireError> {
-    Code::from_number(reader.u16("code")?).ok_or(WireError::Value("code"))
 }

@@ -1,11 +1,12 @@
 //! The client's requests, by Command: encoded and decoded, every count and length bounded.
 
 use crate::crypto::SealedRecord;
-use crate::model::wire::{Reader, WireError};
+use crate::model::layout;
+use crate::model::wire::{Reader, Wire, WireError, read_list};
 use crate::model::{Address, Digest, Hash, PublicKey, Signature, Token, TopicId};
 
 use super::relay::RelayCall;
-use super::{Command, ErasureNotice, encode_erasures, read_erasures};
+use super::{Command, ErasureNotice, encode_erasures, list, read_erasures};
 use crate::feed::Feed;
 use crate::gateway::allocation::AllocationRequest;
 
@@ -62,16 +63,6 @@ pub struct DeviceNotice {
     pub key: PublicKey,
     /// Where its owner's notices to it are filed.
     pub notices: TopicId,
-}
-
-impl DeviceNotice {
-    fn encode(&self) -> Vec<u8> {
-        [&self.key.0[..], &self.notices.0].concat()
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        Ok(Self { key: PublicKey(reader.array("device key")?), notices: TopicId(reader.array("topic id")?) })
-    }
 }
 
 /// What an owner tells her gateway, signed by d_C.
@@ -135,14 +126,14 @@ impl Request {
             Self::SystemKeys | Self::Ping => Vec::new(),
             Self::KeyAllocation(request) => request.encode(),
             Self::Upload(upload) => [&upload.signature.0[..], &upload.blob].concat(),
-            Self::UploadMany(uploads) => encode_uploads(uploads),
-            Self::Notice(Notice::Grant(notice)) => notice.encode(),
-            Self::Notice(Notice::Revoke(notice)) => notice.encode(),
-            Self::Notice(Notice::Device(notice)) => notice.encode(),
+            Self::UploadMany(uploads) => list(uploads, MOST_UPLOADS),
+            Self::Notice(Notice::Grant(notice)) => notice.encoded(),
+            Self::Notice(Notice::Revoke(notice)) => notice.encoded(),
+            Self::Notice(Notice::Device(notice)) => notice.encoded(),
             Self::Relay(call) => call.encode(),
             Self::Erase(erasures) => encode_erasures(erasures),
             Self::Feed(feed) => feed.encode(),
-            Self::Records(bytes, digests) => [vec![u8::from(*bytes)], encode_digests(digests)].concat(),
+            Self::Records(bytes, digests) => [bytes.encoded(), list(digests, MOST_DIGESTS)].concat(),
         }
     }
 
@@ -159,21 +150,20 @@ impl Request {
                 signature: Signature(reader.array("signature")?),
                 blob: reader.take(reader.rest().len(), "record")?.to_vec(),
             }),
-            Command::UploadMany => Self::UploadMany(read_uploads(&mut reader)?),
-            Command::GrantNotice => Self::Notice(Notice::Grant(GrantNotice::read(&mut reader)?)),
-            Command::RevokeNotice => Self::Notice(Notice::Revoke(RevokeNotice::read(&mut reader)?)),
-            Command::DeviceNotice => Self::Notice(Notice::Device(DeviceNotice::read(&mut reader)?)),
+            Command::UploadMany => {
+                Self::UploadMany(read_list::<u16, _>(&mut reader, 1..=MOST_UPLOADS, ("record count", "record"))?)
+            }
+            Command::GrantNotice => Self::Notice(Notice::Grant(Wire::read(&mut reader, "notice")?)),
+            Command::RevokeNotice => Self::Notice(Notice::Revoke(Wire::read(&mut reader, "notice")?)),
+            Command::DeviceNotice => Self::Notice(Notice::Device(Wire::read(&mut reader, "notice")?)),
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Erase => Self::Erase(read_erasures(&mut reader)?),
             Command::Feed => Self::Feed(Feed::read(&mut reader)?),
             Command::Records => {
-                let bytes = match reader.u8("bytes")? {
-                    0 => false,
-                    1 => true,
-                    _ => return Err(WireError::Value("bytes")),
-                };
-                Self::Records(bytes, read_digests(&mut reader)?)
+                let bytes = bool::read(&mut reader, "bytes")?;
+                let digests = read_list::<u16, _>(&mut reader, 1..=MOST_DIGESTS, ("digest count", "digest"))?;
+                Self::Records(bytes, digests)
             }
             Command::Refuse => return Err(WireError::Value("command")),
         };
@@ -182,76 +172,20 @@ impl Request {
     }
 }
 
-impl GrantNotice {
-    fn encode(&self) -> Vec<u8> {
-        let parts: [&[u8]; 4] =
-            [&self.grantee.0, &self.epoch.to_be_bytes(), &self.expiry.to_be_bytes(), &self.transaction.0];
-        parts.concat()
+layout!(GrantNotice { grantee: "grantee", epoch: "epoch", expiry: "expiry", transaction: "transaction" });
+layout!(RevokeNotice { grantee: "grantee", epoch: "epoch", token: "token", transaction: "transaction" });
+layout!(DeviceNotice { key: "device key", notices: "topic id" });
+
+/// Length of the blob (4) || signature || blob.
+impl Wire for Upload {
+    fn put(&self, out: &mut Vec<u8>) {
+        (u32::try_from(self.blob.len()).unwrap_or(u32::MAX), self.signature).put(out);
+        out.extend_from_slice(&self.blob);
     }
 
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        Ok(Self {
-            grantee: Address(reader.array("grantee")?),
-            epoch: reader.u64("epoch")?,
-            expiry: reader.u64("expiry")?,
-            transaction: Hash(reader.array("transaction")?),
-        })
-    }
-}
-
-impl RevokeNotice {
-    fn encode(&self) -> Vec<u8> {
-        let parts: [&[u8]; 4] = [&self.grantee.0, &self.epoch.to_be_bytes(), &self.token.0, &self.transaction.0];
-        parts.concat()
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        Ok(Self {
-            grantee: Address(reader.array("grantee")?),
-            epoch: reader.u64("epoch")?,
-            token: Token(reader.array("token")?),
-            transaction: Hash(reader.array("transaction")?),
-        })
-    }
-}
-
-fn count(length: usize, most: usize) -> [u8; 2] {
-    u16::try_from(length.min(most)).unwrap_or(u16::MAX).to_be_bytes()
-}
-
-fn read_count(reader: &mut Reader<'_>, most: usize, field: &'static str) -> Result<usize, WireError> {
-    let count = usize::from(reader.u16(field)?);
-    if (1..=most).contains(&count) { Ok(count) } else { Err(WireError::Value(field)) }
-}
-
-fn encode_uploads(uploads: &[Upload]) -> Vec<u8> {
-    let mut out = count(uploads.len(), MOST_UPLOADS).to_vec();
-    for upload in uploads.iter().take(MOST_UPLOADS) {
-        out.extend_from_slice(&u32::try_from(upload.blob.len()).unwrap_or(u32::MAX).to_be_bytes());
-        out.extend_from_slice(&upload.signature.0);
-        out.extend_from_slice(&upload.blob);
-    }
-    out
-}
-
-fn read_uploads(reader: &mut Reader<'_>) -> Result<Vec<Upload>, WireError> {
-    let count = read_count(reader, MOST_UPLOADS, "record count")?;
-    let mut uploads = Vec::new();
-    for _ in 0..count {
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
         let length = usize::try_from(reader.u32("record length")?).map_err(|_| WireError::Value("record length"))?;
-        let signature = Signature(reader.array("signature")?);
-        uploads.push(Upload { signature, blob: reader.take(length, "record")?.to_vec() });
+        let signature = Signature::read(reader, "signature")?;
+        Ok(Self { signature, blob: reader.take(length, field)?.to_vec() })
     }
-    Ok(uploads)
-}
-
-fn encode_digests(digests: &[Digest]) -> Vec<u8> {
-    let mut out = count(digests.len(), MOST_DIGESTS).to_vec();
-    digests.iter().take(MOST_DIGESTS).for_each(|digest| out.extend_from_slice(&digest.0));
-    out
-}
-
-fn read_digests(reader: &mut Reader<'_>) -> Result<Vec<Digest>, WireError> {
-    let count = read_count(reader, MOST_DIGESTS, "digest count")?;
-    (0..count).map(|_| reader.array("digest").map(Digest)).collect()
 }

@@ -199,7 +199,7 @@ impl Commands {
             shared.refused(self.caller.peer, &Refusal::new(*code, format_args!("records of {owner}")));
         }
         let signed = page.sign(shared.provider(), &shared.context.domain, &shared.identity);
-        let answer = signed.map(|page| Answer::Feed(Box::new(page))).map_err(Refusal::because(Code::Internal));
+        let answer = signed.map(|page| Answer::Feed(Box::new(page))).map_err(Refusal::internal);
         Some((waiting.request, answer))
     }
 

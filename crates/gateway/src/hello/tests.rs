@@ -14,9 +14,9 @@ fn session(client_key: Option<&TransportKey>, gateway_key: Option<&TransportKey>
     assert_eq!(client.agreed(), gateway.agreed());
     let (identify, client) = client.identify(&name(), client_key).expect("seals");
     let identified = gateway.identified(&identify).expect("opens");
-    assert_eq!(identified.name(), &name());
+    assert_eq!(identified.name, name());
     let purpose = if client_key.is_some() { Purpose::Transfer } else { Purpose::Allocation };
-    assert_eq!(identified.purpose(), purpose);
+    assert_eq!(identified.purpose, purpose);
     (client, identified.session(gateway_key))
 }
 
@@ -145,5 +145,16 @@ proptest! {
         if let Ok((purpose, name)) = parse_name(&plain) {
             prop_assert_eq!(encode_name(purpose, &name), plain.to_vec());
         }
+    }
+}
+
+impl ClientAgreed {
+    /// The steps of the key agreement, for test vectors.
+    pub fn steps(&self) -> Vec<(&'static str, Vec<u8>)> {
+        vec![
+            ("shared secret", self.0.secret.to_vec()),
+            ("transcript digest", self.0.transcript.0.to_vec()),
+            ("identify key and nonce", self.0.identify_key().to_vec()),
+        ]
     }
 }

@@ -193,3 +193,13 @@ fn files_are_private_and_strays_and_damage_are_noticed() {
     let other = Cabinet::open(&path, context().provider, context().domain, pair(0x31), Schedule::default(), day(1));
     assert!(other.is_err(), "another identity does not take the list over");
 }
+
+impl Cabinet {
+    /// When [`Self::rotate`] next has something to do.
+    fn next_rotation(&self) -> Timestamp {
+        let current = self.list.keys.first().map_or(Timestamp(0), |key| key.not_after);
+        let retired = self.keys.iter().filter(|(key, _)| !self.list.keys.contains(key));
+        let erase = retired.map(|(key, _)| after(key.not_after, self.schedule.grace)).min();
+        erase.map_or(current, |erase| erase.min(current))
+    }
+}

@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::config::AlertLimits;
 use crate::model::Timestamp;
 use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
-use crate::service::reply::{AlertView, Severity};
+use crate::service::reply::{AlertView, HealthLevel, Severity};
 
 /// How long after a start ages are not judged: what waited while the site was down is worked off first.
 const SETTLING: Duration = Duration::from_secs(120);
@@ -63,6 +63,12 @@ pub struct Judged {
     pub text: String,
 }
 
+impl Judged {
+    fn new(key: impl Into<String>, severity: Severity, level: Level, text: impl Into<String>) -> Self {
+        Self { key: key.into(), severity, level, text: text.into() }
+    }
+}
+
 /// Judges figures, and remembers what it needs of earlier ones.
 #[derive(Debug)]
 pub struct Judge {
@@ -115,15 +121,13 @@ impl Judge {
         let Some(limit) = self.limits.robot_silent else { return Vec::new() };
         let silent = figures.robots.iter().map(|robot| (robot, passed(figures.now, robot.last_seen)));
         let present = silent.filter(|(_, silent)| *silent < nanos(AWAY));
-        let judge = |(robot, silent): (&RobotFigures, u64)| Judged {
-            key: format!("robot_silent/{}", robot.robot),
-            severity: Severity::Warning,
-            level: aged(silent, limit, settled),
-            text: format!(
-                "Nothing received from robot {} for {}; check its agent, its network and its clock.",
-                robot.robot,
-                words(silent)
-            ),
+        let judge = |(RobotFigures { robot, .. }, silent): (&RobotFigures, u64)| {
+            let silence = words(silent);
+            let text = format!(
+                "Nothing received from robot {robot} for {silence}; check its agent, its network and its clock."
+            );
+            let level = aged(silent, limit, settled);
+            Judged::new(format!("robot_silent/{robot}"), Severity::Warning, level, text)
         };
         present.map(judge).collect()
     }
@@ -131,17 +135,13 @@ impl Judge {
     fn unanchored(&self, figures: &Figures, owner: &OwnerFigures, settled: bool) -> Option<Judged> {
         let limit = self.limits.unanchored?;
         let waited = owner.oldest_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
-        Some(Judged {
-            key: format!("unanchored/{}", owner.owner),
-            severity: Severity::Critical,
-            level: aged(waited, limit, settled),
-            text: format!(
-                "The oldest record of account {} has been waiting {} for a block; nothing is lost. See `authros chain \
-                 status`.",
-                owner.owner,
-                words(waited)
-            ),
-        })
+        let (account, waiting) = (&owner.owner, words(waited));
+        let text = format!(
+            "The oldest record of account {account} has been waiting {waiting} for a block; nothing is lost. See \
+             `authros chain status`."
+        );
+        let level = aged(waited, limit, settled);
+        Some(Judged::new(format!("unanchored/{account}"), Severity::Critical, level, text))
     }
 
     fn disk(&self, figures: &Figures) -> Option<Judged> {
@@ -160,7 +160,7 @@ impl Judge {
             free >> 20,
             reserve >> 20
         );
-        Some(Judged { key: "disk".to_owned(), severity: Severity::Critical, level, text })
+        Some(Judged::new("disk", Severity::Critical, level, text))
     }
 
     fn gap(&mut self, figures: &Figures) -> Judged {
@@ -172,32 +172,22 @@ impl Judge {
         }
         losses.last = total;
         let losing = losses.grew.is_some_and(|grew| passed(figures.now, grew) < nanos(LOSING));
-        let firing = losing || figures.untold_gaps > 0;
-        Judged {
-            key: "gap".to_owned(),
-            severity: Severity::Warning,
-            level: if firing { Level::Firing } else { Level::Clear },
-            text: format!(
-                "Messages are being lost: {} since this site was started, and {} losses are not in a gap record yet. \
-                 See `authros status`.",
-                total.saturating_sub(losses.first),
-                figures.untold_gaps
-            ),
-        }
+        let (lost, untold) = (total.saturating_sub(losses.first), figures.untold_gaps);
+        let text = format!(
+            "Messages are being lost: {lost} since this site was started, and {untold} losses are not in a gap record \
+             yet. See `authros status`."
+        );
+        Judged::new("gap", Severity::Warning, firing(losing || untold > 0), text)
     }
 
     fn clock(&self, figures: &Figures) -> Option<Judged> {
         let limit = self.limits.clock?.as_secs();
         let seconds = figures.clock_ahead.unsigned_abs();
         let way = if figures.clock_ahead < 0 { "behind" } else { "ahead of" };
-        Some(Judged {
-            key: "clock".to_owned(),
-            severity: Severity::Warning,
-            level: over(seconds, limit),
-            text: format!(
-                "This machine's clock is {seconds} s {way} the time used for grants and loans; check its time service."
-            ),
-        })
+        let text = format!(
+            "This machine's clock is {seconds} s {way} the time used for grants and loans; check its time service."
+        );
+        Some(Judged::new("clock", Severity::Warning, over(seconds, limit), text))
     }
 
     fn ending_grants(&mut self, figures: &Figures) -> Vec<Judged> {
@@ -207,17 +197,12 @@ impl Judge {
         }
         let left = |grant: &GrantFigures| passed(grant.ends, figures.now);
         let going = self.grants.iter().flatten().filter(|grant| grant.ends > figures.now);
-        let judge = |grant: &GrantFigures| Judged {
-            key: format!("{GRANT}/{}-{}", grant.owner, grant.reader),
-            severity: Severity::Warning,
-            level: if left(grant) <= nanos(limit) { Level::Firing } else { Level::Clear },
-            text: format!(
-                "The grant of account {} to {} ends at {}; {}.",
-                grant.owner,
-                grant.reader,
-                grant.ends,
-                if grant.given { "`authros grants extend` extends it" } else { "only its owner can extend it" }
-            ),
+        let judge = |grant: &GrantFigures| {
+            let GrantFigures { owner, reader, given, ends } = grant;
+            let how = if *given { "`authros grants extend` extends it" } else { "only its owner can extend it" };
+            let text = format!("The grant of account {owner} to {reader} ends at {ends}; {how}.");
+            let level = firing(left(grant) <= nanos(limit));
+            Judged::new(format!("{GRANT}/{owner}-{reader}"), Severity::Warning, level, text)
         };
         going.map(judge).collect()
     }
@@ -226,12 +211,7 @@ impl Judge {
     pub fn not_known(&self, standing: &[AlertView]) -> Vec<Judged> {
         let waits = self.limits.grant_ends.is_some() && self.grants.is_none();
         let of_grants = standing.iter().filter(|alert| rule_of(&alert.key) == GRANT && waits);
-        let between = |alert: &AlertView| Judged {
-            key: alert.key.clone(),
-            severity: alert.severity,
-            level: Level::Between,
-            text: alert.text.clone(),
-        };
+        let between = |alert: &AlertView| Judged::new(&*alert.key, alert.severity, Level::Between, &*alert.text);
         of_grants.map(between).collect()
     }
 
@@ -240,61 +220,52 @@ impl Judge {
         // Without a chain there is nowhere to anchor a head.
         figures.parts.iter().find(|part| part.part == "chain")?;
         let waited = figures.audit_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
-        Some(Judged {
-            key: "audit".to_owned(),
-            severity: Severity::Warning,
-            // While every profile is locked nobody knows: what stands goes on, and nothing begins.
-            level: if figures.audit_locked { Level::Between } else { aged(waited, limit, settled) },
-            text: format!(
-                "The oldest audit log line not covered by an anchored head is {} old. See `authros chain status`.",
-                words(waited)
-            ),
-        })
+        let age = words(waited);
+        let text = format!(
+            "The oldest audit log line not covered by an anchored head is {age} old. See `authros chain status`."
+        );
+        // While every profile is locked nobody knows: what stands goes on, and nothing begins.
+        let level = if figures.audit_locked { Level::Between } else { aged(waited, limit, settled) };
+        Some(Judged::new("audit", Severity::Warning, level, text))
     }
 }
 
 /// What is in quarantine, and what differs from the chain.
 fn records(owner: &OwnerFigures) -> [Judged; 2] {
-    let any = |count: u64| if count > 0 { Level::Firing } else { Level::Clear };
-    let (held, tampered) = (owner.life.quarantined, owner.life.tampered);
-    let (severity, level) = (Severity::Warning, any(held));
+    let (account, held, tampered) = (&owner.owner, owner.life.quarantined, owner.life.tampered);
     let text = format!(
-        "{held} messages for account {} are quarantined: their publisher is not pinned. Release or discard them; see \
-         `authros quarantine list`.",
-        owner.owner
+        "{held} messages for account {account} are quarantined: their publisher is not pinned. Release or discard \
+         them; see `authros quarantine list`."
     );
-    let held = Judged { key: format!("quarantine/{}", owner.owner), severity, level, text };
-    let (severity, level) = (Severity::Critical, any(tampered));
+    let held = Judged::new(format!("quarantine/{account}"), Severity::Warning, firing(held > 0), text);
     let text = format!(
-        "{tampered} records of account {} do not match the chain. Run `authros audit`, and restore the home from a \
-         backup.",
-        owner.owner
+        "{tampered} records of account {account} do not match the chain. Run `authros audit`, and restore the home \
+         from a backup."
     );
-    [held, Judged { key: format!("tampered/{}", owner.owner), severity, level, text }]
+    [held, Judged::new(format!("tampered/{account}"), Severity::Critical, firing(tampered > 0), text)]
 }
 
 /// A part of the site; nothing if this run does not have it.
 fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
     let part = figures.parts.iter().find(|part| part.part == name)?;
-    let level = match (part.failed, part.well) {
-        (true, _) => Level::Firing,
-        (false, true) => Level::Clear,
-        (false, false) => Level::Between,
+    let level = match part.level {
+        HealthLevel::Failed => Level::Firing,
+        HealthLevel::Ok => Level::Clear,
+        HealthLevel::Waiting | HealthLevel::Absent => Level::Between,
     };
-    Some(Judged { key: name.to_owned(), severity: Severity::Critical, level, text: text.to_owned() })
+    Some(Judged::new(name, Severity::Critical, level, text))
 }
 
 /// Stages that stand still; the part is there only while one does.
 fn stages(figures: &Figures) -> Judged {
-    let stands = figures.parts.iter().any(|part| part.part == "stages" && part.failed);
+    let stands = figures.parts.iter().any(|part| part.part == "stages" && part.level == HealthLevel::Failed);
     let text = "A stage of this site has work and makes no progress; it is restarted, nothing acknowledged is lost. See \
                 `authros status`; if it stays, stop the site and start it again.";
-    Judged {
-        key: "stages".to_owned(),
-        severity: Severity::Critical,
-        level: if stands { Level::Firing } else { Level::Clear },
-        text: text.to_owned(),
-    }
+    Judged::new("stages", Severity::Critical, firing(stands), text)
+}
+
+fn firing(is_trouble: bool) -> Level {
+    if is_trouble { Level::Firing } else { Level::Clear }
 }
 
 /// Over a limit, or at least a tenth below it.

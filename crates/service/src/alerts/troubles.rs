@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use crate::config::AlertLimits;
 use crate::model::Timestamp;
-use crate::service::figures::{Figures, GrantFigures, OwnerFigures, PartFigures, RobotFigures};
-use crate::service::reply::LifeLine;
+use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
+use crate::service::reply::{HealthLevel, LifeLine, PartHealth};
 
 /// When the tests begin, seconds.
 const BEGUN: u64 = 1_700_000_000;
@@ -22,8 +22,9 @@ pub fn limits() -> AlertLimits {
     }
 }
 
-fn part_of(name: &str) -> PartFigures {
-    PartFigures { part: name.to_owned(), well: true, failed: false, text: "redis://secret@host /topic".to_owned() }
+fn part_of(name: &str) -> PartHealth {
+    let text = "redis://secret@host /topic".to_owned();
+    PartHealth { part: name.to_owned(), level: HealthLevel::Ok, text, since: None, retry: None }
 }
 
 /// A grant that ends this long after the beginning.
@@ -64,7 +65,7 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
     let failed = |name: &'static str| {
         move |figures: &mut Figures| {
             for part in figures.parts.iter_mut().filter(|part| part.part == name) {
-                (part.well, part.failed) = (false, true);
+                part.level = HealthLevel::Failed;
             }
         }
     };
@@ -85,7 +86,7 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
             Box::new(|it| {
                 it.parts.push(part_of("stages"));
                 it.parts.iter_mut().filter(|part| part.part == "stages").for_each(|part| {
-                    (part.well, part.failed) = (false, true);
+                    part.level = HealthLevel::Failed;
                 });
             }),
         ),

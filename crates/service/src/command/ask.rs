@@ -23,8 +23,9 @@ pub trait Ask: Into<Command> {
     }
 }
 
-/// Generates `enum $wire` with a variant for each request, and a type of the same name and fields that implements
-/// [`Ask`]. The entries under `groups` are further variants: lists of their own.
+/// Generates `enum $wire` with a variant for each request, which names its answer and the right that it needs, and a type
+/// of the same name and fields that implements [`Ask`]. The entries under `groups` are further variants: lists of their
+/// own.
 macro_rules! requests {
     (
         $(#[$outer:meta])*
@@ -34,9 +35,9 @@ macro_rules! requests {
             $name:ident $({ $(
                 $(#[doc = $field_doc:literal])+ $(#[serde($($field_serde:tt)+)])?
                 $field:ident: $kind:ty,
-            )+ })? $(($one:ident: $inner:ty))? => $answer:ty;
+            )+ })? $(($one:ident: $inner:ty))? => $answer:ty, $needed:expr;
         )+
-        $(groups { $($group:tt)+ })?
+        $(groups { $($(#[doc = $group_doc:literal])+ $group:ident($members:ty);)+ })?
     ) => {
         #[derive(Debug, Clone, Serialize, Deserialize)]
         $(#[$outer])*
@@ -48,7 +49,17 @@ macro_rules! requests {
                     $field: $kind,
                 )+ })? $(($inner))?,
             )+
-            $($($group)+)?
+            $($($(#[doc = $group_doc])+ $group($members),)+)?
+        }
+
+        impl $wire {
+            /// What this request needs.
+            pub fn needs(&self) -> Needed {
+                match self {
+                    $(Self::$name { .. } => $needed,)+
+                    $($(Self::$group(member) => member.needs(),)+)?
+                }
+            }
         }
 
         $(

@@ -13,7 +13,8 @@ use crate::service::reply::Failure;
 const RIGHT_ENDED: &str = "right-ended";
 
 /// The subject of a term.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum Term {
     /// The records' owner.
     Owner,
@@ -36,37 +37,14 @@ pub enum Term {
 }
 
 impl Term {
-    /// All of them.
-    pub const ALL: [Self; 9] = [
-        Self::Owner,
-        Self::Topic,
-        Self::Type,
-        Self::Tag,
-        Self::State,
-        Self::Kind,
-        Self::Since,
-        Self::Until,
-        Self::Incident,
-    ];
-
     /// Its word: after `--`, or before `:`.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Owner => "owner",
-            Self::Topic => "topic",
-            Self::Type => "type",
-            Self::Tag => "tag",
-            Self::State => "state",
-            Self::Kind => "kind",
-            Self::Since => "since",
-            Self::Until => "until",
-            Self::Incident => "incident",
-        }
+        self.into()
     }
 
     /// By its word.
     pub fn named(word: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|term| term.word() == word)
+        word.parse().ok()
     }
 }
 
@@ -83,7 +61,7 @@ impl UploadQuery {
             Term::Tag => self.tags.push(tag(text)?),
             // The word as it is shown, or one that needs no quotes.
             Term::State if text == RecordState::RightEnded.word() => self.state = Some(RecordState::RightEnded),
-            Term::State => self.state = Some(one_of(text, "state", RecordState::ALL, state_word)?),
+            Term::State => self.state = Some(one_of(text, "state", RecordState::ALL.iter().copied(), state_word)?),
             Term::Kind => {
                 let kinds = (1..=u8::MAX).filter_map(RecordKind::from_code);
                 self.kind = Some(one_of(text, "kind of record", kinds, RecordKind::word)?);
@@ -163,6 +141,7 @@ pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
 mod tests {
     use super::*;
     use crate::model::ErrorKind;
+    use strum::VariantArray as _;
 
     #[test]
     fn moments_are_times_days_and_lengths_of_time_ago() {
@@ -179,7 +158,7 @@ mod tests {
     #[test]
     fn a_term_that_cannot_be_read_leaves_the_query_as_it_was() {
         let mut query = UploadQuery::default();
-        for term in Term::ALL {
+        for &term in Term::VARIANTS {
             assert_eq!(Term::named(term.word()), Some(term));
             let failure = query.take(term, "%", Timestamp(0)).expect_err(term.word());
             assert_eq!(failure.kind, ErrorKind::Input, "{failure}");

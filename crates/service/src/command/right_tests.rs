@@ -13,22 +13,14 @@ const FURTHER: &[&str] = &[
     r#"{"command":"add_device_address","device":"scout","address":"h:1"}"#,
     r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","clock":false,"prefix":null,"remaps":[],"master":null}"#,
     r#"{"command":"stop_play"}"#,
-    r#"{"command":"of_store","of_store":"erase_records","topic":"/odom","since":null,"until":null,"records":[],"recording":null,"reason":"asked","sure":false}"#,
+    r#"{"command":"erase_records","topic":"/odom","since":null,"until":null,"records":[],"recording":null,"reason":"asked","sure":false}"#,
     r#"{"command":"of_robot","robot":"list_robots"}"#,
     r#"{"command":"of_robot","robot":"show_robot","name":"scout"}"#,
     r#"{"command":"of_robot","robot":"set_robot_policy","name":"scout","text":""}"#,
 ];
 
 /// Groups of requests, and the key that tells their members apart.
-const GROUPS: &[(&str, &str)] = &[
-    ("view", "view"),
-    ("of_store", "of_store"),
-    ("operate", "operation"),
-    ("of_incident", "incident"),
-    ("of_robot", "robot"),
-];
-/// Groups whose members are no texts.
-const OTHERS: &[&str] = &["policy show", "policy learn", "recording import", "recording export", "recording progress"];
+const GROUPS: &[(&str, &str)] = &[("of_incident", "incident"), ("of_robot", "robot")];
 
 const LOOK: &[&str] = &[
     "show_identity",
@@ -38,8 +30,8 @@ const LOOK: &[&str] = &[
     "topic_coverage",
     "list_pins",
     "list_quarantine",
-    "policy show",
-    "recording progress",
+    "show_policy",
+    "recording_progress",
     "list_uploads",
     "show_upload",
     "list_grants",
@@ -54,10 +46,10 @@ const LOOK: &[&str] = &[
     "list_audit",
     "verify_audit",
     "open_console",
-    "of_store audit_records",
-    "operate list_alerts",
-    "operate gateway_status",
-    "operate list_admitted",
+    "audit_records",
+    "list_alerts",
+    "gateway_status",
+    "list_admitted",
     "of_incident list_incidents",
     "of_incident show_incident",
     "of_robot list_robots",
@@ -70,12 +62,12 @@ const CAPTURE: &[&str] = &[
     "unpin_topic",
     "capture",
     "stop_capture",
-    "policy learn",
-    "operate hold_capture",
+    "learn_policy",
+    "hold_capture",
 ];
 const GRANT: &[&str] = &["grant", "extend_grant", "revoke"];
 const PASSPHRASE: &[&str] =
-    &["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device", "of_store back_up"];
+    &["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device", "back_up"];
 
 /// What may stand at a place of a line, as its reader lists it when it finds something else.
 fn listed(line: &str) -> Vec<String> {
@@ -86,30 +78,21 @@ fn listed(line: &str) -> Vec<String> {
 
 /// The names of all requests.
 fn all() -> BTreeSet<String> {
-    let grouped =
-        |name: &String| GROUPS.iter().any(|(group, _)| group == name) || name == "policy" || name == "recording";
+    let grouped = |name: &String| GROUPS.iter().any(|(group, _)| group == name);
     let mut names: BTreeSet<String> = listed(r#"{"command":"?"}"#).into_iter().filter(|name| !grouped(name)).collect();
     for (group, key) in GROUPS {
         let members = listed(&format!(r#"{{"command":"{group}","{key}":"?"}}"#));
         assert!(!members.is_empty(), "{group}");
         names.extend(members.iter().map(|member| format!("{group} {member}")));
     }
-    names.extend(OTHERS.iter().map(|name| (*name).to_owned()));
     names
 }
 
 fn name(line: &str) -> String {
     let read: serde_json::Value = serde_json::from_str(line).expect("JSON");
     let command = read["command"].as_str().expect("a command");
-    let member = match GROUPS.iter().find(|(group, _)| *group == command) {
-        Some((_, key)) => read[*key].as_str().map(str::to_owned),
-        None if command == "policy" || command == "recording" => {
-            let with = &read["with"];
-            let first = with.as_object().and_then(|members| members.keys().next().cloned());
-            first.or_else(|| with.as_str().map(str::to_owned))
-        }
-        None => None,
-    };
+    let key = GROUPS.iter().find(|(group, _)| *group == command).map(|(_, key)| *key);
+    let member = key.and_then(|key| read[key].as_str());
     member.map_or_else(|| command.to_owned(), |member| format!("{command} {member}"))
 }
 

@@ -2,6 +2,7 @@
 
 use super::{BOUNDS, Figures, Latency, LifeLine, OwnerFigures};
 use crate::model::Timestamp;
+use crate::reply::HealthLevel;
 
 /// The content type of the text.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -223,7 +224,7 @@ fn chain(text: &mut Text, figures: &Figures) {
 fn health(text: &mut Text, figures: &Figures) {
     let help = "1 if a part of the site works; 0 if it is starting, retrying, or has failed.";
     text.family(("authros_part_up", "gauge", help), &figures.parts, |text, name, row| {
-        text.value(name, &[("part", &row.part)], u8::from(row.well));
+        text.value(name, &[("part", &row.part)], u8::from(row.level == HealthLevel::Ok));
     });
     let help = "Seconds by which the machine's clock is ahead of the time used for grants and loans; negative if it is \
                 behind.";

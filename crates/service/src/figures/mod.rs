@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 
 use crate::chain::serve::is_this_machine;
 use crate::model::Timestamp;
-use crate::reply::{LifeLine, QueueView, TaskState, TaskView};
+use crate::reply::{LifeLine, PartHealth, QueueView, TaskState, TaskView};
 use crate::store::CacheState;
 
 /// The figures of a site.
@@ -22,7 +22,7 @@ pub struct Figures {
     /// Robots that were heard of, without this home's own keys.
     pub robots: Vec<RobotFigures>,
     /// The parts of this run and their health.
-    pub parts: Vec<PartFigures>,
+    pub parts: Vec<PartHealth>,
     /// Background tasks.
     pub tasks: Vec<TaskView>,
     /// The ring in front of the sealer.
@@ -115,19 +115,6 @@ pub struct GatewayFigures {
     pub connections: u64,
     /// Refusals since it was started, by the protocol's code.
     pub refused: Vec<(u16, u64)>,
-}
-
-/// A part of the site.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PartFigures {
-    /// `ros`, `chain`, `store`, `cache`, `gateway`, `clock`, `account`.
-    pub part: String,
-    /// Whether it works.
-    pub well: bool,
-    /// Whether it has failed, rather than still being started.
-    pub failed: bool,
-    /// In words, cleaned; never shown in figures.
-    pub text: String,
 }
 
 /// A lane of transactions.

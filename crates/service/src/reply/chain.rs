@@ -125,7 +125,7 @@ pub struct GatewayView {
 }
 
 /// The content of a backup, or of what was restored from one.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BackupView {
     /// The file.
     pub file: String,

@@ -8,7 +8,7 @@ use crate::command::SecretBytes;
 use crate::model::{Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 /// The public side of a profile.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityView {
     /// Its name on this machine.
     pub profile: ProfileName,
@@ -83,7 +83,7 @@ pub struct KeysView {
 }
 
 /// Who is affected by a change of an SM2 key, and how.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyChangeView {
     /// Accounts with an active grant of this profile.
     pub readers: Vec<Address>,
@@ -261,7 +261,8 @@ pub struct AdministrationView {
 }
 
 /// The direction of a grant, as seen by one of its sides.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
     /// By this profile.
@@ -273,10 +274,7 @@ pub enum Direction {
 impl Direction {
     /// One word for screens and JSON.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Given => "given",
-            Self::Received => "received",
-        }
+        self.into()
     }
 }
 

@@ -98,7 +98,6 @@ pub struct Agent {
     ring: Option<AgentRing>,
     policy: AgentPolicy,
     wishes: AgentWishes,
-    length: Option<Duration>,
     link: tokio::sync::watch::Receiver<Link>,
     refused: Arc<Mutex<HashSet<Digest>>>,
     /// Messages in the outbox when this run began.
@@ -152,7 +151,7 @@ impl Agent {
         site.gateway.passes_on(link.clone());
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
-        let (site, length, sessions) = (Arc::clone(site), wishes.length, vec![session]);
+        let (site, sessions) = (Arc::clone(site), vec![session]);
         Ok(Self {
             site,
             name,
@@ -163,7 +162,6 @@ impl Agent {
             ring,
             policy,
             wishes,
-            length,
             link,
             refused,
             before,
@@ -182,7 +180,7 @@ impl Agent {
         told: impl Future,
         mut progress: impl FnMut(&AgentFigures),
     ) -> Result<AgentEnd, Failure> {
-        let length = self.length;
+        let length = self.wishes.length;
         let time_is_up = async {
             match length {
                 Some(length) => tokio::time::sleep(length).await,

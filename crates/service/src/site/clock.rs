@@ -1,12 +1,6 @@
 //! The machine's clock, compared with one that does not jump: a jump is reported, written into the audit log, and part
 //! of the site's health until it is over or accepted.
 
-use crate::pipeline::Plant;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
-use crate::site::identity::Owners;
-use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -41,31 +35,18 @@ fn span(seconds: i64) -> String {
 }
 
 /// The machine's clock.
-pub(in crate::site) struct Clock {
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
-}
-
-impl Clock {
-    /// From the shared parts.
-    pub fn new(parts: &Parts) -> Self {
-        let Parts { plant, hub, log, owners, link, life, .. } = parts.clone();
-        Self { plant, hub, log, owners, link, life }
-    }
+pub struct Clock {
+    pub parts: Parts,
 }
 
 impl Clock {
     /// Looks at the clock until the site ends.
-    pub(super) async fn keep(self: Arc<Self>) {
+    pub async fn keep(self: Arc<Self>) {
         let begun = Instant::now();
         let (mut before, mut ahead) = (gained(&look(), begun), 0);
         self.compare_with_records().await;
-        while !self.life.is_stopping() {
-            if !self.life.beat(LOOK).await {
+        while !self.parts.life.is_stopping() {
+            if !self.parts.life.beat(LOOK).await {
                 return;
             }
             let reading = look();
@@ -80,11 +61,11 @@ impl Clock {
         }
     }
 
-    async fn tell_jump(self: &Arc<Self>, jump: i64, doubted: i64) {
+    async fn tell_jump(&self, jump: i64, doubted: i64) {
         let text = format!("this machine's clock jumped {}", span(jump));
         if doubted.abs() < SHORTEST {
             let text = format!("{text}: it is correct again; records captured meanwhile keep the time they were given");
-            self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
+            self.parts.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
         } else {
             let order = if jump < 0 { "new records are dated earlier than those before them; " } else { "" };
             let settling = SETTLING.as_secs();
@@ -92,28 +73,28 @@ impl Clock {
                 "{text}: {order}grants, loans and the embedded chain follow it once it has been stable for {settling} \
                  s; correct it if it is wrong (timedatectl set-ntp true)"
             );
-            self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
+            self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
         }
         self.note_clock(&format!("jumped {}", span(jump))).await;
-        self.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Health);
     }
 
-    async fn tell_belief(self: &Arc<Self>) {
+    async fn tell_belief(&self) {
         let text = format!(
             "this machine's new clock time has been stable for {} s: grants, loans and the embedded chain use it from \
              now on",
             SETTLING.as_secs()
         );
-        self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
+        self.parts.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
         self.note_clock("the new time is now used").await;
-        self.hub.changed(Part::Health);
-        self.hub.changed(Part::Grants);
+        self.parts.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Grants);
     }
 
     /// A machine without a battery wakes up in the past. Times of capture do not count: a recording has its own.
     async fn compare_with_records(self: &Arc<Self>) {
         let Ok(Some(newest)) =
-            blocking(self, |clock| Ok(clock.plant.ledger.inspection.newest_acknowledgement()?)).await
+            blocking(self, |clock| Ok(clock.parts.plant.ledger.inspection.newest_acknowledgement()?)).await
         else {
             return;
         };
@@ -123,24 +104,24 @@ impl Clock {
                 "this machine's clock is {behind} s behind the newest record: new records are dated earlier than those \
                  before them; correct it (timedatectl set-ntp true)"
             );
-            self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
+            self.parts.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
             self.note_clock(&format!("{behind} s behind the newest record")).await;
         }
     }
 
-    async fn note_clock(self: &Arc<Self>, subject: &str) {
-        let open = self.owners.all().first().map(|owner| owner.profile.clone());
+    async fn note_clock(&self, subject: &str) {
+        let open = self.parts.owners.all().first().map(|owner| owner.profile.clone());
         let Some(profile) = open.or_else(|| NOBODY.parse::<ProfileName>().ok()) else { return };
-        let written: Result<(), Failure> = self.log.write(&profile, "clock", subject, "noticed").await;
+        let written: Result<(), Failure> = self.parts.log.write(&profile, "clock", subject, "noticed").await;
         if let Err(failure) = written {
-            self.hub.notice(NoticeLevel::Error, &failure.message);
+            self.parts.hub.notice(NoticeLevel::Error, &failure.message);
         }
     }
 
     /// The state of the clock, if there is something to report.
-    pub(super) fn health(&self) -> Option<PartHealth> {
+    pub fn health(&self) -> Option<PartHealth> {
         let reading = look();
-        let head = self.link.newest_head();
+        let head = self.parts.link.newest_head();
         let chain = head.map_or(0, |head| head.timestamp.saturating_sub(reading.steady.seconds()));
         let text = if reading.ahead().abs() >= SHORTEST {
             format!("jumped {}, not used until it has been stable for {} s", span(reading.ahead()), SETTLING.as_secs())

@@ -19,10 +19,9 @@ use crate::pipeline::audit_head;
 use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::event::NoticeLevel;
 use crate::service::figures::{
-    BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, PartFigures, RobotFigures, TopicFigures,
-    exposition, short,
+    BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
 };
-use crate::service::reply::{Failure, GrantState, HealthLevel, PartHealth};
+use crate::service::reply::{Failure, GrantState, HealthLevel};
 use crate::service::socket;
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
@@ -132,7 +131,7 @@ impl Site {
             now: Timestamp::now(),
             owners: self.owner_figures()?,
             robots: self.robot_figures()?,
-            parts: self.part_figures()?,
+            parts: self.parts_health()?.into_iter().filter(|part| part.level != HealthLevel::Absent).collect(),
             tasks: self.parts.supervisor.views(),
             queue: self.queue_view(),
             lanes: self.lane_figures()?,
@@ -177,17 +176,6 @@ impl Site {
         let seen =
             self.plant.ledger.counts.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
-    }
-
-    fn part_figures(&self) -> Result<Vec<PartFigures>, Failure> {
-        let there = |part: &PartHealth| part.level != HealthLevel::Absent;
-        let figures = |part: PartHealth| PartFigures {
-            well: part.level == HealthLevel::Ok,
-            failed: part.level == HealthLevel::Failed,
-            part: part.part,
-            text: part.text,
-        };
-        Ok(self.parts_health()?.into_iter().filter(there).map(figures).collect())
     }
 
     fn lane_figures(&self) -> Result<Vec<LaneFigures>, Failure> {

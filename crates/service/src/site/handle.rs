@@ -10,10 +10,7 @@ use super::audit::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
 use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
-use crate::service::command::{
-    self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
-    UploadQuery,
-};
+use crate::service::command::{self as ask, Ask, Command, IncidentCommand, Request, UploadQuery};
 use crate::service::reply::{Failure, RecordPage, Reply};
 use crate::site::devices::pulling::span;
 use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
@@ -87,7 +84,10 @@ impl Site {
             }
             Command::ReleaseHeld { held } => self.quarantine.release(&owner()?, held).await.map(ask::ReleaseHeld::told),
             Command::DiscardHeld { held } => self.quarantine.discard(&owner()?, held).await.map(ask::DiscardHeld::told),
-            Command::Policy { with } => self.capture.policy(&profile, with).await.map(ask::Policy::told),
+            Command::ShowPolicy => self.capture.policy_view(&profile, false).await.map(ask::ShowPolicy::told),
+            Command::LearnPolicy { milliseconds } => {
+                self.capture.learn_policy(&profile, milliseconds).await.map(ask::LearnPolicy::told)
+            }
             Command::Capture { topics, type_name, count, milliseconds, tags } => {
                 let captured = self.capture.capture(&owner()?, &topics, type_name, count, milliseconds, tags).await;
                 captured.map(ask::Capture::told)
@@ -96,10 +96,21 @@ impl Site {
                 self.capture.stop(&profile);
                 Ok(ask::StopCapture::told(()))
             }
-            Command::Recording { with: RecordingCommand::Progress } => {
-                Ok(RecordingProgress::told(self.parts.runs.of(&profile)))
+            Command::ImportRecording(wishes) => {
+                self.recordings.import_recording(&owner()?, wishes).await.map(ask::ImportRecording::told)
             }
-            Command::Recording { with } => self.recordings.answer(&owner()?, with, until_released(claims)).await,
+            Command::FollowFolder(wishes) => {
+                let followed = self.recordings.follow(&owner()?, wishes, until_released(claims)).await;
+                followed.map(ask::FollowFolder::told)
+            }
+            Command::ImportHome { home } => {
+                self.recordings.import_home(&owner()?, home).await.map(ask::ImportHome::told)
+            }
+            Command::ExportRecording(wishes) => {
+                let owner = self.caught_up_owner(&profile).await?;
+                self.recordings.export_recording(&owner, wishes).await.map(ask::ExportRecording::told)
+            }
+            Command::RecordingProgress => Ok(ask::RecordingProgress::told(self.parts.runs.of(&profile))),
             Command::ListUploads(query) => self.reading.list_own(&profile, query).await.map(ask::ListUploads::told),
             Command::ShowUpload { id } => self.reading.provenance(&profile, &id).map(ask::ShowUpload::told),
             Command::ExportUpload { id, addresses } => {
@@ -121,9 +132,13 @@ impl Site {
                 let owner = self.owner_with(&profile, &id).await?;
                 self.reading.open_record(&owner, &id).await.map(Box::new).map(ask::OpenShared::told)
             }
-            Command::View(viewing) => {
+            Command::ViewFile { id, kind } => {
                 let owner = self.caught_up_owner(&profile).await?;
-                self.reading.handle_viewing(&owner, viewing).await
+                self.reading.file_of(&owner, &id, kind).await.map(Box::new).map(ask::ViewFile::told)
+            }
+            Command::ViewPath { id, records } => {
+                let owner = self.caught_up_owner(&profile).await?;
+                self.reading.path_to(&owner, &id, records).await.map(ask::ViewPath::told)
             }
             Command::Play(wishes) => {
                 let owner = owner()?;
@@ -211,8 +226,30 @@ impl Site {
             Command::ExportAudit { addresses } => {
                 self.parts.log.export(&owner()?, addresses).await.map(ask::ExportAudit::told)
             }
-            Command::OfStore(command) => self.handle_store(&profile, command).await,
-            Command::Operate(operation) => self.operate(&profile, operation).await,
+            Command::AuditRecords { deep, since } => {
+                let is_pinned = self.connection.pin()?.is_some();
+                let audited = self.audit.records(&profile, is_pinned, deep, since).await;
+                audited.map(Box::new).map(ask::AuditRecords::told)
+            }
+            Command::ListAllUploads(query) => self.reading.list_all(query).await.map(ask::ListAllUploads::told),
+            Command::EraseRecords(wishes) => {
+                let owner = owner()?;
+                self.reading.learn_own_names(&profile).await?;
+                let view = self.storage.erase(&owner, wishes).await?;
+                Ok(ask::EraseRecords::told(self.joined.names_who_is_told(view)))
+            }
+            Command::BackUp { file, passphrase } => {
+                self.backup.back_up(&profile, file, passphrase).await.map(ask::BackUp::told)
+            }
+            Command::Lock => self.profiles.lock(&profile).await.map(ask::Lock::told),
+            Command::HoldCapture { hold } => self.capture.hold(&profile, hold).map(ask::HoldCapture::told),
+            Command::BackUpKeys => self.profiles.back_up_keys(&profile).await.map(ask::BackUpKeys::told),
+            Command::ListAlerts => self.alerts_view().await.map(ask::ListAlerts::told),
+            Command::TestAlert => self.test_alert().await.map(ask::TestAlert::told),
+            Command::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),
+            Command::Admit { owner } => self.admissions.admit(&profile, &owner).await.map(ask::Admit::told),
+            Command::Dismiss { owner } => self.admissions.dismiss(&profile, &owner).await.map(ask::Dismiss::told),
+            Command::ListAdmitted => self.admissions.rows().map(ask::ListAdmitted::told),
             Command::OfIncident(command) => self.of_incident(&profile, command).await,
             Command::OfRobot(command) => {
                 // What robots recorded arrives without the names of its topics.
@@ -223,7 +260,7 @@ impl Site {
     }
 
     /// Answers a request about incidents; the rings of robots are asked once the incident is there.
-    async fn of_incident(self: &Arc<Self>, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
+    async fn of_incident(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
         let asked = if let IncidentCommand::OpenIncident { since, until, topics, robots, .. } = &command
             && !robots.is_empty()
         {
@@ -246,45 +283,9 @@ impl Site {
         Ok(told)
     }
 
-    /// Answers a request about the site itself; none needs the keyring open.
-    async fn operate(self: &Arc<Self>, profile: &ProfileName, operation: Operation) -> Result<Reply, Failure> {
-        match operation {
-            Operation::Lock => self.profiles.lock(profile).await.map(ask::Lock::told),
-            Operation::HoldCapture { hold } => self.capture.hold(profile, hold).map(ask::HoldCapture::told),
-            Operation::BackUpKeys => self.profiles.back_up_keys(profile).await.map(ask::BackUpKeys::told),
-            Operation::ListAlerts => self.alerts_view().await.map(ask::ListAlerts::told),
-            Operation::TestAlert => self.test_alert().await.map(ask::TestAlert::told),
-            Operation::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),
-            Operation::Admit { owner } => self.admissions.admit(profile, &owner).await.map(ask::Admit::told),
-            Operation::Dismiss { owner } => self.admissions.dismiss(profile, &owner).await.map(ask::Dismiss::told),
-            Operation::ListAdmitted => self.admissions.rows().map(ask::ListAdmitted::told),
-        }
-    }
-
-    async fn handle_store(self: &Arc<Self>, profile: &ProfileName, command: StoreCommand) -> Result<Reply, Failure> {
-        match command {
-            StoreCommand::AuditRecords { deep, since } => self
-                .audit
-                .records(profile, self.connection.pin()?.is_some(), deep, since)
-                .await
-                .map(Box::new)
-                .map(ask::AuditRecords::told),
-            StoreCommand::ListAllUploads(query) => self.reading.list_all(query).map(ask::ListAllUploads::told),
-            StoreCommand::EraseRecords(wishes) => {
-                let owner = self.parts.owners.unlocked(profile)?;
-                self.reading.learn_own_names(profile).await?;
-                let view = self.storage.erase(&owner, wishes).await?;
-                Ok(ask::EraseRecords::told(self.joined.names_who_is_told(view)))
-            }
-            StoreCommand::BackUp { file, passphrase } => {
-                self.backup.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
-            }
-        }
-    }
-
     /// What is here of the records shared with a profile. A first list of a large gateway takes long, and a gateway may be
     /// out of reach; what came so far is shown, with why it may not be all.
-    async fn list_shared(self: &Arc<Self>, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
+    async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
         let arriving = match self.joined.arriving(&owner.profile, LISTING).await {
             Ok(None) => return self.reading.list_shared(owner, query).await,
             Ok(Some(arriving)) => arriving,
@@ -304,7 +305,7 @@ impl Site {
     }
 
     /// The profile's owner, once a record is here: it need not wait for those that are still coming.
-    async fn owner_with(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
+    async fn owner_with(&self, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         let more = self.joined.arriving(profile, LISTING).await?.is_some();
         if more && self.reading.find_record(id).is_err() {
@@ -314,7 +315,7 @@ impl Site {
     }
 
     /// The profile's owner, once the records shared with it are known up to now.
-    async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+    async fn caught_up_owner(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         self.joined.caught_up(profile).await?;
         Ok(owner)

@@ -236,18 +236,18 @@ impl Site {
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote));
-        let (watches, operators) = (Arc::new(Watches::new(of, &recorder, &ros)), Arc::new(Operators::new(of)));
-        let asked = identity::Asked {
-            connection: &connection,
-            sharing: &sharing,
-            enrolments: &enrolments,
-            gateway: &gateway,
-            reading: &reading,
-            pins: &pins,
-            recorder: &recorder,
-            watches: &watches,
-        };
-        let profiles = Arc::new(Profiles::new(of, &asked));
+        let watches = Arc::new(Watches::new(of, &recorder, &ros));
+        let profiles = Arc::new(Profiles {
+            parts: parts.clone(),
+            connection: Arc::clone(&connection),
+            sharing: Arc::clone(&sharing),
+            enrolments: Arc::clone(&enrolments),
+            gateway: Arc::clone(&gateway),
+            reading: Arc::clone(&reading),
+            pins: Arc::clone(&pins),
+            recorder: Arc::clone(&recorder),
+            watches: Arc::clone(&watches),
+        });
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
         let evidence = Arc::new(Evidence::new(of, &reading, &stamps));
         Ok(Self {
@@ -257,25 +257,25 @@ impl Site {
                 reading: Arc::clone(&reading),
                 capture: Arc::clone(&capture),
                 profiles: Arc::clone(&profiles),
-                joined: Arc::clone(&joined),
                 sealer: Arc::clone(&sealer),
                 rings: Arc::clone(&rings),
                 evidence: Arc::clone(&evidence),
                 claims: Arc::default(),
             }),
-            devices: Arc::new(Devices::new(of, &sharing, &enrolments)),
-            administering: Arc::new(Administering::new(of, &contacts)),
+            devices: Arc::new(Devices { parts: parts.clone(), sharing: Arc::clone(&sharing), enrolments }),
+            administering: Arc::new(Administering { parts: parts.clone(), contacts: Arc::clone(&contacts) }),
             audit: Arc::new(Audit::new(of, &reserve)),
-            backup: Arc::new(Backup::new(of, &quarantine)),
+            backup: Arc::new(Backup { parts: parts.clone(), quarantine: Arc::clone(&quarantine) }),
             evidence,
             incidents: Arc::new(Incidents::new(of)),
             stamps,
             chain_proofs: Arc::new(ChainProofs::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of, &reading)),
-            clock: Arc::new(Clock::new(of)),
+            clock: Arc::new(Clock { parts: parts.clone() }),
             alerts: Arc::new(Alerts::new(of)),
             standstill: Arc::new(Standstill::new(of, &lanes)),
+            operators: Arc::new(Operators { parts: parts.clone() }),
             plant,
             parts,
             rings,
@@ -294,7 +294,6 @@ impl Site {
             pins,
             quarantine,
             admissions,
-            operators,
             gateway,
             consoles: Mutex::default(),
             guests: AtomicUsize::new(0),

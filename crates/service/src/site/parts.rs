@@ -78,6 +78,11 @@ impl Parts {
         };
         Ok((parts, opened, copied))
     }
+
+    /// Whether the chain is known only from a gateway's word.
+    pub fn is_joined(&self) -> bool {
+        self.config.site.is_some()
+    }
 }
 
 /// An older program changes nothing in a newer home: all files are checked before the first is opened.

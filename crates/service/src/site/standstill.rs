@@ -7,15 +7,10 @@ use std::time::{Duration, Instant};
 
 use super::blocking;
 use super::chain::lanes::Lanes;
-use super::chain::link::Link;
-use super::identity::Owners;
-use super::lifetime::Lifetime;
 use super::parts::Parts;
-use super::supervision::Supervisor;
 use crate::model::{RecordState, Timestamp};
-use crate::pipeline::{Network, Plant};
+use crate::pipeline::Network;
 use crate::service::event::{NoticeLevel, Part};
-use crate::service::hub::Hub;
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
 /// Interval between looks.
@@ -132,13 +127,8 @@ impl Judge {
 }
 
 /// The stages of a site.
-pub(in crate::site) struct Standstill {
-    plant: Plant,
-    hub: Arc<Hub>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
-    supervisor: Arc<Supervisor>,
+pub struct Standstill {
+    parts: Parts,
     lanes: Arc<Lanes>,
     judge: Mutex<Judge>,
 }
@@ -146,14 +136,13 @@ pub(in crate::site) struct Standstill {
 impl Standstill {
     /// From the shared parts.
     pub fn new(parts: &Parts, lanes: &Arc<Lanes>) -> Self {
-        let Parts { plant, hub, owners, link, life, supervisor, .. } = parts.clone();
-        Self { plant, hub, owners, link, life, supervisor, lanes: Arc::clone(lanes), judge: Mutex::default() }
+        Self { parts: parts.clone(), lanes: Arc::clone(lanes), judge: Mutex::default() }
     }
 
     /// Looks at the stages until the site ends.
-    pub(super) async fn keep(self: Arc<Self>) {
-        while self.life.beat(LOOK).await {
-            let network = self.link.network_now().filter(|_| !self.link.is_silent());
+    pub async fn keep(self: Arc<Self>) {
+        while self.parts.life.beat(LOOK).await {
+            let network = self.parts.link.network_now().filter(|_| !self.parts.link.is_silent());
             let blocks = match &network {
                 Some(network) => self.unread(network).await,
                 None => None,
@@ -171,12 +160,12 @@ impl Standstill {
     /// Blocks that the chain has and the watcher has not read.
     async fn unread(&self, network: &Network) -> Option<Work> {
         let head = network.chain.head().await.ok()?.number;
-        let read = *self.link.scans().borrow();
+        let read = *self.parts.link.scans().borrow();
         Some(Work { waiting: head.saturating_sub(read), done: read })
     }
 
     fn work(&self, network: Option<&Network>) -> Result<BTreeMap<Stage, Option<Work>>, Failure> {
-        let states = self.plant.ledger.counts.in_each_state()?;
+        let states = self.parts.plant.ledger.counts.in_each_state()?;
         let of = |state: RecordState| states.get(&state).copied().unwrap_or(0);
         let beyond = |last: RecordState| -> u64 {
             states.iter().filter(|(state, _)| **state > last && **state <= RecordState::Verified).map(|(_, n)| n).sum()
@@ -197,10 +186,10 @@ impl Standstill {
 
     /// Records that an open owner anchors and that are in no batch.
     fn unbatched(&self, network: &Network) -> Result<u64, Failure> {
-        let owners = self.owners.all();
+        let owners = self.parts.owners.all();
         let open =
             owners.iter().filter(|owner| !owner.is_locked() && network.directory.identity(owner.address).is_ok());
-        open.map(|owner| Ok(self.plant.ledger.batches.unbatched(owner.address)?.0)).sum()
+        open.map(|owner| Ok(self.parts.plant.ledger.batches.unbatched(owner.address)?.0)).sum()
     }
 
     fn judge_one(&self, stage: Stage, work: Option<Work>) {
@@ -210,16 +199,16 @@ impl Standstill {
         drop(judge);
         match found {
             Found::Restart => {
-                self.hub.notice(NoticeLevel::Error, &self.text().unwrap_or_default());
-                self.supervisor.restart(stage.task(), "it had work and made no progress");
+                self.parts.hub.notice(NoticeLevel::Error, &self.text().unwrap_or_default());
+                self.parts.supervisor.restart(stage.task(), "it had work and made no progress");
             }
             Found::Going if before => {
                 let text = format!("the {} makes progress again", stage.task());
-                self.hub.notice(NoticeLevel::Info, &text);
+                self.parts.hub.notice(NoticeLevel::Info, &text);
             }
             Found::Going | Found::Standing => return,
         }
-        self.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Health);
     }
 
     fn text(&self) -> Option<String> {
@@ -245,7 +234,7 @@ impl Standstill {
     }
 
     /// What stands, if anything does.
-    pub(super) fn health(&self) -> Option<PartHealth> {
+    pub fn health(&self) -> Option<PartHealth> {
         let since =
             self.judge.lock().unwrap_or_else(PoisonError::into_inner).standing().map(|(_, since, _)| since).min();
         let text = self.text()?;

@@ -25,7 +25,7 @@ const WAITING_SHOWN: usize = 20;
 
 impl Site {
     /// Health, counts, robots and open profiles.
-    pub(super) async fn site_view(self: &Arc<Self>, profile: &ProfileName) -> Result<SiteView, Failure> {
+    pub(super) async fn site_view(&self, profile: &ProfileName) -> Result<SiteView, Failure> {
         let robots = match &*self.ros.state() {
             RosState::Up(link) => link.robots,
             _ => 0,
@@ -178,7 +178,7 @@ impl Site {
         let (waiting, _) = self.rings.depth();
         let at_least = |least: RecordState| -> u64 {
             let states =
-                RecordState::ALL.into_iter().filter(|state| *state >= least && *state <= RecordState::Verified);
+                RecordState::ALL.iter().copied().filter(|state| *state >= least && *state <= RecordState::Verified);
             states.map(|state| counts.data_in(state)).sum()
         };
         let tampered = counts.data_in(RecordState::Tampered);

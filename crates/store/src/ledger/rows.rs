@@ -504,7 +504,7 @@ mod edges_tests {
 
     #[test]
     fn nobody_verifies_by_leaping() {
-        for state in RecordState::ALL {
+        for &state in RecordState::ALL {
             assert_eq!(is_legal(state, Verified), matches!(state, Confirmed | Submitted));
             assert_eq!(may(By::Gateway, state, Verified), state == Submitted);
             assert_eq!(may(By::Worker, state, Verified), state == Confirmed);

@@ -5,15 +5,15 @@ use crate::model::{
     SignerId, Timestamp, Token, Verdict,
 };
 use crate::pipeline::sender::{LaneState, PauseReason};
-use crate::service::command::{IncidentCommand, RecordingCommand};
+use crate::service::command::IncidentCommand;
 use crate::service::reply::{
     AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochRecords, EpochView,
     GasView, GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView,
     IncidentView, KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, PricesView, Provenance, QueueView,
-    RecordPage, RecordView, RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView,
-    SystemKeyView, TopicRow, TransactionView,
+    RecordPage, RecordView, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView, SystemKeyView,
+    TopicRow, TransactionView,
 };
-use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
+use crate::service::{Command, Failure, Reply, UploadQuery};
 use authros_chain::Sealing;
 use authros_gateway::Code;
 
@@ -39,15 +39,13 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ChainStatus => Reply::Chain(Box::new(chain())),
         Command::ListContacts => Reply::Contacts(vec![contact("harbour-office"), contact("harbour-master")]),
         Command::ListAudit(_) => Reply::Audit(audit()),
-        Command::Recording { with: RecordingCommand::Progress } => {
-            Reply::Recording(RecordingReply::Progress(Vec::new()))
-        }
+        Command::RecordingProgress => Reply::Progress(Vec::new()),
         Command::OfIncident(IncidentCommand::ListIncidents) => {
             Reply::Incidents(vec![incident("crash-1114", true), incident("bump", false)])
         }
         Command::OfRobot(_) => robots::reply(command),
-        Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
-        Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
+        Command::GatewayStatus => Reply::GatewayStatus(gateway()),
+        Command::Lock => Reply::Identity(identity(exists, false, exists)),
         _ => Reply::Done,
     }
 }

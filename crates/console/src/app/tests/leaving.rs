@@ -8,7 +8,7 @@ use crate::app::update::Feed;
 use crate::app::{Action, Effect, Key, Tag};
 use crate::model::ProfileName;
 use crate::service::reply::{HeldUp, LifeLine, QueueView, SiteView, TopicRow};
-use crate::service::{Command, Operation, Part, Reply};
+use crate::service::{Command, Part, Reply};
 
 fn with_pending(pending: u64) -> SiteView {
     let life = LifeLine { pending, ..LifeLine::default() };
@@ -156,7 +156,7 @@ fn w_leaves_by_itself_when_the_work_ends_even_when_frozen() {
 #[test]
 fn d_stops_the_capture_finishes_and_quits_and_a_change_of_mind_lets_it_go_on() {
     let holds = |robot: &Robot| match robot.sent.iter().find(|(_, tag)| *tag == Tag::HoldCapture) {
-        Some((Command::Operate(Operation::HoldCapture { hold }), _)) => Some(*hold),
+        Some((Command::HoldCapture { hold }, _)) => Some(*hold),
         _ => None,
     };
     let mut robot = busy(0, 0);

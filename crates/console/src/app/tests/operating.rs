@@ -5,8 +5,8 @@ use crate::app::form::Input;
 use crate::app::popup::Typed;
 use crate::app::{kept, recall};
 use crate::model::Timestamp;
+use crate::service::UploadQuery;
 use crate::service::reply::TopicRow;
-use crate::service::{Operation, UploadQuery};
 
 const MINUTE: u64 = 60_000_000_000;
 
@@ -54,7 +54,7 @@ fn lock_is_a_command_of_the_palette_and_never_waits_for_its_key_to_be_pressed_tw
     let mut robot = guarded();
     robot.types(":lock");
     robot.presses(Key::Enter);
-    assert!(matches!(robot.sent.last(), Some((Command::Operate(Operation::Lock), Tag::Lock))));
+    assert!(matches!(robot.sent.last(), Some((Command::Lock, Tag::Lock))));
     robot.types("zx");
     assert_eq!(robot.work().len(), 1);
 }

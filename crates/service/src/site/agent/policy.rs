@@ -293,7 +293,7 @@ impl Agent {
 }
 
 /// Tells the operator of a topic whose messages cannot be sealed.
-pub(super) fn warn_of_key(site: &Site, author: &Author, name: &crate::model::ProfileName, topic: &str) {
+pub fn warn_of_key(site: &Site, author: &Author, name: &crate::model::ProfileName, topic: &str) {
     if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
         let text = format!(
             "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it with \
@@ -326,7 +326,7 @@ impl PolicyKeeper {
         Self::of(notes, enrolment.domain, enrolment.owner, enrolment.device_id())
     }
 
-    pub(super) fn of(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
+    pub fn of(notes: &Notes, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
         let kept = notes.read(&PolicyHere { owner, device })?.unwrap_or_default();
         let (notes, changed) = (notes.clone(), watch::channel(()).0);
         Ok(Self { notes, domain, owner, device, kept: Mutex::new(kept), changed })

@@ -54,7 +54,7 @@ impl Log {
     }
 
     /// The outcome of a deed announced by [`Self::begin`].
-    pub(in crate::site) async fn end<T>(
+    pub async fn end<T>(
         self: &Arc<Self>,
         owner: &Owner,
         action: &str,
@@ -66,7 +66,7 @@ impl Log {
 
     /// A deed between its two lines: what it is, durable before it begins, and how it ended. Nothing of the deed runs if
     /// the first cannot be written.
-    pub(in crate::site) fn deed<'a, T: Send + 'a>(
+    pub fn deed<'a, T: Send + 'a>(
         self: &'a Arc<Self>,
         profile: &'a ProfileName,
         action: &'a str,
@@ -83,7 +83,7 @@ impl Log {
     }
 
     /// The second line of a deed: `done`, or `failed` and why.
-    pub(in crate::site) async fn ended<T>(
+    pub async fn ended<T>(
         self: &Arc<Self>,
         profile: &ProfileName,
         action: &str,
@@ -104,12 +104,7 @@ impl Log {
     }
 
     /// A page of somebody's list is handed out: preceded by a line, unless the same was requested within a minute.
-    pub(in crate::site) async fn asked(
-        self: &Arc<Self>,
-        owner: &Owner,
-        action: &str,
-        query: &UploadQuery,
-    ) -> Result<(), Failure> {
+    pub async fn asked(self: &Arc<Self>, owner: &Owner, action: &str, query: &UploadQuery) -> Result<(), Failure> {
         let (doer, text) = (doer(owner.profile.as_str()), query_text(query));
         if !self.counted.is_new_query(Timestamp::now(), &doer, &text) {
             return Ok(());
@@ -146,7 +141,7 @@ impl Log {
     }
 
     /// Writes the counters of past minutes; all of them if `now` is `None`.
-    pub(in crate::site) async fn write_counted(self: &Arc<Self>, now: Option<Timestamp>) {
+    pub async fn write_counted(self: &Arc<Self>, now: Option<Timestamp>) {
         let mut refusals = self.counted.take(now).into_iter();
         while let Some(((minute, peer, code), count)) = refusals.next() {
             let outcome = format!("{count} in the minute from {}", Timestamp::from_seconds(minute * 60));
@@ -168,7 +163,7 @@ impl Log {
     }
 
     /// The newest matching lines, newest first.
-    pub(in crate::site) async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
+    pub async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
         let query = AuditQuery { limit: query.limit.clamp(1, PAGE), ..query };
         let mut lines = blocking(self, move |log| Ok(log.lines.list(&query)?)).await?;
         lines.reverse();
@@ -176,11 +171,7 @@ impl Log {
     }
 
     /// The whole log as a file for third parties: one JSON document a line, addresses redacted unless asked for.
-    pub(in crate::site) async fn export(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        addresses: bool,
-    ) -> Result<Vec<ExportedFile>, Failure> {
+    pub async fn export(self: &Arc<Self>, owner: &Arc<Owner>, addresses: bool) -> Result<Vec<ExportedFile>, Failure> {
         let subject = if addresses { "with addresses" } else { "redacted" };
         let bytes = self.deed(&owner.profile, "export audit", subject, self.whole(addresses)).await?;
         Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])

@@ -12,19 +12,13 @@ use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 
 use super::blocking;
-use super::chain::link::Link;
-use super::identity::Owners;
-use super::lifetime::Lifetime;
 use super::parts::Parts;
-use super::progress::Runs;
 use super::reading::view::OwnKeys;
-use crate::config::Config;
 use crate::event::NoticeLevel;
-use crate::hub::Hub;
 use crate::model::{Address, OperatorName, ProfileName, Timestamp, clean};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::record_audit::{self, RecordAudit, Scope, scrub_round};
-use crate::pipeline::{Owner, Plant, audit_head, recorder_heads};
+use crate::pipeline::{Owner, audit_head, recorder_heads};
 use crate::reply::{AuditCheck, Failure};
 use crate::store::Reserve;
 
@@ -43,14 +37,7 @@ const REFILL: Duration = Duration::from_secs(60);
 
 /// The audit of a site: of its log and of its records.
 pub(super) struct Audit {
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
-    runs: Runs,
+    parts: Parts,
     /// Space for a revoke on a full disk.
     reserve: Arc<Reserve>,
     /// When the numbers of an owner's topics were last looked at.
@@ -60,26 +47,24 @@ pub(super) struct Audit {
 impl Audit {
     /// From the shared parts, and the space set aside for a revoke.
     pub fn new(parts: &Parts, reserve: &Arc<Reserve>) -> Self {
-        let Parts { config, plant, hub, log, owners, link, life, runs, .. } = parts.clone();
-        let (reserve, seen) = (Arc::clone(reserve), Mutex::default());
-        Self { config, plant, hub, log, owners, link, life, runs, reserve, seen }
+        Self { parts: parts.clone(), reserve: Arc::clone(reserve), seen: Mutex::default() }
     }
 
     /// Writes the counters, anchors the heads of the log and of the recorder, sets a lost reserve aside again; until
     /// the site ends.
-    pub(in crate::site) async fn keep(self: Arc<Self>) {
+    pub async fn keep(self: Arc<Self>) {
         let mut refill = Instant::now();
-        while !self.life.is_stopping() {
-            if !self.life.beat(LOOK).await {
+        while !self.parts.life.is_stopping() {
+            if !self.parts.life.beat(LOOK).await {
                 return;
             }
-            self.log.write_counted(Some(Timestamp::now())).await;
-            for owner in self.owners.all() {
+            self.parts.log.write_counted(Some(Timestamp::now())).await;
+            for owner in self.parts.owners.all() {
                 self.anchor_heads(&owner).await;
             }
             if !self.reserve.is_held()
                 && refill.elapsed() >= REFILL
-                && self.plant.ledger.records.takes_records().is_ok()
+                && self.parts.plant.ledger.records.takes_records().is_ok()
             {
                 refill = Instant::now();
                 // On a disk that is still full it is tried again.
@@ -89,17 +74,17 @@ impl Audit {
     }
 
     async fn anchor_heads(self: &Arc<Self>, owner: &Arc<Owner>) {
-        let Some(network) = self.link.network_now() else { return };
+        let Some(network) = self.parts.link.network_now() else { return };
         // Keys that are being changed must not sign now; the next look comes soon.
         let Ok(_one_at_a_time) = owner.changes.try_lock() else { return };
-        let (of, every) = (Arc::clone(owner), self.config.audit_every);
+        let (of, every) = (Arc::clone(owner), self.parts.config.audit_every);
         let stated = blocking(self, move |audit| {
-            let log = audit_head::state_head(&audit.plant, &network, audit.log.lines(), &of, every);
+            let log = audit_head::state_head(&audit.parts.plant, &network, audit.parts.log.lines(), &of, every);
             let keys = of.sealing().filter(|keys| keys.domain == network.domain);
             let recorder = keys.map_or(Ok(None), |keys| {
                 let mut all = audit.seen.lock().unwrap_or_else(PoisonError::into_inner);
                 let mut seen = all.get(&of.address).copied();
-                let stated = recorder_heads::state(&audit.plant, of.address, &keys, every, &mut seen);
+                let stated = recorder_heads::state(&audit.parts.plant, of.address, &keys, every, &mut seen);
                 all.extend(seen.map(|seen| (of.address, seen)));
                 stated
             });
@@ -107,19 +92,19 @@ impl Audit {
         })
         .await;
         match stated {
-            Ok(Some(_)) => self.hub.stored.notify_waiters(),
+            Ok(Some(_)) => self.parts.hub.stored.notify_waiters(),
             Ok(None) => {}
             Err(failure) => {
                 let (profile, why) = (&owner.profile, failure.message);
                 let text = format!("heads of the audit log and of the recorder are not anchored for {profile}: {why}");
-                self.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.notice(NoticeLevel::Error, &text);
             }
         }
     }
 
     /// Walks the whole log, and compares it with the heads that this owner anchored.
-    pub(in crate::site) async fn verify(self: &Arc<Self>, owner: Option<Arc<Owner>>) -> Result<AuditCheck, Failure> {
-        let walked = blocking(self, |audit| Ok(audit.log.lines().verify())).await?;
+    pub async fn verify(self: &Arc<Self>, owner: Option<Arc<Owner>>) -> Result<AuditCheck, Failure> {
+        let walked = blocking(self, |audit| Ok(audit.parts.log.lines().verify())).await?;
         let mut check = AuditCheck { ok: true, ..AuditCheck::default() };
         let mut broken = match walked {
             Ok(lines) => {
@@ -129,13 +114,13 @@ impl Audit {
             Err(fault) => Some(fault),
         };
         if let Some(owner) = owner {
-            let network = self.link.network().await?;
-            let reader = Reader { plant: &self.plant, network: &network, reader: &owner };
+            let network = self.parts.link.network().await?;
+            let reader = Reader { plant: &self.parts.plant, network: &network, reader: &owner };
             let heads = audit_head::heads(&reader).await?;
             check.heads = heads.good.len() as u64;
             check.anchored = heads.anchored as u64;
             check.unusable = heads.bad.iter().map(|(id, why)| format!("{id}: {}", clean(why, 200))).collect();
-            match blocking(self, move |audit| Ok(audit.log.lines().compare(&heads.good))).await? {
+            match blocking(self, move |audit| Ok(audit.parts.log.lines().compare(&heads.good))).await? {
                 Ok(covered) => check.covered = covered,
                 Err(fault) => broken = broken.filter(|walked| walked.line <= fault.line).or(Some(fault)),
             }
@@ -152,12 +137,12 @@ tokio::task_local! {
 }
 
 /// Does the work of an operator's request.
-pub(in crate::site) async fn acting_as<Work: Future>(operator: OperatorName, work: Work) -> Work::Output {
+pub async fn acting_as<Work: Future>(operator: OperatorName, work: Work) -> Work::Output {
     OPERATOR.scope(operator, work).await
 }
 
 /// Whether an operator's request is answered in this task.
-pub(in crate::site) fn is_operator() -> bool {
+pub fn is_operator() -> bool {
     OPERATOR.try_with(|_| ()).is_ok()
 }
 
@@ -167,7 +152,7 @@ fn doer(profile: &str) -> String {
 }
 
 /// An operator of a profile, as the log has it.
-pub(in crate::site) fn by(profile: impl Display, operator: &OperatorName) -> String {
+pub fn by(profile: impl Display, operator: &OperatorName) -> String {
     format!("{profile}/{operator}")
 }
 
@@ -178,39 +163,39 @@ const MOST_AT_ONCE: usize = 256;
 
 impl Audit {
     /// Audits all records of the home, for a profile that asks how far it is.
-    pub(in crate::site) async fn records(
+    pub async fn records(
         self: &Arc<Self>,
         profile: &ProfileName,
         is_pinned: bool,
         deep: bool,
         since: Option<Timestamp>,
     ) -> Result<RecordAudit, Failure> {
-        let network = if is_pinned { Some(self.link.network().await) } else { None };
+        let network = if is_pinned { Some(self.parts.link.network().await) } else { None };
         let runtime = Handle::current();
-        let running = self.runs.begin_counted(profile, "this home", "auditing", "records");
+        let running = self.parts.runs.begin_counted(profile, "this home", "auditing", "records");
         blocking(self, move |audit| {
-            let keys = Arc::new(OwnKeys::of(&audit.owners));
+            let keys = Arc::new(OwnKeys::of(&audit.parts.owners));
             // How many are younger is known when they are read.
-            running.run.expect(if since.is_none() { audit.plant.ledger.inspection.size()? } else { 0 });
+            running.run.expect(if since.is_none() { audit.parts.plant.ledger.inspection.size()? } else { 0 });
             let (since, looked_at) = (since.unwrap_or_default(), running.run.counter());
-            let scope = Scope { deep, since, accounts: audit.owners.accounts(), keys, looked_at };
+            let scope = Scope { deep, since, accounts: audit.parts.owners.accounts(), keys, looked_at };
             let chain = network.as_ref().map(|network| network.as_ref().map_err(|failure| failure.message.clone()));
-            Ok(record_audit::audit(&audit.plant, chain, audit.log.lines(), &scope, &runtime)?)
+            Ok(record_audit::audit(&audit.parts.plant, chain, audit.parts.log.lines(), &scope, &runtime)?)
         })
         .await
     }
 
     /// Re-hashes the share of the stored records set by `audit.scrub`, until the site ends.
-    pub(in crate::site) async fn keep_scrubbing(self: Arc<Self>) {
-        let percent = self.config.scrub_percent;
+    pub async fn keep_scrubbing(self: Arc<Self>) {
+        let percent = self.parts.config.scrub_percent;
         let mut due = 0.0_f64;
-        while percent > 0 && !self.life.is_stopping() {
+        while percent > 0 && !self.parts.life.is_stopping() {
             tokio::select! {
                 () = tokio::time::sleep(SHARE_EVERY) => {}
-                () = self.life.stopped() => return,
+                () = self.parts.life.stopped() => return,
             }
-            let Some(network) = self.link.network_now() else { continue };
-            let Ok(records) = blocking(&self, |audit| Ok(audit.plant.ledger.inspection.size()?)).await else {
+            let Some(network) = self.parts.link.network_now() else { continue };
+            let Ok(records) = blocking(&self, |audit| Ok(audit.parts.plant.ledger.inspection.size()?)).await else {
                 continue;
             };
             #[expect(clippy::cast_precision_loss, reason = "a share of them")]
@@ -218,12 +203,12 @@ impl Audit {
             due = (due + records * percent / 100.0 * SHARE_EVERY.as_secs_f64() / 3600.0).min(records);
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small and not negative")]
             let mut share = due as usize;
-            while share > 0 && !self.life.is_stopping() {
+            while share > 0 && !self.parts.life.is_stopping() {
                 let (most, network) = (share.min(MOST_AT_ONCE), network.clone());
-                let done = blocking(&self, move |audit| Ok(scrub_round(&audit.plant, &network, most)?)).await;
+                let done = blocking(&self, move |audit| Ok(scrub_round(&audit.parts.plant, &network, most)?)).await;
                 if let Err(failure) = done {
                     let text = format!("the scrubber waits: {}", failure.message);
-                    self.hub.notice(NoticeLevel::Warning, &text);
+                    self.parts.hub.notice(NoticeLevel::Warning, &text);
                     break;
                 }
                 share -= most;

@@ -3,13 +3,8 @@
 #[cfg(test)]
 mod tests;
 
-use crate::config::Config;
-use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
 use crate::site::parts::Parts;
-use crate::site::progress::{Run, Runs};
+use crate::site::progress::Run;
 use crate::site::quarantine::Quarantine;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -42,27 +37,14 @@ const OPENING: Duration = Duration::from_secs(30);
 const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", "waiting", unfinished::PREFIX];
 
 /// Backups of a running home.
-pub(in crate::site) struct Backup {
-    home: Home,
-    config: Arc<Config>,
-    plant: Plant,
-    log: Arc<Log>,
-    link: Arc<Link>,
-    quarantine: Arc<Quarantine>,
-    runs: Runs,
-}
-
-impl Backup {
-    /// From the shared parts.
-    pub fn new(parts: &Parts, quarantine: &Arc<Quarantine>) -> Self {
-        let Parts { home, config, plant, log, link, runs, .. } = parts.clone();
-        Self { home, config, plant, log, link, quarantine: Arc::clone(quarantine), runs }
-    }
+pub struct Backup {
+    pub parts: Parts,
+    pub quarantine: Arc<Quarantine>,
 }
 
 impl Backup {
     /// Writes the home into one sealed file, 0600, never overwriting another; a crash leaves none.
-    pub(super) async fn back_up(
+    pub async fn back_up(
         self: &Arc<Self>,
         profile: &ProfileName,
         file: PathBuf,
@@ -70,7 +52,9 @@ impl Backup {
     ) -> Result<BackupView, Failure> {
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
         let shown = clean(&file.display().to_string(), 200);
-        if file.starts_with(self.home.root()) || self.home.outside().iter().any(|(_, place)| file.starts_with(place)) {
+        if file.starts_with(self.parts.home.root())
+            || self.parts.home.outside().iter().any(|(_, place)| file.starts_with(place))
+        {
             return Err(input(format!(
                 "{shown} is inside the home itself; write the backup elsewhere, preferably to another disk"
             )));
@@ -78,12 +62,12 @@ impl Backup {
         if fs::symlink_metadata(&file).is_ok() {
             return Err(input(format!("{shown} already exists; choose a new file, backups are never overwritten")));
         }
-        let running = self.runs.begin(profile, &shown, "copying into", "files");
+        let running = self.parts.runs.begin(profile, &shown, "copying into", "files");
         let runtime = Handle::current();
         let written = async {
             // While an embedded chain is being opened, its file is locked and no connection has it.
-            if self.config.chain_url.is_none() {
-                drop(tokio::time::timeout(OPENING, self.link.settled()).await);
+            if self.parts.config.chain_url.is_none() {
+                drop(tokio::time::timeout(OPENING, self.parts.link.settled()).await);
             }
             // Work that deletes ciphertext in a commit before the one that notes it waits until the moment is taken.
             let quiet = self.quarantine.quiet().await;
@@ -91,19 +75,19 @@ impl Backup {
             drop(quiet);
             blocking(self, move |backup| backup.pack(&moment, &file, &passphrase, &running.run)).await
         };
-        self.log.deed(profile, "back up", &shown, written).await
+        self.parts.log.deed(profile, "back up", &shown, written).await
     }
 
     /// Both databases as of one moment.
     fn moment(&self, runtime: &Handle) -> Result<Moment, Failure> {
-        let unwritten = |error| unwritten(self.home.root(), &error);
+        let unwritten = |error| unwritten(self.parts.home.root(), &error);
         // The copies of a backup that was killed, which no erasure reaches.
-        unfinished::sweep(self.home.root()).map_err(unwritten)?;
-        let folder = UnfinishedFolder::new(self.home.root()).map_err(unwritten)?;
-        let (chain, runtime, copy) = (self.link.connected(), runtime.clone(), folder.path().join("chain.db"));
-        let closed = self.home.chain().join("chain.db");
+        unfinished::sweep(self.parts.home.root()).map_err(unwritten)?;
+        let folder = UnfinishedFolder::new(self.parts.home.root()).map_err(unwritten)?;
+        let (chain, runtime, copy) = (self.parts.link.connected(), runtime.clone(), folder.path().join("chain.db"));
+        let closed = self.parts.home.chain().join("chain.db");
         let also = move || copy_chain(chain, &runtime, &closed, copy);
-        let (ledger, chain) = Snapshot::of(&self.plant.ledger, also)?;
+        let (ledger, chain) = Snapshot::of(&self.parts.plant.ledger, also)?;
         fault::point("backup-moment");
         Ok(Moment { folder, ledger, chain })
     }
@@ -111,8 +95,8 @@ impl Backup {
     /// Roughly how many bytes are to be written: the databases and a robot's ring are nearly all of a home.
     fn expected(&self, moment: &Moment) -> u64 {
         let chain = moment.chain.then(|| moment.folder.path().join("chain.db"));
-        let ring = fs::read_dir(self.home.ring()).into_iter().flatten().flatten().map(|entry| entry.path());
-        let all = [Some(self.home.ledger()), chain].into_iter().flatten().chain(ring);
+        let ring = fs::read_dir(self.parts.home.ring()).into_iter().flatten().flatten().map(|entry| entry.path());
+        let all = [Some(self.parts.home.ledger()), chain].into_iter().flatten().chain(ring);
         all.filter_map(|path| fs::metadata(path).ok()).map(|about| about.len()).sum()
     }
 
@@ -123,10 +107,8 @@ impl Backup {
         let target = unfinished::new_file(directory).map_err(failed)?;
         let mut view = BackupView {
             file: clean(&file.display().to_string(), 200),
-            files: 0,
-            bytes: 0,
-            profiles: self.home.profiles().iter().map(ToString::to_string).collect(),
-            notes: Vec::new(),
+            profiles: self.parts.home.profiles().iter().map(ToString::to_string).collect(),
+            ..BackupView::default()
         };
         let mut sealed = SealedWriter::new(io::BufWriter::new(target), passphrase).map_err(failed)?;
         let copy = moment.folder.path().join("copy.db");
@@ -142,8 +124,8 @@ impl Backup {
         }
         // After the ledger: the keyring must have the keys of every epoch that the ledger names.
         let mut small = Small { sealed: &mut sealed, view: &mut view, run };
-        small.directory("", self.home.root()).map_err(failed)?;
-        for (name, path) in self.home.outside() {
+        small.directory("", self.parts.home.root()).map_err(failed)?;
+        for (name, path) in self.parts.home.outside() {
             small.outside(name, path).map_err(failed)?;
         }
         archive::end(&mut sealed).map_err(failed)?;

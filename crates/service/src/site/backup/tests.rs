@@ -18,7 +18,7 @@ fn backup(ground: &Ground) -> (Arc<Backup>, Arc<Quarantine>) {
     let contacts = Arc::new(Contacts::new(&ground.parts));
     let reading = Arc::new(Reading::new(&ground.parts, &contacts));
     let quarantine = Arc::new(Quarantine::new(&ground.parts, &reading));
-    (Arc::new(Backup::new(&ground.parts, &quarantine)), quarantine)
+    (Arc::new(Backup { parts: ground.parts.clone(), quarantine: Arc::clone(&quarantine) }), quarantine)
 }
 
 fn secret() -> SecretText {

@@ -4,7 +4,6 @@ use super::Capture;
 use std::time::Duration;
 
 use crate::model::{ProfileName, TopicRule};
-use crate::service::command::PolicyCommand;
 use crate::service::failure::input;
 use crate::service::reply::{Failure, PolicyRow, PolicyView};
 
@@ -12,30 +11,26 @@ use crate::service::reply::{Failure, PolicyRow, PolicyView};
 const LONGEST: u64 = 600_000;
 
 impl Capture {
-    /// Answers a command about rules.
-    pub async fn policy(&self, profile: &ProfileName, command: PolicyCommand) -> Result<PolicyView, Failure> {
-        match command {
-            PolicyCommand::Show => self.policy_view(profile, false).await,
-            PolicyCommand::Learn { milliseconds } => {
-                if !(1000..=LONGEST).contains(&milliseconds) {
-                    return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
-                }
-                self.ros.any().await?;
-                let learning = self.ros.learn();
-                self.ros.wishes_changed();
-                tokio::select! {
-                    () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
-                    () = self.parts.life.stopped() => {}
-                }
-                let view = self.policy_view(profile, true).await;
-                drop(learning);
-                self.ros.wishes_changed();
-                view
-            }
+    /// What each topic does for this long.
+    pub async fn learn_policy(&self, profile: &ProfileName, milliseconds: u64) -> Result<PolicyView, Failure> {
+        if !(1000..=LONGEST).contains(&milliseconds) {
+            return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
         }
+        self.ros.any().await?;
+        let learning = self.ros.learn();
+        self.ros.wishes_changed();
+        tokio::select! {
+            () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
+            () = self.parts.life.stopped() => {}
+        }
+        let view = self.policy_view(profile, true).await;
+        drop(learning);
+        self.ros.wishes_changed();
+        view
     }
 
-    async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
+    /// The rule of each topic.
+    pub async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
         let rules = &self.parts.config.topic_rules;
         let row = |row: crate::service::reply::TopicRow| PolicyRow {
             rule: rules.of(&row.topic).map(|rule| TopicRule::clone(rule)),

@@ -1,12 +1,7 @@
 //! The administrator's acts and their limits, and what everybody is told of them: above all who continues, or is to
 //! continue, for a lost account.
 
-use crate::pipeline::Sender;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
 use crate::site::contacts::Contacts;
-use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
@@ -24,32 +19,16 @@ use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryV
 const PAUSE: u64 = 86_400;
 
 /// The administrator's acts.
-pub(in crate::site) struct Administering {
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
-    sender: Arc<Sender>,
-    contacts: Arc<Contacts>,
-}
-
-impl Administering {
-    /// From the shared parts.
-    pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
-        let Parts { hub, log, link, life, sender, .. } = parts.clone();
-        Self { hub, log, link, life, sender, contacts: Arc::clone(contacts) }
-    }
+pub struct Administering {
+    pub parts: Parts,
+    pub contacts: Arc<Contacts>,
 }
 
 impl Administering {
     /// Performs one act of the administrator; the contract refuses it to anybody else, except acts open to others as
     /// well.
-    pub(in crate::site) async fn administer(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        act: &Administration,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+    pub async fn administer(&self, owner: &Arc<Owner>, act: &Administration) -> Result<TransactionView, Failure> {
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let (call, text) = self.act(&network, act)?;
         if let Some(administrator) = network.directory.administration().administrator
@@ -65,12 +44,12 @@ impl Administering {
     }
 
     /// Names who may stop a succession of the profile's own account; it takes effect after the contract's delay.
-    pub(in crate::site) async fn name_recovery(
-        self: &Arc<Self>,
+    pub async fn name_recovery(
+        &self,
         owner: &Arc<Owner>,
         recovery: Option<&Party>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
@@ -87,40 +66,35 @@ impl Administering {
     }
 
     async fn send_act(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         call: Call,
         text: String,
     ) -> Result<TransactionView, Failure> {
         let name = call.name();
-        self.log.begin(owner, name, &text).await?;
-        let sent = self.sender.send(&network.chain, &owner.eoa(), call, name).await.map_err(Failure::from);
-        let (transaction, receipt) = self.log.end(owner, name, &text, sent).await?;
-        self.link.scanned(receipt.block).await;
-        self.hub.changed(Part::Chain);
+        self.parts.log.begin(owner, name, &text).await?;
+        let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, name).await.map_err(Failure::from);
+        let (transaction, receipt) = self.parts.log.end(owner, name, &text, sent).await?;
+        self.parts.link.scanned(receipt.block).await;
+        self.parts.hub.changed(Part::Chain);
         let epoch = network.directory.epoch(owner.address);
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
     /// Cancels a transaction of one of the owner's accounts. No change of the owner's is waited for: it may be the one
     /// that is cancelled.
-    pub(in crate::site) async fn cancel(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        key: &EoaSecret,
-        nonce: u64,
-    ) -> Result<TransactionView, Failure> {
+    pub async fn cancel(&self, owner: &Arc<Owner>, key: &EoaSecret, nonce: u64) -> Result<TransactionView, Failure> {
         const ACTION: &str = "cancel transaction";
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let subject = format!("nonce {nonce} of {}", key.address());
-        self.log.begin(owner, ACTION, &subject).await?;
-        let cancelled = self.sender.cancel(&network.chain, key, nonce).await.map_err(Failure::from);
-        let cancelled = self.log.end(owner, ACTION, &subject, cancelled).await?;
-        self.hub.changed(Part::Chain);
-        let block = self.sender.wait_cancelled(&network.chain, key, &cancelled).await?;
+        self.parts.log.begin(owner, ACTION, &subject).await?;
+        let cancelled = self.parts.sender.cancel(&network.chain, key, nonce).await.map_err(Failure::from);
+        let cancelled = self.parts.log.end(owner, ACTION, &subject, cancelled).await?;
+        self.parts.hub.changed(Part::Chain);
+        let block = self.parts.sender.wait_cancelled(&network.chain, key, &cancelled).await?;
         if let Some(block) = block {
-            self.link.scanned(block).await;
+            self.parts.link.scanned(block).await;
         }
         let what = &cancelled.purpose;
         let text = match (block, cancelled.anchors) {
@@ -194,11 +168,7 @@ impl Administering {
     }
 
     /// The administrator's decisions, with the names of the address book; the recovery account is `own`'s.
-    pub(in crate::site) fn view(
-        network: &Network,
-        own: Option<Address>,
-        names: &BTreeMap<Address, String>,
-    ) -> AdministrationView {
+    pub fn view(network: &Network, own: Option<Address>, names: &BTreeMap<Address, String>) -> AdministrationView {
         let (decided, now) = (network.directory.administration(), Timestamp::now());
         let name = |account: &Address| names.get(account).cloned();
         let proposals = decided.proposals.iter().map(|waits| ProposalView {
@@ -238,15 +208,15 @@ impl Administering {
     }
 
     /// Reports successors and contacts with other keys as soon as the chain does, each once a run.
-    pub(in crate::site) async fn keep_parties_known(self: Arc<Self>) {
-        let mut scanned = self.link.scans();
+    pub async fn keep_parties_known(self: Arc<Self>) {
+        let mut scanned = self.parts.link.scans();
         let (mut seen, mut told) = (None, HashSet::new());
-        while !self.life.is_stopping() {
+        while !self.parts.life.is_stopping() {
             tokio::select! {
                 changed = scanned.changed() => if changed.is_err() { return },
-                () = self.life.stopped() => return,
+                () = self.parts.life.stopped() => return,
             }
-            let Some(network) = self.link.network_now() else { continue };
+            let Some(network) = self.parts.link.network_now() else { continue };
             let newest = (network.domain, network.directory.newest());
             if seen.replace(newest) == Some(newest) {
                 continue;
@@ -258,7 +228,7 @@ impl Administering {
             }
             for text in texts {
                 if told.insert(text.clone()) {
-                    self.hub.notice(NoticeLevel::Error, &text);
+                    self.parts.hub.notice(NoticeLevel::Error, &text);
                 }
             }
         }

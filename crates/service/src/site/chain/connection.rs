@@ -7,22 +7,16 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 use tokio::task::block_in_place;
 
-use super::link::Link;
 use crate::chain::{
     Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, LONGEST_DELAY, Pin, SHORTEST_DELAY, serve,
 };
-use crate::config::Config;
 use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, refused};
-use crate::hub::Hub;
 use crate::model::ProfileName;
 use crate::paths::Home;
-use crate::pipeline::{Network, Owner, PipelineError, Plant, Sender, network_pin, network_pin_in, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, network_pin, network_pin_in, watcher};
 use crate::reply::{DeployedView, Failure, ServedView};
 use crate::site::NetworkState;
-use crate::site::audit::Log;
-use crate::site::identity::Owners;
-use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 
@@ -30,44 +24,32 @@ use crate::site::parts::Parts;
 const LONGEST_PAUSE: u64 = 5;
 
 /// The connection to the chain, and the home's pin.
-pub(in crate::site) struct Connection {
-    pub(super) home: Home,
-    pub(super) config: Arc<Config>,
-    pub(super) plant: Plant,
-    pub(super) hub: Arc<Hub>,
-    pub(super) log: Arc<Log>,
-    pub(super) link: Arc<Link>,
-    pub(super) life: Arc<Lifetime>,
-    pub(super) sender: Arc<Sender>,
-    pub(super) owners: Arc<Owners>,
-    pub(super) remote: Option<Arc<Remote>>,
-    pub(super) deploying: tokio::sync::Mutex<()>,
+pub struct Connection {
+    parts: Parts,
+    remote: Option<Arc<Remote>>,
+    deploying: tokio::sync::Mutex<()>,
 }
 
 impl Connection {
     /// From the shared parts.
     pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
-        let Parts { home, config, plant, hub, log, link, life, sender, owners, .. } = parts.clone();
-        let deploying = tokio::sync::Mutex::default();
-        Self { home, config, plant, hub, log, link, life, sender, owners, remote, deploying }
+        Self { parts: parts.clone(), remote, deploying: tokio::sync::Mutex::default() }
     }
-}
 
-impl Connection {
     /// The chain and contract that the home is bound to; `None` = none yet.
-    pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
-        Ok(block_in_place(|| network_pin(&self.plant.ledger.rights))?)
+    pub fn pin(&self) -> Result<Option<Pin>, Failure> {
+        Ok(block_in_place(|| network_pin(&self.parts.plant.ledger.rights))?)
     }
 
     /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected, it
     /// waits until the chain turns out to be another one, and then for the pinned one to come back.
-    pub(in crate::site) async fn keep_connected(self: Arc<Self>) {
+    pub async fn keep_connected(self: Arc<Self>) {
         let mut pause = 1;
-        while !self.life.is_stopping() {
+        while !self.parts.life.is_stopping() {
             let is_lost = |state: &NetworkState| {
                 matches!(state, NetworkState::Connecting | NetworkState::Swapped(_) | NetworkState::Down { .. })
             };
-            let mut state = self.link.follow();
+            let mut state = self.parts.link.follow();
             if !is_lost(&state.borrow()) {
                 pause = 1;
                 // An error means that the site is gone.
@@ -76,102 +58,104 @@ impl Connection {
             }
             match self.connect().await {
                 Ok(()) => continue,
-                Err(Lost::Swapped(failure)) => self.link.lose_chain(failure),
+                Err(Lost::Swapped(failure)) => self.parts.link.lose_chain(failure),
                 Err(Lost::Other(failure)) => {
-                    self.hub.notice(NoticeLevel::Error, &failure.message);
-                    self.link.lost(NetworkState::Down { failure, next: Instant::now() + Duration::from_secs(pause) });
+                    self.parts.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.parts
+                        .link
+                        .lost(NetworkState::Down { failure, next: Instant::now() + Duration::from_secs(pause) });
                 }
             }
             tokio::select! {
                 () = tokio::time::sleep(Duration::from_secs(pause)) => {}
-                () = self.life.stopped() => return,
+                () = self.parts.life.stopped() => return,
             }
             pause = (pause * 2).min(LONGEST_PAUSE);
         }
     }
 
-    async fn connect(self: &Arc<Self>) -> Result<(), Lost> {
+    async fn connect(&self) -> Result<(), Lost> {
         // The contract may be being deployed, which connects as well.
         let _one_at_a_time = self.deploying.lock().await;
-        if matches!(*self.link.state(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
+        if matches!(*self.parts.link.state(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
             return Ok(());
         }
         let chain = self.reach_chain().await?;
         if let Some(pin) = chain.pin() {
             return self.use_network(chain, &pin).await;
         }
-        self.link.set(NetworkState::Bare(chain));
-        self.hub.changed(Part::Chain);
-        self.hub.changed(Part::Health);
+        self.parts.link.set(NetworkState::Bare(chain));
+        self.parts.hub.changed(Part::Chain);
+        self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
     /// The chain in the settings, compared with the home's pin.
     async fn reach_chain(&self) -> Result<Chain, Lost> {
-        let (pinned, contract, confirmations) = (self.pin()?, self.config.contract, self.config.confirmations);
+        let (pinned, contract, confirmations) =
+            (self.pin()?, self.parts.config.contract, self.parts.config.confirmations);
         if let Some(remote) = &self.remote {
-            return remote.chain((&self.home, &self.owners), pinned, contract, confirmations).await;
+            return remote.chain((&self.parts.home, &self.parts.owners), pinned, contract, confirmations).await;
         }
-        let endpoint = match &self.config.chain_url {
-            Some(url) => Endpoint::Node { url: url.clone(), roots: self.config.chain_roots.clone() },
-            None => Endpoint::Embedded { directory: self.home.chain(), consensus: self.config.consensus },
+        let endpoint = match &self.parts.config.chain_url {
+            Some(url) => Endpoint::Node { url: url.clone(), roots: self.parts.config.chain_roots.clone() },
+            None => Endpoint::Embedded { directory: self.parts.home.chain(), consensus: self.parts.config.consensus },
         };
         Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)
     }
 
-    pub(in crate::site) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
-        let network = Network::new(chain, pin, self.plant.provider, self.config.confirmations);
-        block_in_place(|| watcher::restore(&self.plant, &network))?;
-        let head = watcher::watch_round(&self.plant, &network).await?;
-        self.link.has_scanned(head.number);
-        self.link.set(NetworkState::Up(Box::new(network)));
-        self.hub.changed(Part::Chain);
-        self.hub.changed(Part::Health);
+    pub async fn use_network(&self, chain: Chain, pin: &Pin) -> Result<(), Lost> {
+        let network = Network::new(chain, pin, self.parts.plant.provider, self.parts.config.confirmations);
+        block_in_place(|| watcher::restore(&self.parts.plant, &network))?;
+        let head = watcher::watch_round(&self.parts.plant, &network).await?;
+        self.parts.link.has_scanned(head.number);
+        self.parts.link.set(NetworkState::Up(Box::new(network)));
+        self.parts.hub.changed(Part::Chain);
+        self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
     /// The network; deploys the contract with the owner's account if there is none yet.
-    pub(in crate::site) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
+    pub async fn network_or_deploy(&self, owner: &Owner) -> Result<Network, Failure> {
         self.network_or_deploy_with(owner, DEFAULT_DELAY, false).await
     }
 
     /// The same, with a given delay of successions; `anew`: even where the account has used this chain before.
-    async fn network_or_deploy_with(
-        self: &Arc<Self>,
-        owner: &Owner,
-        delay: Duration,
-        anew: bool,
-    ) -> Result<Network, Failure> {
+    async fn network_or_deploy_with(&self, owner: &Owner, delay: Duration, anew: bool) -> Result<Network, Failure> {
         // Not before the first attempt has ended, which needs the lock as well.
-        self.link.settled().await?;
+        self.parts.link.settled().await?;
         let _one_at_a_time = self.deploying.lock().await;
-        let NetworkState::Bare(chain) = self.link.settled().await? else { return self.link.network().await };
+        let NetworkState::Bare(chain) = self.parts.link.settled().await? else {
+            return self.parts.link.network().await;
+        };
         let eoa = owner.eoa();
         if !anew {
             is_new_here(&chain, owner).await?;
         }
         self.fund(&chain, owner).await?;
-        let mut deployed = chain.deploy_with(&eoa, delay, self.sender.policy()).await?;
+        let mut deployed = chain.deploy_with(&eoa, delay, self.parts.sender.policy()).await?;
         // A chain that was wiped and founded as before gives a contract the address of the lost one: records of both could
         // not be distinguished. Each further deployment has another address.
         while !owner.epochs(deployed.pin.domain()).is_empty() {
-            deployed = chain.deploy_with(&eoa, delay, self.sender.policy()).await?;
+            deployed = chain.deploy_with(&eoa, delay, self.parts.sender.policy()).await?;
         }
-        deployed.raised.into_iter().for_each(|price| self.sender.note_needed(price));
+        deployed.raised.into_iter().for_each(|price| self.parts.sender.note_needed(price));
         let pin = deployed.pin;
         self.use_network(chain, &pin).await?;
-        self.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
-        self.hub.notice(
+        self.parts.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
+        self.parts.hub.notice(
             NoticeLevel::Info,
             &format!("contract {} deployed; {} administers it", pin.contract, owner.address),
         );
-        self.link.network().await
+        self.parts.link.network().await
     }
 
     /// Asks a development node for money if the account has none.
-    pub(in crate::site) async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
-        if self.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
-            self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} ether for gas", owner.address));
+    pub async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
+        if self.parts.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
+            self.parts
+                .hub
+                .notice(NoticeLevel::Info, &format!("the development node gave {} ether for gas", owner.address));
         }
         Ok(())
     }
@@ -209,7 +193,7 @@ async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
 }
 
 /// Why the chain could not be connected.
-pub(in crate::site) enum Lost {
+pub enum Lost {
     /// Another chain answers, or the embedded one has no file any more.
     Swapped(Failure),
     /// Anything else.
@@ -250,17 +234,13 @@ impl From<Failure> for Lost {
 
 impl Connection {
     /// Deploys the contract with the owner's account and pins it.
-    pub(in crate::site) async fn deploy_contract(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        delay: Option<u64>,
-    ) -> Result<DeployedView, Failure> {
+    pub async fn deploy_contract(&self, owner: &Arc<Owner>, delay: Option<u64>) -> Result<DeployedView, Failure> {
         let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
             return Err(input("the succession delay must be between 1 and 365 days; give another --delay"));
         }
-        self.link.chain().await?;
-        if let NetworkState::Up(network) = &*self.link.state() {
+        self.parts.link.chain().await?;
+        if let NetworkState::Up(network) = &*self.parts.link.state() {
             let contract = network.chain.pin().map_or_else(|| "a contract".to_owned(), |pin| pin.contract.to_string());
             return Err(input(format!(
                 "{contract} is already pinned for this home, nothing was deployed; use another --home for another one"
@@ -272,38 +252,40 @@ impl Connection {
     }
 
     /// Answers other tools until `ended`, or the site's end.
-    pub(in crate::site) async fn serve_chain(
+    pub async fn serve_chain(
         self: &Arc<Self>,
         profile: &ProfileName,
         address: SocketAddr,
         ended: oneshot::Receiver<()>,
     ) -> Result<ServedView, Failure> {
-        let chain = self.link.chain().await?;
-        if self.config.chain_url.is_some() {
+        let chain = self.parts.link.chain().await?;
+        if self.parts.config.chain_url.is_some() {
             return Err(input(format!("this site uses the node at {}; point other tools there", chain.url())));
         }
         let listener = serve::listen(address).await?;
         let (by, subject) = (profile.clone(), address.to_string());
-        self.log.write(profile, "serve chain", &subject, "begun").await?;
+        self.parts.log.write(profile, "serve chain", &subject, "begun").await?;
         let address = listener.local_addr().map_err(|error| input(format!("no address to listen on: {error}")))?;
         let view = ServedView {
             url: format!("http://{address}"),
             chain_id: chain.chain_id(),
             contract: chain.pin().map(|pin| pin.contract),
         };
-        self.hub.notice(NoticeLevel::Info, &format!("the chain is available to tools on this machine at {}", view.url));
+        self.parts
+            .hub
+            .notice(NoticeLevel::Info, &format!("the chain is available to tools on this machine at {}", view.url));
         let connection = Arc::clone(self);
         tokio::spawn(async move {
             let stop = async {
                 tokio::select! {
-                    () = connection.life.stopped() => {}
+                    () = connection.parts.life.stopped() => {}
                     // A dropped sender means the same.
                     _ = ended => {}
                 }
             };
             let served = chain.serve(listener, stop).await.map_err(Failure::from);
-            if let Err(failure) = connection.log.ended(&by, "serve chain", &subject, served).await {
-                connection.hub.notice(NoticeLevel::Error, &failure.message);
+            if let Err(failure) = connection.parts.log.ended(&by, "serve chain", &subject, served).await {
+                connection.parts.hub.notice(NoticeLevel::Error, &failure.message);
             }
         });
         Ok(view)

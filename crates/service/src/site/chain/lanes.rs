@@ -1,11 +1,5 @@
 //! The accounts that anchor for each owner: the owner's own and extra ones, maintained and kept ready.
 
-use crate::config::Config;
-use crate::pipeline::{Plant, Sender};
-use crate::service::hub::Hub;
-use crate::site::chain::link::Link;
-use crate::site::identity::Owners;
-use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -26,26 +20,17 @@ const LOOK: Duration = Duration::from_secs(2);
 type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
 
 /// The accounts that anchor.
-pub(in crate::site) struct Lanes {
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
-    sender: Arc<Sender>,
+pub struct Lanes {
+    parts: Parts,
     extra: Mutex<Derived>,
 }
 
 impl Lanes {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
-        let Parts { config, plant, hub, owners, link, life, sender, .. } = parts.clone();
-        Self { config, plant, hub, owners, link, life, sender, extra: Mutex::default() }
+        Self { parts: parts.clone(), extra: Mutex::default() }
     }
-}
 
-impl Lanes {
     /// All extra accounts that the owner can have on this network.
     fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
         let mut known = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
@@ -60,10 +45,10 @@ impl Lanes {
     }
 
     /// The accounts that anchor for an owner now, the owner's own first.
-    pub(in crate::site) fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
+    pub fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>, Failure> {
         let mut lanes = vec![owner.eoa()];
-        if self.config.lanes > 1 {
-            let wanted = usize::from(self.config.lanes) - 1;
+        if self.parts.config.lanes > 1 {
+            let wanted = usize::from(self.parts.config.lanes) - 1;
             let extra = self.extra(owner, network)?;
             let ready = extra.iter().take(wanted).filter(|(account, _)| network.directory.identity(*account).is_ok());
             lanes.extend(ready.map(|(_, key)| key.clone()));
@@ -72,12 +57,7 @@ impl Lanes {
     }
 
     /// The key of one of an owner's lanes, also of an extra one that the settings no longer use; `None` = its own.
-    pub(in crate::site) fn key(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        account: Option<Address>,
-    ) -> Result<EoaSecret, Failure> {
+    pub fn key(&self, owner: &Owner, network: &Network, account: Option<Address>) -> Result<EoaSecret, Failure> {
         let Some(account) = account.filter(|account| *account != owner.address) else { return Ok(owner.eoa()) };
         let extra = self.extra(owner, network)?;
         let found = extra.iter().find(|(other, _)| *other == account).map(|(_, key)| key.clone());
@@ -90,11 +70,11 @@ impl Lanes {
     }
 
     /// The state of an owner's lanes: its own, and that of every extra account in use or with pending transactions.
-    pub(in crate::site) fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
-        let mut states = vec![self.sender.state_of(owner.address)?];
-        let wanted = usize::from(self.config.lanes).saturating_sub(1);
+    pub fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
+        let mut states = vec![self.parts.sender.state_of(owner.address)?];
+        let wanted = usize::from(self.parts.config.lanes).saturating_sub(1);
         for (index, (account, _)) in self.extra(owner, network)?.iter().enumerate() {
-            let state = self.sender.state_of(*account)?;
+            let state = self.parts.sender.state_of(*account)?;
             if index < wanted || state.open > 0 {
                 states.push(state);
             }
@@ -103,18 +83,18 @@ impl Lanes {
     }
 
     /// Why a lane of an open owner is stalled, if one is: in words, and whether somebody has to do something.
-    pub(in crate::site) fn paused(&self, network: &Network) -> Option<(String, bool)> {
-        let owners = self.owners.all();
+    pub fn paused(&self, network: &Network) -> Option<(String, bool)> {
+        let owners = self.parts.owners.all();
         let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
         states.find_map(|state| state.paused.map(|reason| (reason.text(state.account), reason.is_alarm())))
     }
 
     /// Maintains the lanes of every open owner: after each block, and while none comes.
-    pub(in crate::site) async fn tend(&self, network: &Network) {
-        for owner in self.owners.all() {
+    pub async fn tend(&self, network: &Network) {
+        for owner in self.parts.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
                 let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
-                self.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.notice(NoticeLevel::Error, &text);
             }
         }
     }
@@ -123,40 +103,40 @@ impl Lanes {
         let mut keys = vec![owner.eoa()];
         for (account, key) in self.extra(owner, network)?.iter() {
             // Also those of a setting that has been lowered since.
-            let state = self.sender.state_of(*account)?;
+            let state = self.parts.sender.state_of(*account)?;
             if state.open > 0 || state.paused.is_some() {
                 keys.push(key.clone());
             }
         }
         for key in keys {
-            for reason in self.sender.tend(&network.chain, &key).await? {
+            for reason in self.parts.sender.tend(&network.chain, &key).await? {
                 let text = format!("the contract rejected a transaction of {}: {reason}", owner.profile);
-                self.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.notice(NoticeLevel::Error, &text);
             }
         }
         Ok(())
     }
 
     /// Keeps the extra accounts of an owner registered and able to pay, until the owner is closed or the site ends.
-    pub(in crate::site) async fn keep_extra(self: Arc<Self>, owner: Arc<Owner>) {
-        while !self.life.is_stopping() && self.owners.is_open(&owner) {
-            if let Some(network) = self.link.network_now()
+    pub async fn keep_extra(self: Arc<Self>, owner: Arc<Owner>) {
+        while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
+            if let Some(network) = self.parts.link.network_now()
                 && network.directory.identity(owner.address).is_ok()
                 && let Err(failure) = self.ready_extra(&owner, &network).await
             {
                 let text = format!("an extra anchoring account of {} is not ready: {}", owner.profile, failure.message);
-                self.hub.notice(NoticeLevel::Warning, &text);
+                self.parts.hub.notice(NoticeLevel::Warning, &text);
             }
-            if !self.life.beat(LOOK).await {
+            if !self.parts.life.beat(LOOK).await {
                 return;
             }
         }
     }
 
     async fn ready_extra(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
-        let wanted = usize::from(self.config.lanes) - 1;
+        let wanted = usize::from(self.parts.config.lanes) - 1;
         for (_, key) in self.extra(owner, network)?.iter().take(wanted) {
-            anchorer::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
+            anchorer::ensure_ready(&self.parts.plant, network, &self.parts.sender, owner, key).await?;
         }
         Ok(())
     }

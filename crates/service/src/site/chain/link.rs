@@ -40,7 +40,7 @@ pub enum NetworkState {
 }
 
 /// The link, used by every part that needs the chain.
-pub(in crate::site) struct Link {
+pub struct Link {
     hub: Arc<Hub>,
     state: watch::Sender<NetworkState>,
     scanned: watch::Sender<u64>,

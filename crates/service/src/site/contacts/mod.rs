@@ -4,14 +4,8 @@
 #[cfg(test)]
 mod tests;
 
-use crate::paths::Home;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
-use crate::site::identity::Owners;
 use crate::site::parts::Parts;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -21,7 +15,6 @@ use crate::pipeline::Network;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{CompareView, ContactRow, Failure};
-use crate::store::Notes;
 use crate::store::notes::{AddressBook, Contact, WrappedFor};
 
 /// The most contacts of a home.
@@ -32,15 +25,8 @@ fn read(text: &str) -> Result<Fingerprint, Failure> {
 }
 
 /// The address book.
-pub(in crate::site) struct Contacts {
-    home: Home,
-    notes: Notes,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    /// Whether the chain is known only from a gateway's word.
-    is_joined: bool,
+pub struct Contacts {
+    parts: Parts,
     /// Changes of the book are made one at a time.
     changing: tokio::sync::Mutex<()>,
 }
@@ -48,28 +34,16 @@ pub(in crate::site) struct Contacts {
 impl Contacts {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
-        let Parts { home, plant, hub, log, owners, link, .. } = parts.clone();
-        Self {
-            home,
-            notes: plant.ledger.notes,
-            hub,
-            log,
-            owners,
-            link,
-            is_joined: parts.config.site.is_some(),
-            changing: tokio::sync::Mutex::default(),
-        }
+        Self { parts: parts.clone(), changing: tokio::sync::Mutex::default() }
     }
-}
 
-impl Contacts {
     fn book(&self) -> Result<Vec<Contact>, Failure> {
-        Ok(block_in_place(|| self.notes.read(&AddressBook {}))?.unwrap_or_default())
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&AddressBook {}))?.unwrap_or_default())
     }
 
     fn write_book(&self, book: &Vec<Contact>) -> Result<(), Failure> {
-        block_in_place(|| self.notes.write(&AddressBook {}, book))?;
-        self.hub.changed(Part::Grants);
+        block_in_place(|| self.parts.plant.ledger.notes.write(&AddressBook {}, book))?;
+        self.parts.hub.changed(Part::Grants);
         Ok(())
     }
 
@@ -98,33 +72,33 @@ impl Contacts {
     }
 
     /// The fingerprint of an account's registered key.
-    pub(super) fn registered_fingerprint(network: &Network, account: Address) -> Option<String> {
+    pub fn registered_fingerprint(network: &Network, account: Address) -> Option<String> {
         network.directory.identity(account).ok().map(|identity| Fingerprint::of(&identity.signing).to_string())
     }
 
     /// Adds an account; the same one a second time changes nothing. Without a fingerprint, that of its registered key is
     /// noted as found.
-    pub(super) async fn add(
-        self: &Arc<Self>,
+    pub async fn add(
+        &self,
         profile: &ProfileName,
         name: ContactName,
         address: Address,
         fingerprint: Option<String>,
     ) -> Result<Vec<ContactRow>, Failure> {
         let given = fingerprint.is_some();
-        if !given && self.is_joined {
+        if !given && self.parts.is_joined() {
             return Err(refused(format!(
                 "the key of {address} is known here only from a gateway; get its fingerprint from its owner over \
                  another channel, then run `authros contacts add {name} {address} --fingerprint FINGERPRINT`"
             )));
         }
         let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
-        let network = self.link.network().await.ok();
+        let network = self.parts.link.network().await.ok();
         let registered = network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
         // Where only a gateway tells what is registered, the given one is the better word, and `list` shows the difference.
         if let (Some(given), Some(registered)) = (&fingerprint, &registered)
             && given != registered
-            && !self.is_joined
+            && !self.parts.is_joined()
         {
             return Err(refused(format!(
                 "{address} has registered {registered}, not {given}, so '{name}' was not added; ask '{name}' over another \
@@ -156,40 +130,36 @@ impl Contacts {
             let subject = format!("{name} {address}");
             book.push(Contact { name, address, fingerprint: fingerprint.or(registered), given });
             book.sort_by(|one, other| one.name.cmp(&other.name));
-            self.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
+            self.parts.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
         }
         self.rows().await
     }
 
     /// Removes an account.
-    pub(super) async fn remove(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        name: &ContactName,
-    ) -> Result<Vec<ContactRow>, Failure> {
+    pub async fn remove(&self, profile: &ProfileName, name: &ContactName) -> Result<Vec<ContactRow>, Failure> {
         {
             let _one_at_a_time = self.changing.lock().await;
             let contact = self.contact(name)?;
             let mut book = self.book()?;
             book.retain(|other| *other != contact);
             let subject = format!("{name} {}", contact.address);
-            self.log.deed(profile, "contact remove", &subject, async { self.write_book(&book) }).await?;
+            self.parts.log.deed(profile, "contact remove", &subject, async { self.write_book(&book) }).await?;
         }
         self.rows().await
     }
 
     /// From now on the account's currently registered key is the known one; if a fingerprint is given, only that one.
-    pub(super) async fn confirm(
-        self: &Arc<Self>,
+    pub async fn confirm(
+        &self,
         profile: &ProfileName,
         name: &ContactName,
         fingerprint: Option<String>,
     ) -> Result<Vec<ContactRow>, Failure> {
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         {
             let _one_at_a_time = self.changing.lock().await;
             let contact = self.contact(name)?;
-            if fingerprint.is_none() && self.is_joined {
+            if fingerprint.is_none() && self.parts.is_joined() {
                 return Err(refused(format!(
                     "the key of '{name}' is known here only from a gateway; get its fingerprint from its owner over \
                      another channel, then run `authros contacts confirm {name} --fingerprint FINGERPRINT`"
@@ -210,14 +180,14 @@ impl Contacts {
                 (other.fingerprint, other.given) = (Some(registered.to_string()), true);
             }
             let subject = format!("{name} {registered}");
-            self.log.deed(profile, "contact confirm", &subject, async { self.write_book(&book) }).await?;
+            self.parts.log.deed(profile, "contact confirm", &subject, async { self.write_book(&book) }).await?;
         }
         self.rows().await
     }
 
     /// The whole book, each entry with the chain's present state.
-    pub(super) async fn rows(self: &Arc<Self>) -> Result<Vec<ContactRow>, Failure> {
-        let network = self.link.network().await.ok();
+    pub async fn rows(&self) -> Result<Vec<ContactRow>, Failure> {
+        let network = self.parts.link.network().await.ok();
         let row = |contact: Contact| {
             let registered =
                 network.as_ref().and_then(|network| Self::registered_fingerprint(network, contact.address));
@@ -234,7 +204,7 @@ impl Contacts {
     }
 
     /// Contacts whose registered key differs from the noted one.
-    pub(super) fn changed_contacts(&self, network: &Network) -> Result<Vec<String>, Failure> {
+    pub fn changed_contacts(&self, network: &Network) -> Result<Vec<String>, Failure> {
         let changed = |contact: &Contact| {
             let (noted, found) =
                 (contact.fingerprint.as_ref()?, Self::registered_fingerprint(network, contact.address)?);
@@ -248,11 +218,11 @@ impl Contacts {
     ///
     /// # Errors
     /// `Refused`, until the contact is confirmed.
-    pub(super) async fn check_contact(self: &Arc<Self>, network: &Network, account: Address) -> Result<(), Failure> {
+    pub async fn check_contact(&self, network: &Network, account: Address) -> Result<(), Failure> {
         let _one_at_a_time = self.changing.lock().await;
         let mut book = self.book()?;
         let contact = book.iter_mut().find(|contact| contact.address == account);
-        if self.is_joined && contact.as_ref().is_none_or(|contact| !contact.given) {
+        if self.parts.is_joined() && contact.as_ref().is_none_or(|contact| !contact.given) {
             let known = contact.as_ref().map(|contact| contact.name.clone());
             return Err(refused(uncompared_text(known.as_ref(), account)));
         }
@@ -274,27 +244,22 @@ impl Contacts {
     ///
     /// # Errors
     /// `Refused`, until the contact is confirmed.
-    pub(super) async fn check_reader(
-        self: &Arc<Self>,
-        network: &Network,
-        owner: Address,
-        reader: Address,
-    ) -> Result<(), Failure> {
-        let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.is_joined) else {
+    pub async fn check_reader(&self, network: &Network, owner: Address, reader: Address) -> Result<(), Failure> {
+        let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.parts.is_joined()) else {
             return Ok(());
         };
         let note = WrappedFor { owner, reader };
-        match block_in_place(|| self.notes.read(&note))? {
+        match block_in_place(|| self.parts.plant.ledger.notes.read(&note))? {
             Some(noted) if noted == found => return Ok(()),
             Some(_) => self.check_contact(network, reader).await?,
             None => {}
         }
-        Ok(block_in_place(|| self.notes.write(&note, &found))?)
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.write(&note, &found))?)
     }
 
     /// Compares a fingerprint with that of an account's registered key, or of this profile's own.
-    pub(super) async fn compare(
-        self: &Arc<Self>,
+    pub async fn compare(
+        &self,
         profile: &ProfileName,
         given: &str,
         account: Option<Party>,
@@ -303,13 +268,13 @@ impl Contacts {
         let (account, fingerprint) = match account {
             Some(party) => {
                 let account = self.resolve(&party)?;
-                let identity = self.link.network().await?.directory.identity(account)?;
+                let identity = self.parts.link.network().await?.directory.identity(account)?;
                 (account, Fingerprint::of(&identity.signing))
             }
             None => {
-                let path = self.home.keyring(profile);
+                let path = self.parts.home.keyring(profile);
                 if !path.exists() {
-                    self.owners.unlocked(profile)?;
+                    self.parts.owners.unlocked(profile)?;
                 }
                 let public = block_in_place(|| crate::crypto::read_public(&path))?;
                 (public.address, Fingerprint::of(&public.signing))

@@ -1,6 +1,8 @@
 //! The address book: names are unique, it survives a restart, and a gateway's word alone confirms nobody's key.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
+use std::sync::Arc;
+
 use super::*;
 use crate::model::ErrorKind;
 use crate::site::testing::{Ground, profile};

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::enrolled::{Enrolments, Step, words};
+use super::enrolled::{Enrolments, Step, is_lent, words};
 use super::{Devices, Seat};
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
@@ -15,7 +15,6 @@ use crate::event::NoticeLevel;
 use crate::failure::{input, internal, refused};
 use crate::gateway::{Cabinet, Context, Upload};
 use crate::model::{ProfileName, PublicKey, RecordKind, RecorderId, RingSpan, Timestamp, clean};
-use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
 use crate::reply::{DeviceAddressesView, Failure};
@@ -32,13 +31,13 @@ const WINDOW: usize = 64;
 
 impl Devices {
     /// Gives an enrolled robot a further address of its gateway; its next notice tells it.
-    pub(in crate::site) async fn add_address(
-        self: &Arc<Self>,
+    pub async fn add_address(
+        &self,
         owner: &Arc<Owner>,
         device: &str,
         address: String,
     ) -> Result<DeviceAddressesView, Failure> {
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         super::enrolled::check_addresses(std::slice::from_ref(&address))?;
         let _one_at_a_time = owner.changes.lock().await;
         let enrolled = self.robot(&network, owner, device)?;
@@ -65,20 +64,20 @@ impl Devices {
             // After the notice: if this is interrupted in between, another one replaces it.
             self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
         };
-        self.log.deed(&owner.profile, "device addresses", &subject, told).await?;
-        self.hub.stored.notify_waiters();
+        self.parts.log.deed(&owner.profile, "device addresses", &subject, told).await?;
+        self.parts.hub.stored.notify_waiters();
         Ok(DeviceAddressesView { name: enrolled.name, device, gateway: gateway.into() })
     }
 
     /// Attends to an owner's robots until the owner is closed or the site ends.
-    pub(in crate::site) async fn keep_attending(self: Arc<Self>, owner: Arc<Owner>) {
+    pub async fn keep_attending(self: Arc<Self>, owner: Arc<Owner>) {
         let mut sealed = self.enrolments.sealed.subscribe();
-        while !self.life.is_stopping() && self.owners.is_open(&owner) {
+        while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
             sealed.mark_unchanged();
             let mut left = true;
-            if let Some(network) = self.link.network_now().filter(|_| !owner.is_locked()) {
+            if let Some(network) = self.parts.link.network_now().filter(|_| !owner.is_locked()) {
                 left = self.attend(&owner, &network).await.unwrap_or_else(|failure| {
-                    self.hub.notice(NoticeLevel::Warning, &failure.message);
+                    self.parts.hub.notice(NoticeLevel::Warning, &failure.message);
                     true
                 });
             }
@@ -87,20 +86,16 @@ impl Devices {
                 () = tokio::time::sleep(pause) => {}
                 // An error cannot be: the sender is in the enrolments.
                 _ = sealed.changed() => {}
-                () = self.life.stopped() => return,
+                () = self.parts.life.stopped() => return,
             }
         }
     }
 
     /// One round; returns whether anything is left because a gateway is away.
     async fn attend(&self, owner: &Arc<Owner>, network: &Network) -> Result<bool, Failure> {
-        let now = Moment::newest(network.directory.now());
-        let is_lent = |enrolled: &&Enrolled| {
-            !enrolled.ended && may_sign(&network.directory, owner.address, enrolled.device, now).is_ok()
-        };
-        let here = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
+        let here = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         let mut away = Vec::new();
-        for enrolled in self.enrolments.of(owner)?.iter().filter(is_lent) {
+        for enrolled in &self.enrolments.lent(owner, network)? {
             let Some(gateway) = enrolled.gateway.as_ref().filter(|gateway| Some(gateway.key) != here) else { continue };
             let waiting = block_in_place(|| self.notices_behind(owner, enrolled, gateway))?;
             let why = match away.contains(&gateway.key) {
@@ -127,7 +122,7 @@ impl Devices {
         (enrolled, gateway): (&Enrolled, &EnrolledGateway),
         waiting: &[RecordRow],
     ) -> Result<(), String> {
-        let context = Context { provider: self.plant.provider, domain: network.domain };
+        let context = Context { provider: self.parts.plant.provider, domain: network.domain };
         let brought = async {
             let (name, token) = (courier(owner)?, self.known_token(owner, network)?);
             let at = (gateway.addresses.clone(), Some(gateway.key));
@@ -137,7 +132,7 @@ impl Devices {
                 client.upload(uploads).await?;
                 for row in window {
                     let note = carried(owner, enrolled, gateway, row.recorder);
-                    block_in_place(|| self.plant.ledger.notes.write(&note, &row.seq))?;
+                    block_in_place(|| self.parts.plant.ledger.notes.write(&note, &row.seq))?;
                 }
             }
             Ok::<_, Failure>(())
@@ -145,7 +140,7 @@ impl Devices {
         let Err(failure) = brought.await else { return Ok(()) };
         let addresses = clean(&gateway.addresses.join(", "), 600);
         let text = format!("'{}' cannot be served at the gateway {addresses} now: {}", enrolled.name, failure.message);
-        self.hub.notice(NoticeLevel::Warning, &text);
+        self.parts.hub.notice(NoticeLevel::Warning, &text);
         Err(format!("its gateway {addresses}: {}", failure.message))
     }
 
@@ -157,7 +152,7 @@ impl Devices {
         enrolled: &Enrolled,
         gateway: &EnrolledGateway,
     ) -> Result<Vec<RecordRow>, Failure> {
-        let ledger = &self.plant.ledger;
+        let ledger = &self.parts.plant.ledger;
         let query = RecordQuery {
             owner: Some(owner.address),
             topic_ids: Some(vec![owner.topic_id(&notice_topic(&enrolled.device))]),
@@ -181,7 +176,7 @@ impl Devices {
     fn uploads(&self, rows: &[RecordRow]) -> Result<Vec<Upload>, Failure> {
         let mut uploads = Vec::with_capacity(rows.len());
         for row in rows {
-            let blob = self.plant.ciphertext.get(row.digest)?;
+            let blob = self.parts.plant.ciphertext.get(row.digest)?;
             let gone = || refused(format!("the notice {} is not in the store any more", row.id));
             uploads.push(Upload { signature: row.signature, blob: blob.ok_or_else(gone)? });
         }
@@ -207,7 +202,7 @@ impl Enrolments {
     ///
     /// # Errors
     /// If some cannot be told: the first one's error, with the names of all.
-    pub(in crate::site) fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    pub fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
         // Until a new key is in place there is nobody whom robots would believe.
         if !sealing || owner.keyring().keys().further.next_signing.is_some() {
@@ -215,8 +210,7 @@ impl Enrolments {
         }
         let mut first = None;
         for device in &self.of(owner)? {
-            let now = Moment::newest(network.directory.now());
-            if device.ended || may_sign(&network.directory, owner.address, device.device, now).is_err() {
+            if !is_lent(owner, network, device) {
                 self.note_untold(owner.address, device, Step::Seal, None);
                 self.note_untold(owner.address, device, Step::Carry, None);
                 continue;
@@ -238,12 +232,12 @@ impl Enrolments {
 
     fn tell_device(&self, owner: &Owner, network: &Network, device: &Enrolled) -> Result<(), Failure> {
         let keys = self.issue(owner, network, device)?;
-        let told = self.plant.ledger.notes.read(&keys_told(owner, device))?;
+        let told = self.parts.plant.ledger.notes.read(&keys_told(owner, device))?;
         if told.as_deref() != Some(summary(&keys).as_str()) {
             let epoch = keys.now.epoch;
             self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
             self.note_told(owner, device, &keys)?;
-            self.hub.stored.notify_waiters();
+            self.parts.hub.stored.notify_waiters();
         }
         Ok(())
     }
@@ -253,25 +247,18 @@ impl Enrolments {
     ///
     /// # Errors
     /// Errors of the store.
-    pub(in crate::site) fn tell_owner_key(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        new: &PublicKey,
-    ) -> Result<(), Failure> {
+    pub fn tell_owner_key(&self, owner: &Owner, network: &Network, new: &PublicKey) -> Result<(), Failure> {
         let old = owner.signing().public;
         let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
         let (epoch, told) = (network.directory.epoch(owner.address), (old, *new));
-        for device in self.of(owner)? {
+        for device in self.lent(owner, network)? {
             let note = OwnerKeysTold { owner: owner.address, device: device.device };
-            let now = Moment::newest(network.directory.now());
-            let lent = may_sign(&network.directory, owner.address, device.device, now).is_ok();
-            if !lent || self.plant.ledger.notes.read(&note)? == Some(told) {
+            if self.parts.plant.ledger.notes.read(&note)? == Some(told) {
                 continue;
             }
             self.seal_notice(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
-            self.plant.ledger.notes.write(&note, &told)?;
-            self.hub.stored.notify_waiters();
+            self.parts.plant.ledger.notes.write(&note, &told)?;
+            self.parts.hub.stored.notify_waiters();
         }
         Ok(())
     }
@@ -280,7 +267,7 @@ impl Enrolments {
     ///
     /// # Errors
     /// Errors of the store.
-    pub(super) fn ask_for_ring(
+    pub fn ask_for_ring(
         &self,
         owner: &Owner,
         network: &Network,
@@ -291,16 +278,16 @@ impl Enrolments {
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
         self.seal_notice(owner, network, device, epoch, &Notice::Pull(span.clone()))?;
-        self.hub.stored.notify_waiters();
+        self.parts.hub.stored.notify_waiters();
         Ok(())
     }
 
     /// The device knows these keys.
-    pub(super) fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
-        Ok(self.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
+    pub fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
+        Ok(self.parts.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
     }
 
-    pub(super) fn seal_notice(
+    pub fn seal_notice(
         &self,
         owner: &Owner,
         network: &Network,
@@ -319,7 +306,9 @@ impl Enrolments {
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
-        statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.records.append(vec![row]))?;
+        statement::put(&self.parts.plant, &speaker, statement, |row| {
+            self.parts.plant.ledger.records.append(vec![row])
+        })?;
         self.sealed.send_replace(());
         Ok(())
     }

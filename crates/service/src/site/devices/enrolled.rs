@@ -16,9 +16,9 @@ use crate::crypto::{
 };
 use crate::failure::{input, refused};
 use crate::gateway::{Context, DeviceNotice};
-use crate::hub::Hub;
 use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean};
-use crate::pipeline::{Network, Owner, Plant, quarantine, recorder_heads};
+use crate::pipeline::authority::{Moment, may_sign};
+use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::reply::{DeviceTopicsView, EnrolledView, Failure, RobotGatewayView};
 use crate::site::gateway::desk::is_reserved;
 use crate::site::parts::Parts;
@@ -34,9 +34,8 @@ impl From<EnrolledGateway> for RobotGatewayView {
 }
 
 /// The enrolled robots, and what they have been told.
-pub(in crate::site) struct Enrolments {
-    pub(super) plant: Plant,
-    pub(super) hub: Arc<Hub>,
+pub struct Enrolments {
+    pub(super) parts: Parts,
     /// Changes whenever a notice was sealed.
     pub(super) sealed: watch::Sender<()>,
     /// Notices are numbered one at a time.
@@ -47,7 +46,7 @@ pub(in crate::site) struct Enrolments {
 
 /// A step of a notice on its way to a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Step {
+pub enum Step {
     /// Sealing and storing it here.
     Seal,
     /// Bringing it to a gateway elsewhere.
@@ -56,7 +55,7 @@ pub(super) enum Step {
 
 /// A robot that a notice cannot reach.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::site) struct Untold {
+pub struct Untold {
     /// N.
     pub name: ProfileName,
     /// Why.
@@ -66,14 +65,12 @@ pub(in crate::site) struct Untold {
 impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
-        let Parts { plant, hub, .. } = parts.clone();
-        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default(), untold: Mutex::default() }
+        let sealed = watch::channel(()).0;
+        Self { parts: parts.clone(), sealed, sealing: Mutex::default(), untold: Mutex::default() }
     }
-}
 
-impl Enrolments {
     /// What a device is to seal under, as the owner's own recorder does.
-    pub(super) fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
+    pub fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
         let sealing = sealing
             .ok_or_else(|| refused("no epoch has started that this keyring has the key of; run `authros register`"))?;
@@ -103,17 +100,22 @@ impl Enrolments {
     }
 
     /// The robots enrolled by this owner, oldest first.
-    pub(in crate::site) fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
-        block_in_place(|| of_account(&self.plant.ledger.notes, owner.address))
+    pub fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
+        block_in_place(|| of_account(&self.parts.plant.ledger.notes, owner.address))
+    }
+
+    /// Those of them whose loan goes on now.
+    pub fn lent(&self, owner: &Owner, network: &Network) -> Result<Vec<Enrolled>, Failure> {
+        Ok(self.of(owner)?.into_iter().filter(|robot| is_lent(owner, network, robot)).collect())
     }
 
     /// Notes another device.
-    pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+    pub fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
         self.change_all(owner, |all| all.push(enrolled))
     }
 
     /// Notes why a step of a robot's notices fails; `None` once it works or is not needed.
-    pub(super) fn note_untold(&self, owner: Address, robot: &Enrolled, step: Step, why: Option<String>) {
+    pub fn note_untold(&self, owner: Address, robot: &Enrolled, step: Step, why: Option<String>) {
         let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         let place = (owner, robot.device, step);
         match why {
@@ -123,14 +125,14 @@ impl Enrolments {
     }
 
     /// The robots that lack a notice, of one owner or of all.
-    pub(in crate::site) fn untold(&self, owner: Option<Address>) -> Vec<Untold> {
+    pub fn untold(&self, owner: Option<Address>) -> Vec<Untold> {
         let untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         let of = |whose: &Address| owner.is_none_or(|owner| owner == *whose);
         untold.iter().filter(|((whose, ..), _)| of(whose)).map(|(_, untold)| untold.clone()).collect()
     }
 
     /// Notes that a device was recalled.
-    pub(super) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
+    pub fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
         let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
         untold.retain(|(whose, of, _), _| (*whose, *of) != (owner.address, device));
         drop(untold);
@@ -138,12 +140,7 @@ impl Enrolments {
     }
 
     /// Changes what is noted of a device.
-    pub(super) fn change(
-        &self,
-        owner: &Owner,
-        device: SignerId,
-        change: impl Fn(&mut Enrolled),
-    ) -> Result<(), Failure> {
+    pub fn change(&self, owner: &Owner, device: SignerId, change: impl Fn(&mut Enrolled)) -> Result<(), Failure> {
         self.change_all(owner, |all| all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change))
     }
 
@@ -152,12 +149,18 @@ impl Enrolments {
             change(all);
             Ok(())
         };
-        block_in_place(|| self.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, changed))
+        block_in_place(|| self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, changed))
     }
 }
 
+/// Whether a robot may sign for its owner now.
+pub(super) fn is_lent(owner: &Owner, network: &Network, robot: &Enrolled) -> bool {
+    let now = Moment::newest(network.directory.now());
+    !robot.ended && may_sign(&network.directory, owner.address, robot.device, now).is_ok()
+}
+
 /// Which robots cannot be told what, in words.
-pub(in crate::site) fn words(untold: &[Untold]) -> String {
+pub fn words(untold: &[Untold]) -> String {
     let each: Vec<String> =
         untold.iter().map(|robot| format!("'{}' ({})", robot.name, clean(&robot.why, 300))).collect();
     format!("FAILED to tell {}", each.join(", "))
@@ -167,7 +170,7 @@ pub(in crate::site) fn words(untold: &[Untold]) -> String {
 ///
 /// # Errors
 /// Errors of the ledger.
-pub(in crate::site) fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>, Failure> {
+pub fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>, Failure> {
     Ok(notes.read(&EnrolledRobots { owner })?.unwrap_or_default())
 }
 
@@ -196,33 +199,29 @@ pub struct EnrolWishes {
 
 impl Devices {
     /// Enrols a robot; the answer contains the sealed file.
-    pub(in crate::site) async fn enrol(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: EnrolWishes,
-    ) -> Result<EnrolledView, Failure> {
-        if self.is_joined && wishes.fingerprint.is_none() {
+    pub async fn enrol(&self, owner: &Arc<Owner>, wishes: EnrolWishes) -> Result<EnrolledView, Failure> {
+        if self.parts.is_joined() && wishes.fingerprint.is_none() {
             return Err(refused(
                 "a site that has joined another one can only enrol robots at a gateway whose key you confirmed: ask \
                  its operator for it and pass it as --gateway-key",
             ));
         }
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         network.directory.identity(owner.address)?;
         let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
         let topics = covered(&wishes)?;
         check_addresses(&wishes.addresses)?;
         self.check_name(&network, owner, &wishes.name)?;
-        let device = SmKeyPair::generate(self.plant.provider)?;
+        let device = SmKeyPair::generate(self.parts.plant.provider)?;
         let id = signer_id(&device.public);
         let subject = format!("{} {id}", wishes.name);
         let enrolled = self.enrol_device(owner, &network, wishes, (topics, passphrase), device);
-        self.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
+        self.parts.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
     }
 
     /// Enrols this new device; what can be checked was.
     async fn enrol_device(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         wishes: EnrolWishes,
@@ -230,7 +229,7 @@ impl Devices {
         device: SmKeyPair,
     ) -> Result<EnrolledView, Failure> {
         let id = signer_id(&device.public);
-        let context = Context { provider: self.plant.provider, domain: network.domain };
+        let context = Context { provider: self.parts.plant.provider, domain: network.domain };
         let at = (wishes.addresses, wishes.fingerprint);
         let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
         self.lend(owner, id, wishes.until).await?;
@@ -282,20 +281,20 @@ impl Devices {
     }
 
     /// A token of the owner that is on the chain.
-    pub(super) fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
+    pub fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
         let account = network.directory.account(owner.address);
         let token = account.and_then(|account| account.token);
         token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
     }
 
     /// Gives an enrolled robot the keys for more topics; its next notice tells it.
-    pub(in crate::site) async fn add_topics(
-        self: &Arc<Self>,
+    pub async fn add_topics(
+        &self,
         owner: &Arc<Owner>,
         device: &str,
         topics: &[TopicName],
     ) -> Result<DeviceTopicsView, Failure> {
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let device = self.lent_device(&network, owner, device)?;
         let found = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
         let mut enrolled = found.ok_or_else(|| {
@@ -321,13 +320,13 @@ impl Devices {
             block_in_place(|| self.enrolments.tell_devices(owner, &network))
         };
         let subject = format!("{device}: {}", added.join(" "));
-        self.log.deed(&owner.profile, "device topics", &subject, told).await?;
+        self.parts.log.deed(&owner.profile, "device topics", &subject, told).await?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
     }
 }
 
 /// Whether a robot can be given these addresses.
-pub(super) fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
+pub fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
     if addresses.iter().any(|address| address.is_empty() || address.len() > LONGEST_ADDRESS) {
         return Err(input("an address of a gateway has 1 to 255 characters"));
     }

@@ -9,8 +9,7 @@ use tokio::task::block_in_place;
 use super::Devices;
 use super::enrolled::words;
 use crate::model::{ErrorKind, Timestamp};
-use crate::pipeline::authority::{Moment, may_sign};
-use crate::pipeline::{Network, Owner};
+use crate::pipeline::Owner;
 use crate::service::reply::{Failure, TransactionView};
 use crate::store::NewestRecord;
 use crate::store::notes::Enrolled;
@@ -54,26 +53,22 @@ impl Devices {
     ///
     /// # Errors
     /// [`ErrorKind::Incomplete`] if a notice cannot be sealed, or a robot at work goes on under an older epoch.
-    pub(in crate::site) async fn lead(
-        &self,
-        owner: &Arc<Owner>,
-        deed: TransactionView,
-    ) -> Result<TransactionView, Failure> {
+    pub async fn lead(&self, owner: &Arc<Owner>, deed: TransactionView) -> Result<TransactionView, Failure> {
         let (begun, from) = (Timestamp::now(), Instant::now());
         let incomplete = |text: String| Failure::new(ErrorKind::Incomplete, format!("{}; but {text}", deed.text));
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         block_in_place(|| self.enrolments.tell_devices(owner, &network))
             .map_err(|failure| incomplete(failure.message))?;
-        let robots = self.lent_robots(owner, &network)?;
+        let robots = self.enrolments.lent(owner, &network)?;
         loop {
             let paces = block_in_place(|| self.paces(owner, &robots, (deed.epoch, begun)))?;
             let behind: Vec<String> =
                 paces.iter().filter(|(_, pace)| *pace == Pace::Behind).map(|(name, _)| format!("'{name}'")).collect();
             let waits = paces.iter().any(|(_, pace)| *pace == Pace::Silent) && from.elapsed() < SILENCE;
-            if behind.is_empty() && (!waits || self.life.is_stopping()) {
+            if behind.is_empty() && (!waits || self.parts.life.is_stopping()) {
                 break;
             }
-            if from.elapsed() >= BOUND || self.life.is_stopping() {
+            if from.elapsed() >= BOUND || self.parts.life.is_stopping() {
                 let names = behind.join(", ");
                 return Err(incomplete(format!(
                     "FAILED: {names} still seals under an older epoch {} s later; look at `authros status` here and at \
@@ -92,16 +87,9 @@ impl Devices {
     }
 
     /// The robots of an owner that lack a notice, of any owner, in words; `None` if there are none.
-    pub(in crate::site) fn untold_text(&self) -> Option<String> {
+    pub fn untold_text(&self) -> Option<String> {
         let untold = self.enrolments.untold(None);
         (!untold.is_empty()).then(|| words(&untold))
-    }
-
-    fn lent_robots(&self, owner: &Owner, network: &Network) -> Result<Vec<Enrolled>, Failure> {
-        let now = Moment::newest(network.directory.now());
-        let is_lent =
-            |robot: &Enrolled| !robot.ended && may_sign(&network.directory, owner.address, robot.device, now).is_ok();
-        Ok(self.enrolments.of(owner)?.into_iter().filter(is_lent).collect())
     }
 
     fn paces(
@@ -111,7 +99,7 @@ impl Devices {
         (epoch, begun): (u64, Timestamp),
     ) -> Result<Vec<(String, Pace)>, Failure> {
         let pace = |robot: &Enrolled| {
-            let newest = self.plant.ledger.counts.newest_of(owner.address, robot.device)?;
+            let newest = self.parts.plant.ledger.counts.newest_of(owner.address, robot.device)?;
             Ok::<_, Failure>((robot.name.to_string(), Pace::of(newest, epoch, begun)))
         };
         robots.iter().map(pace).collect()

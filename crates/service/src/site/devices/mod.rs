@@ -10,10 +10,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use self::enrolled::Enrolments;
-use super::audit::Log;
-use super::chain::link::Link;
-use super::identity::Owners;
-use super::lifetime::Lifetime;
 use super::parts::Parts;
 use super::sharing::Sharing;
 use crate::chain::Call;
@@ -21,12 +17,10 @@ use crate::crypto::{Fingerprint, GatewayAccess, TransportKey};
 use crate::event::Part;
 use crate::failure::{input, refused};
 use crate::gateway::{Applicant, Client, Code, Context, Credentials, DeviceNotice, Endpoint, GatewayError, Trust};
-use crate::hub::Hub;
 use crate::model::bytes::hex;
 use crate::model::{ProfileName, SignerId, Timestamp, Token, clean};
-use crate::paths::Home;
 use crate::pipeline::directory::Lending;
-use crate::pipeline::{Network, Owner, Plant, Sender, authority};
+use crate::pipeline::{Network, Owner, authority};
 use crate::reply::{DeviceRow, Failure, TransactionView};
 use crate::store::notes::EnrolledGateway;
 
@@ -34,50 +28,21 @@ use crate::store::notes::EnrolledGateway;
 const SHORTEST: usize = 8;
 
 /// Devices that sign for their owners.
-pub(in crate::site) struct Devices {
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    link: Arc<Link>,
-    sender: Arc<Sender>,
-    sharing: Arc<Sharing>,
-    enrolments: Arc<Enrolments>,
-    home: Home,
-    owners: Arc<Owners>,
-    life: Arc<Lifetime>,
-    /// Whether the chain is known only from a gateway's word.
-    is_joined: bool,
-}
-
-impl Devices {
-    /// From the shared parts.
-    pub fn new(parts: &Parts, sharing: &Arc<Sharing>, enrolments: &Arc<Enrolments>) -> Self {
-        let Parts { home, plant, hub, log, owners, link, life, sender, .. } = parts.clone();
-        Self {
-            plant,
-            hub,
-            log,
-            link,
-            sender,
-            sharing: Arc::clone(sharing),
-            enrolments: Arc::clone(enrolments),
-            home,
-            owners,
-            life,
-            is_joined: parts.config.site.is_some(),
-        }
-    }
+pub struct Devices {
+    pub parts: Parts,
+    pub sharing: Arc<Sharing>,
+    pub enrolments: Arc<Enrolments>,
 }
 
 impl Devices {
     /// Lets a device sign for the owner.
-    pub(super) async fn lend(
-        self: &Arc<Self>,
+    pub async fn lend(
+        &self,
         owner: &Arc<Owner>,
         device: SignerId,
         until: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         if until.is_some_and(|until| until <= network.directory.now()) {
@@ -97,21 +62,21 @@ impl Devices {
             None => format!("device {device} may sign for {} until it is recalled", owner.address),
         };
         let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
-        self.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
+        self.parts.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
     }
 
     /// Recalls a device and begins a new epoch, so that what the device holds opens nothing sealed from now on.
     /// Gateways follow the chain: the device's name ends, its subscriptions are cut, its next Command is refused.
-    pub(super) async fn recall(self: &Arc<Self>, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+    pub async fn recall(&self, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
         let recalled = self.recall_device(owner, &network, device);
-        self.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
+        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
     }
 
     async fn recall_device(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         device: SignerId,
@@ -134,15 +99,15 @@ impl Devices {
     }
 
     /// Recalls a device that nobody has used.
-    pub(super) async fn unlend_device(self: &Arc<Self>, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
-        let network = self.link.network().await?;
+    pub async fn unlend_device(&self, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let recalled = self.send_recall(owner, &network, device);
-        self.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
+        self.parts.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
     }
 
     async fn send_recall(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         device: SignerId,
@@ -151,23 +116,23 @@ impl Devices {
     }
 
     async fn change_devices(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         call: Call,
         purpose: &str,
         text: String,
     ) -> Result<TransactionView, Failure> {
-        let (transaction, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, purpose).await?;
-        self.link.scanned(receipt.block).await;
-        self.hub.changed(Part::Identity);
+        let (transaction, receipt) = self.parts.sender.send(&network.chain, &owner.eoa(), call, purpose).await?;
+        self.parts.link.scanned(receipt.block).await;
+        self.parts.hub.changed(Part::Identity);
         let epoch = network.directory.epoch(owner.address);
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
     }
 
     /// Every device ever lent, newest first.
-    pub(super) async fn rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
-        let network = self.link.network().await?;
+    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<DeviceRow>, Failure> {
+        let network = self.parts.link.network().await?;
         let row = |lending: &Lending| DeviceRow {
             device: lending.device,
             fingerprint: Fingerprint::of_signer(&lending.device).to_string(),
@@ -185,7 +150,7 @@ impl Devices {
     }
 
     /// The lent device identified by a person: a robot's name, or the beginning of a device's id.
-    pub(super) fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
+    pub fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
         let called = self.called(network, owner, text)?;
         let lent: Vec<SignerId> = called.iter().filter(|(_, lent)| *lent).map(|(device, _)| *device).collect();
         match (lent.as_slice(), called.last()) {
@@ -201,12 +166,7 @@ impl Devices {
     }
 
     /// The enrolled robots of this name that were not recalled, oldest first, and whether their loan still runs.
-    pub(super) fn called(
-        &self,
-        network: &Network,
-        owner: &Owner,
-        name: &str,
-    ) -> Result<Vec<(SignerId, bool)>, Failure> {
+    pub fn called(&self, network: &Network, owner: &Owner, name: &str) -> Result<Vec<(SignerId, bool)>, Failure> {
         let lendings = self.lendings(network, owner);
         let state = |device: SignerId| {
             let open: Vec<_> =

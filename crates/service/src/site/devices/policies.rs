@@ -34,8 +34,8 @@ struct Known {
 
 impl Devices {
     /// The robots of an owner whose loans go on, by name.
-    pub(super) async fn robot_rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
-        let network = self.link.network().await?;
+    pub async fn robot_rows(&self, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
+        let network = self.parts.link.network().await?;
         let known = block_in_place(|| self.known(owner, &network))?;
         let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
         let mut rows = Vec::new();
@@ -47,8 +47,8 @@ impl Devices {
     }
 
     /// One robot with its policy, its topics and its losses.
-    pub(super) async fn robot_view(self: &Arc<Self>, owner: &Arc<Owner>, name: &str) -> Result<RobotView, Failure> {
-        let network = self.link.network().await?;
+    pub async fn robot_view(&self, owner: &Arc<Owner>, name: &str) -> Result<RobotView, Failure> {
+        let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let wanted = self.wanted(owner, robot.device)?;
         let (known, lost) = block_in_place(|| {
@@ -69,17 +69,12 @@ impl Devices {
     }
 
     /// Sets the policy of a robot, which hears of it at its next contact; an empty one gives it back its own settings.
-    pub(super) async fn set_policy(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        name: &str,
-        text: String,
-    ) -> Result<RobotView, Failure> {
+    pub async fn set_policy(&self, owner: &Arc<Owner>, name: &str, text: String) -> Result<RobotView, Failure> {
         if text.len() > LONGEST_POLICY {
             return Err(input(format!("the policy has {} bytes; {LONGEST_POLICY} are allowed", text.len())));
         }
         RobotPolicy::read(&text)?;
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let one_at_a_time = owner.changes.lock().await;
         let before = self.wanted(owner, robot.device)?;
@@ -97,23 +92,23 @@ impl Devices {
             self.note_wanted(owner, robot.device, &PolicyWanted { version, text, set_at: Timestamp::now() })?;
             block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))
         };
-        self.log.deed(&owner.profile, "robot policy", &subject, sent).await?;
+        self.parts.log.deed(&owner.profile, "robot policy", &subject, sent).await?;
         drop(one_at_a_time);
         self.robot_view(owner, name).await
     }
 
     fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted, Failure> {
         let note = WantedPolicy { owner: owner.address, device };
-        Ok(block_in_place(|| self.plant.ledger.notes.read(&note))?.unwrap_or_default())
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&note))?.unwrap_or_default())
     }
 
     fn note_wanted(&self, owner: &Owner, device: SignerId, wanted: &PolicyWanted) -> Result<(), Failure> {
         let note = WantedPolicy { owner: owner.address, device };
-        Ok(block_in_place(|| self.plant.ledger.notes.write(&note, wanted))?)
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.write(&note, wanted))?)
     }
 
     fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {
-        let ledger = &self.plant.ledger;
+        let ledger = &self.parts.plant.ledger;
         let own = crate::crypto::signer_id(&owner.public_keys().0);
         Ok(Known {
             reports: self.reports(owner, network)?,
@@ -140,7 +135,7 @@ impl Devices {
         };
         let robots = self.enrolments.of(owner)?;
         let mut reports = BTreeMap::new();
-        for row in self.plant.ledger.records.list(&query)?.rows {
+        for row in self.parts.plant.ledger.records.list(&query)?.rows {
             let Some(robot) = robots.iter().find(|robot| robot.device == row.signer) else { continue };
             if reports.contains_key(&row.signer) {
                 continue;
@@ -162,7 +157,8 @@ impl Devices {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let rows = self.plant.ledger.records.list(&query)?.rows.into_iter().filter(|row| row.signer == robot.device);
+        let rows =
+            self.parts.plant.ledger.records.list(&query)?.rows.into_iter().filter(|row| row.signer == robot.device);
         let mut lost: BTreeMap<String, u64> = BTreeMap::new();
         for row in rows.take(MOST_LOSSES) {
             let opened = self.opened(owner, network, robot, &row);
@@ -175,12 +171,12 @@ impl Devices {
 
     /// A record that a robot signed, if its bytes are here and whole.
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
-        let (signer, blob) = (robot.key, self.plant.ciphertext.get(row.digest).ok()??);
+        let (signer, blob) = (robot.key, self.parts.plant.ciphertext.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
         let topic_id: Option<TopicId> = Some(row.topic_id);
         let names = Names::Derived(owner.index());
         let expected = Expected { topic_id, ..Expected::any_of(network.domain, owner.address, names) };
-        open(self.plant.provider, &blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok()
+        open(self.parts.plant.provider, &blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok()
     }
 }
 
@@ -200,7 +196,7 @@ impl super::enrolled::Enrolments {
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
         self.seal_notice(owner, network, device, epoch, &Notice::Policy(policy))?;
-        self.hub.stored.notify_waiters();
+        self.parts.hub.stored.notify_waiters();
         Ok(())
     }
 }

@@ -18,15 +18,11 @@ const WIDEST: usize = 255;
 
 impl Devices {
     /// Answers one request about robots.
-    pub(in crate::site) async fn answer(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        command: RobotCommand,
-    ) -> Result<Reply, Failure> {
+    pub async fn answer(&self, owner: &Arc<Owner>, command: RobotCommand) -> Result<Reply, Failure> {
         match command {
             RobotCommand::PullRing { name, since, until, topics, incident } => {
                 let incident = incident.map(|incident| {
-                    block_in_place(|| incidents::view(&self.plant.ledger.incidents, owner.address, &incident))
+                    block_in_place(|| incidents::view(&self.parts.plant.ledger.incidents, owner.address, &incident))
                 });
                 let incident = incident.transpose()?;
                 let of_incident = incident.as_ref();
@@ -46,19 +42,14 @@ impl Devices {
     }
 
     /// Asks a robot for a span of its ring: it hears of it with its next contact.
-    pub(in crate::site) async fn pull(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        name: &str,
-        span: &RingSpan,
-    ) -> Result<RingPullView, Failure> {
-        let network = self.link.network().await?;
+    pub async fn pull(&self, owner: &Arc<Owner>, name: &str, span: &RingSpan) -> Result<RingPullView, Failure> {
+        let network = self.parts.link.network().await?;
         let robot = self.robot(&network, owner, name)?;
         let RingSpan { since, until, topics } = span;
         let told = if topics.0.is_empty() { "all topics".to_owned() } else { topics.to_string() };
         let subject = clean(&format!("{}: {since} to {until}, {told}", robot.device), 400);
         let asked = async { block_in_place(|| self.enrolments.ask_for_ring(owner, &network, &robot, span)) };
-        self.log.deed(&owner.profile, "pull ring", &subject, asked).await?;
+        self.parts.log.deed(&owner.profile, "pull ring", &subject, asked).await?;
         let topics = topics.0.iter().map(|topic| clean(topic.as_str(), WIDEST)).collect();
         Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
     }
@@ -67,13 +58,13 @@ impl Devices {
     ///
     /// # Errors
     /// One of them is not known here, or its loan has ended.
-    pub(in crate::site) async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<(), Failure> {
-        let network = self.link.network().await?;
+    pub async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<(), Failure> {
+        let network = self.parts.link.network().await?;
         names.iter().try_for_each(|name| self.robot(&network, owner, name).map(drop))
     }
 
     /// The lent robot that a person names.
-    pub(super) fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
+    pub fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
         let device = self.lent_device(network, owner, name)?;
         let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
         known.ok_or_else(|| {
@@ -88,11 +79,7 @@ impl Devices {
 ///
 /// # Errors
 /// It ends before it begins, or names too many topics.
-pub(in crate::site) fn span(
-    since: Timestamp,
-    until: Option<Timestamp>,
-    topics: Vec<TopicPattern>,
-) -> Result<RingSpan, Failure> {
+pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan, Failure> {
     let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
     if since >= until {
         return Err(input(format!("the span would end at {until}, before it begins; a ring holds only the past")));

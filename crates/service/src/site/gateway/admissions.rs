@@ -10,29 +10,20 @@ use super::{GatewayDesk, desk};
 use crate::event::Part;
 use crate::failure::{input, refused};
 use crate::gateway::{Code, Received, Refusal};
-use crate::hub::Hub;
 use crate::model::bytes::hex;
 use crate::model::{Address, Party, ProfileName, Timestamp};
-use crate::paths::Home;
 use crate::pipeline::Network;
 use crate::reply::{AdmittedView, Failure};
-use crate::site::audit::Log;
 use crate::site::contacts::Contacts;
-use crate::site::identity::Owners;
 use crate::site::parts::Parts;
-use crate::store::Notes;
 use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
 /// The most owners on it.
 const MOST: usize = 10_000;
 
 /// Who may use the gateway of this home.
-pub(in crate::site) struct Admissions {
-    home: Home,
-    notes: Notes,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
+pub struct Admissions {
+    parts: Parts,
     contacts: Arc<Contacts>,
     /// The list, if it was read.
     admitted: RwLock<Option<BTreeSet<Address>>>,
@@ -43,30 +34,19 @@ pub(in crate::site) struct Admissions {
 impl Admissions {
     /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
-        let Parts { home, plant, hub, log, owners, .. } = parts.clone();
-        Self {
-            home,
-            notes: plant.ledger.notes,
-            hub,
-            log,
-            owners,
-            contacts: Arc::clone(contacts),
-            admitted: RwLock::default(),
-            changing: tokio::sync::Mutex::default(),
-        }
+        let (contacts, changing) = (Arc::clone(contacts), tokio::sync::Mutex::default());
+        Self { parts: parts.clone(), contacts, admitted: RwLock::default(), changing }
     }
-}
 
-impl Admissions {
     fn list(&self) -> Result<Vec<AdmittedOwner>, Failure> {
-        Ok(block_in_place(|| self.notes.read(&AdmittedOwners {}))?.unwrap_or_default())
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&AdmittedOwners {}))?.unwrap_or_default())
     }
 
     fn write(&self, list: &Vec<AdmittedOwner>) -> Result<(), Failure> {
-        block_in_place(|| self.notes.write(&AdmittedOwners {}, list))?;
+        block_in_place(|| self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list))?;
         let owners = list.iter().map(|admitted| admitted.owner).collect();
         *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
-        self.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Health);
         Ok(())
     }
 
@@ -89,7 +69,7 @@ impl Admissions {
     }
 
     /// Lets an owner use the gateway of this home.
-    pub async fn admit(self: &Arc<Self>, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+    pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
         let owner = self.contacts.resolve(owner)?;
         {
             let _one_at_a_time = self.changing.lock().await;
@@ -100,14 +80,14 @@ impl Admissions {
                 }
                 list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
                 let admitted = async { self.write(&list) };
-                self.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
+                self.parts.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
             }
         }
         self.rows()
     }
 
     /// Ends it: the owner is refused from the next Command on. What it sent is kept and anchored.
-    pub async fn dismiss(self: &Arc<Self>, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
+    pub async fn dismiss(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
         let owner = self.contacts.resolve(owner)?;
         if self.home_accounts().contains(&owner) {
             return Err(refused(format!("{owner} is a profile of this home and may always use its gateway")));
@@ -120,7 +100,7 @@ impl Admissions {
             if list.len() == before {
                 return Err(input(format!("{owner} is not admitted; `authros gateway admitted` lists those who are")));
             }
-            self.log.deed(profile, "gateway dismiss", &owner.to_string(), async { self.write(&list) }).await?;
+            self.parts.log.deed(profile, "gateway dismiss", &owner.to_string(), async { self.write(&list) }).await?;
         }
         self.rows()
     }
@@ -139,9 +119,9 @@ impl Admissions {
 
     /// Accounts of this home's profiles, including those that are not open.
     pub fn home_accounts(&self) -> BTreeSet<Address> {
-        let open = self.owners.all().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
-        let kept = self.home.profiles().into_iter().filter_map(|profile| {
-            let public = block_in_place(|| crate::crypto::read_public(&self.home.keyring(&profile)));
+        let open = self.parts.owners.all().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
+        let kept = self.parts.home.profiles().into_iter().filter_map(|profile| {
+            let public = block_in_place(|| crate::crypto::read_public(&self.parts.home.keyring(&profile)));
             // One that cannot be read is reported where it is opened.
             public.ok().map(|public| public.address)
         });
@@ -154,7 +134,7 @@ const MOST_GUESTS: usize = 256;
 
 /// Why an owner may use the gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Standing {
+pub enum Standing {
     /// A profile of this home, or on the list.
     Admitted,
     /// Nobody admitted it; the gateway is open.
@@ -166,17 +146,17 @@ impl GatewayDesk {
     ///
     /// # Errors
     /// [`Refusal`] with `NotAuthorised`, whose detail says what the keeper may do.
-    pub(super) fn standing_of(&self, network: &Network, account: &Address) -> Result<Standing, Refusal> {
+    pub fn standing_of(&self, network: &Network, account: &Address) -> Result<Standing, Refusal> {
         let gateway = &self.gateway;
-        let own = || gateway.owners.all().iter().any(|owner| owner.address == *account);
-        if self.home_accounts.contains(account) || gateway.admissions.is_on_list(account) || own() {
+        let own = || gateway.parts.owners.all().iter().any(|owner| owner.address == *account);
+        if self.place.home_accounts.contains(account) || gateway.admissions.is_on_list(account) || own() {
             return Ok(Standing::Admitted);
         }
         // The successor of a lost account takes its place.
         if gateway.admissions.listed().iter().any(|lost| network.directory.successor(*lost) == Some(*account)) {
             return Ok(Standing::Admitted);
         }
-        if self.open {
+        if self.place.open {
             return Ok(Standing::Guest);
         }
         let detail = format!("{account} is not admitted; `authros gateway admit {account}` admits it to this gateway");
@@ -187,15 +167,15 @@ impl GatewayDesk {
     ///
     /// # Errors
     /// [`Refusal`] with `NameBound`, `NotAuthorised` or `Quota`.
-    pub(super) fn check_name(&self, network: &Network, account: &Address, name: &ProfileName) -> Result<(), Refusal> {
+    pub fn check_name(&self, network: &Network, account: &Address, name: &ProfileName) -> Result<(), Refusal> {
         desk::check(name, account)?;
         if self.standing_of(network, account)? == Standing::Admitted {
             return Ok(());
         }
-        let bound = self.gateway.plant.ledger.bindings.bound_names().map_err(Refusal::because(Code::Internal))?;
+        let bound = self.gateway.parts.plant.ledger.bindings.bound_names().map_err(Refusal::internal)?;
         let own = bound.iter().filter(|(_, owner)| owner == account).count();
         let known = bound.iter().any(|(other, owner)| owner == account && other == name.as_str());
-        let most = self.gateway.config.gateway.names;
+        let most = self.gateway.parts.config.gateway.names;
         if !known && own as u64 >= most {
             return Err(self.over(account, format_args!("{most} names")));
         }
@@ -211,10 +191,9 @@ impl GatewayDesk {
     ///
     /// # Errors
     /// [`Refusal`] with `NotAuthorised` or `Quota`.
-    pub(super) fn check_quota(&self, account: &Address, records: &[Received]) -> Result<(), Refusal> {
-        let (ledger, rules) = (&self.gateway.plant.ledger, &self.gateway.config.gateway);
-        let internal = Refusal::because(Code::Internal);
-        let usage = ledger.counts.usage(*account).map_err(&internal)?;
+    pub fn check_quota(&self, account: &Address, records: &[Received]) -> Result<(), Refusal> {
+        let (ledger, rules) = (&self.gateway.parts.plant.ledger, &self.gateway.parts.config.gateway);
+        let usage = ledger.counts.usage(*account).map_err(Refusal::internal)?;
         let bytes: u64 = records.iter().map(|record| record.blob.len() as u64).sum();
         if usage.bytes.saturating_add(bytes) > rules.bytes {
             return Err(self.over(account, format_args!("{} bytes", rules.bytes)));
@@ -225,7 +204,7 @@ impl GatewayDesk {
             let type_name = header.filters.first().map(|id| hex(&id.0)).unwrap_or_default();
             let place = (header.recorder, header.topic_id);
             let known = ledger.counts.has_stream(*account, place, (header.kind, &type_name, header.signer));
-            if !known.map_err(&internal)? {
+            if !known.map_err(Refusal::internal)? {
                 fresh.insert((place.0.0, place.1.0, header.kind.code(), type_name, header.signer.0));
             }
         }

@@ -110,3 +110,13 @@ async fn a_gateway_that_was_cut_off_refuses_until_its_chain_is_fresh() {
     site.stop().await;
     ground.stop().await;
 }
+
+impl super::Gateway {
+    /// The desk of a gateway that this profile keeps.
+    pub(super) fn desk_of(self: &Arc<Self>, keeper: &Arc<Owner>, domain: crate::model::Domain) -> super::GatewayDesk {
+        let (under, address) =
+            (Arc::new(std::sync::RwLock::new(keeper.envelopes())), SocketAddr::from(([127, 0, 0, 1], 0)));
+        let (home_accounts, guests, keeper) = (Arc::default(), Arc::default(), Arc::clone(keeper));
+        self.desk(&super::Place { keeper, under, domain, address, open: false, home_accounts, guests })
+    }
+}

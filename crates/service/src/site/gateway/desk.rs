@@ -31,28 +31,28 @@ use crate::store::notes::AnnouncedRevoke;
 
 impl GatewayDesk {
     /// Does work that waits for disk or node, off the network's threads.
-    pub(super) async fn blocking<T: Send + 'static>(
+    pub async fn blocking<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Self) -> Result<T, Refusal> + Send + 'static,
     ) -> Result<T, Refusal> {
         let desk = self.share();
         let joined = tokio::task::spawn_blocking(move || work(&desk)).await;
-        joined.map_err(Refusal::because(Code::Internal))?
+        joined.map_err(Refusal::internal)?
     }
 
-    pub(super) fn share(&self) -> Arc<Self> {
+    pub fn share(&self) -> Arc<Self> {
         Arc::new(self.clone())
     }
 
     async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
         let outcome = format!("asked by {} ({})", caller.name, caller.account);
-        let written = self.gateway.log.write(&self.keeper.profile, action, subject, &outcome).await;
+        let written = self.gateway.parts.log.write(&self.place.keeper.profile, action, subject, &outcome).await;
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
     }
 
     /// Like [`Self::audit`], but once a minute for the same event of the same caller; repetitions are counted.
     async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
-        let (log, query) = (&self.gateway.log, format!("{action} {subject}"));
+        let (log, query) = (&self.gateway.parts.log, format!("{action} {subject}"));
         if !log.is_new_query(caller.name.as_str(), &query) {
             return Ok(());
         }
@@ -67,10 +67,10 @@ impl GatewayDesk {
     async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
         let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
         self.blocking(move |desk| {
-            desk.gateway.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::because(Code::Internal))
+            desk.gateway.parts.plant.ledger.notes.write(&note, &epoch).map_err(Refusal::internal)
         })
         .await?;
-        self.gateway.hub.feed_changed();
+        self.gateway.parts.hub.feed_changed();
         self.audit(caller, "revoke notice", &notice.grantee.to_string()).await
     }
 
@@ -85,9 +85,9 @@ impl GatewayDesk {
         self.audit(caller, "device notice", &device.to_string()).await?;
         let (name, account) = (caller.name.to_string(), caller.account);
         self.blocking(move |desk| {
-            let bindings = &desk.gateway.plant.ledger.bindings;
-            bindings.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
-            bindings.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
+            let bindings = &desk.gateway.parts.plant.ledger.bindings;
+            bindings.keep_signer(device, key).map_err(Refusal::internal)?;
+            bindings.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::internal)
         })
         .await
     }
@@ -99,19 +99,19 @@ impl GatewayDesk {
     fn keep(&self, owner: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
         let guest = self.standing_of(&self.known_network()?, owner)? == Access::Guest;
         // What is counted must not grow before it is stored.
-        let _counting = guest.then(|| self.guests.lock().unwrap_or_else(PoisonError::into_inner));
+        let _counting = guest.then(|| self.place.guests.lock().unwrap_or_else(PoisonError::into_inner));
         if guest {
             self.check_quota(owner, &records)?;
         }
-        let plant = &self.gateway.plant;
+        let plant = &self.gateway.parts.plant;
         let has_notice = records.iter().any(|record| record.header.kind == RecordKind::Key);
-        let accepted = accept_uploads(plant, self.keeper.address, records).map_err(Refusal::because(Code::Internal))?;
+        let accepted = accept_uploads(plant, self.place.keeper.address, records).map_err(Refusal::internal)?;
         accepted.map_err(|reason| not_taken(&reason, &reason))?;
         if has_notice {
-            self.gateway.hub.feed_changed();
+            self.gateway.parts.hub.feed_changed();
         }
-        self.gateway.hub.stored.notify_waiters();
-        self.gateway.hub.changed(crate::service::event::Part::Uploads);
+        self.gateway.parts.hub.stored.notify_waiters();
+        self.gateway.parts.hub.changed(crate::service::event::Part::Uploads);
         Ok(Timestamp::now())
     }
 }
@@ -138,8 +138,8 @@ impl Desk for GatewayDesk {
             let (account, token) = (*account, *token);
             let is_known = self.blocking(move |desk| {
                 let directory = desk.known_network()?.directory;
-                let known = kept::has_token(&desk.gateway.plant.ledger.rights, &directory, account, token);
-                known.map_err(Refusal::because(Code::Internal))
+                let known = kept::has_token(&desk.gateway.parts.plant.ledger.rights, &directory, account, token);
+                known.map_err(Refusal::internal)
             });
             if !is_known.await? {
                 return Err(Refusal::new(Code::Token, format_args!("{account} does not have token {token}")));
@@ -156,7 +156,7 @@ impl Desk for GatewayDesk {
         }
         let signer = *signer;
         self.blocking(move |desk| {
-            let key = desk.gateway.plant.ledger.bindings.signer(signer).map_err(Refusal::because(Code::Internal))?;
+            let key = desk.gateway.parts.plant.ledger.bindings.signer(signer).map_err(Refusal::internal)?;
             Ok(key.filter(|key| signer_id(key) == signer))
         })
         .await
@@ -165,12 +165,11 @@ impl Desk for GatewayDesk {
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
         let name = name.clone();
         self.blocking(move |desk| {
-            let internal = Refusal::because(Code::Internal);
-            let Some(kept) = desk.gateway.plant.ledger.bindings.binding(&name).map_err(&internal)? else {
+            let Some(kept) = desk.gateway.parts.plant.ledger.bindings.binding(&name).map_err(Refusal::internal)? else {
                 return Ok(None);
             };
-            let provider = desk.gateway.plant.provider;
-            let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
+            let provider = desk.gateway.parts.plant.provider;
+            let under = desk.place.under.read().unwrap_or_else(PoisonError::into_inner);
             let open =
                 |pair: &SmKeyPair| open_transport_key(provider, &pair.secret, name.as_str(), &kept.sealed_key).ok();
             let key = under.iter().find_map(open);
@@ -196,26 +195,28 @@ impl Desk for GatewayDesk {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
         self.blocking(move |desk| desk.check_name(&desk.known_network()?, &account, &asked)).await?;
-        let audited = self.gateway.log.write(&self.keeper.profile, "allocate key", &subject, "begun").await;
+        let audited = self.gateway.parts.log.write(&self.place.keeper.profile, "allocate key", &subject, "begun").await;
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
         let bound = self.blocking(move |desk| {
             // Held until it is stored: a change of the keeper's pair re-encrypts what is there.
-            let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
+            let under = desk.place.under.read().unwrap_or_else(PoisonError::into_inner);
             let pair =
                 under.first().ok_or_else(|| Refusal::new(Code::Internal, "no key to keep transport keys under"))?;
-            let sealed_key = seal_transport_key(desk.gateway.plant.provider, &pair.secret, name.as_str(), &binding.key);
-            let sealed_key = sealed_key.map_err(Refusal::because(Code::Internal))?;
+            let sealed_key =
+                seal_transport_key(desk.gateway.parts.plant.provider, &pair.secret, name.as_str(), &binding.key);
+            let sealed_key = sealed_key.map_err(Refusal::internal)?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
-            desk.gateway.plant.ledger.bindings.bind(&name, kept).map_err(Refusal::because(Code::Internal))
+            desk.gateway.parts.plant.ledger.bindings.bind(&name, kept).map_err(Refusal::internal)
         });
         let bound = bound.await;
         let told = match &bound {
             Ok(()) => Ok(()),
             Err(refusal) => Err(internal(refusal.detail.clone())),
         };
-        if let Err(failure) = self.gateway.log.ended(&self.keeper.profile, "allocate key", &subject, told).await
+        if let Err(failure) =
+            self.gateway.parts.log.ended(&self.place.keeper.profile, "allocate key", &subject, told).await
             && bound.is_ok()
         {
             return Err(Refusal::new(Code::Internal, failure.message));
@@ -245,7 +246,7 @@ impl Desk for GatewayDesk {
     }
 
     fn changes(&self) -> watch::Receiver<u64> {
-        self.gateway.hub.feed.subscribe()
+        self.gateway.parts.hub.feed.subscribe()
     }
 
     async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
@@ -281,9 +282,9 @@ impl Desk for GatewayDesk {
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         // A line per peer, code and minute: a peer refused again and again can fill neither log.
-        if self.gateway.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
+        if self.gateway.parts.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let text = format!("the gateway refused {}: {refusal}", peer.ip());
-            self.gateway.hub.notice(NoticeLevel::Info, &text);
+            self.gateway.parts.hub.notice(NoticeLevel::Info, &text);
         }
     }
 }
@@ -294,13 +295,13 @@ const COURIER: &str = "courier-";
 const DIGITS: usize = 16;
 
 /// The name of an owner's courier.
-pub(in crate::site) fn courier_of(account: &Address) -> String {
+pub fn courier_of(account: &Address) -> String {
     let digits: String = account.to_string().chars().filter(char::is_ascii_hexdigit).skip(1).take(DIGITS).collect();
     format!("{COURIER}{}", digits.to_lowercase())
 }
 
 /// Whether no robot may be called so: `courier-0123456789abcdef`. Other names that begin like it are nobody's.
-pub(in crate::site) fn is_reserved(name: &ProfileName) -> bool {
+pub fn is_reserved(name: &ProfileName) -> bool {
     let digits = name.as_str().strip_prefix(COURIER);
     digits.is_some_and(|digits| digits.len() == DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
@@ -309,7 +310,7 @@ pub(in crate::site) fn is_reserved(name: &ProfileName) -> bool {
 ///
 /// # Errors
 /// [`Refusal`] with `NameBound`.
-pub(super) fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
+pub fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
     if !is_reserved(name) || name.as_str() == courier_of(account) {
         return Ok(());
     }
@@ -318,14 +319,14 @@ pub(super) fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal
 
 impl GatewayDesk {
     /// Whether the newest loan of a device was recalled; a later loan is valid again.
-    pub(super) fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
+    pub fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
         let account = self.known_network()?.directory.account(*owner);
         let loans = account.map(|account| account.devices).unwrap_or_default();
         Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
     }
 
     /// A device's session is valid as long as its loan.
-    pub(super) fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
+    pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
         let Some(device) = &caller.device else { return Ok(()) };
         let now = Moment::newest(network.directory.now());
         let right = may_sign(&network.directory, caller.account, device.id, now);
@@ -339,14 +340,14 @@ fn rejected(words: &str) -> RelayError {
 
 impl GatewayDesk {
     /// Forwards a request to the chain, if it is allowed.
-    pub(super) async fn pass_on(
+    pub async fn pass_on(
         &self,
         caller: Option<&Caller>,
         method: &str,
         parameters: &Value,
     ) -> Result<Value, RelayError> {
         let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
-        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.link.fresh_head(LONGEST_SILENCE)) else {
+        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.parts.link.fresh_head(LONGEST_SILENCE)) else {
             return Err(RelayError::Silent("no recent block from the chain".to_owned()));
         };
         let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
@@ -378,7 +379,7 @@ impl GatewayDesk {
         registers: Option<Box<Identity>>,
     ) -> Result<(), RelayError> {
         if let Some(identity) = registers {
-            return check_identity(self.gateway.plant.provider, &self.domain, &sender, &identity)
+            return check_identity(self.gateway.parts.plant.provider, &self.place.domain, &sender, &identity)
                 .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
         }
         if self.may_send(network, &sender) {

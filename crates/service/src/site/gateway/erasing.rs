@@ -32,7 +32,7 @@ enum Judged {
 
 impl GatewayDesk {
     /// Erases here what the caller had erased at home: what becomes of each, in order.
-    pub(super) async fn erase_for(
+    pub async fn erase_for(
         &self,
         caller: &Caller,
         notices: Vec<ErasureNotice>,
@@ -62,10 +62,14 @@ impl GatewayDesk {
         }
         if count > 0 {
             let subject = format!("{count} records of {}", caller.account);
-            let written =
-                self.gateway.log.write(&self.keeper.profile, "gateway erase", &subject, "told by their owner");
+            let written = self.gateway.parts.log.write(
+                &self.place.keeper.profile,
+                "gateway erase",
+                &subject,
+                "told by their owner",
+            );
             if let Err(failure) = written.await {
-                self.gateway.hub.notice(NoticeLevel::Warning, &failure.message);
+                self.gateway.parts.hub.notice(NoticeLevel::Warning, &failure.message);
             }
         }
         ended.map(|()| outcomes)
@@ -73,8 +77,10 @@ impl GatewayDesk {
 
     /// What can be said of it without a look at any signature.
     fn known(&self, network: &Network, header: &Header, digest: Digest) -> Result<Option<Judged>, Refusal> {
-        let (ledger, internal) = (&self.gateway.plant.ledger, Refusal::because(Code::Internal));
-        let Some(row) = block_in_place(|| ledger.records.find(digest)).map_err(&internal)? else { return Ok(None) };
+        let ledger = &self.gateway.parts.plant.ledger;
+        let Some(row) = block_in_place(|| ledger.records.find(digest)).map_err(Refusal::internal)? else {
+            return Ok(None);
+        };
         if let Some(field) = header_difference(&row, header) {
             let text = format_args!("what is told of record {} differs from it in its {field}", row.id);
             return Err(Refusal::new(Code::Tampered, text));
@@ -84,7 +90,7 @@ impl GatewayDesk {
             let current = statement.is_ok_and(|stated| is_owners(network, header.owner, &stated.signer));
             kept.account.is_some() && current
         };
-        let is_known = match block_in_place(|| ledger.erasures.kept(digest)).map_err(&internal)? {
+        let is_known = match block_in_place(|| ledger.erasures.kept(digest)).map_err(Refusal::internal)? {
             // This home decided about it.
             None => row.deleted_at.is_some(),
             Some(kept) => !kept.taken || stands(&kept),
@@ -101,7 +107,7 @@ impl GatewayDesk {
         if let Some(judged) = self.known(network, &header, digest)? {
             return Ok(judged);
         }
-        let (plant, statement) = (&self.gateway.plant, &left.statement);
+        let (plant, statement) = (&self.gateway.parts.plant, &left.statement);
         statement
             .check_account(plant.provider, &account_signature, (&digest, &left.record.blob))
             .map_err(Refusal::because(Code::Signature))?;
@@ -111,7 +117,7 @@ impl GatewayDesk {
             return Ok(Judged::Left);
         }
         let anchors = &self.gateway.anchors;
-        let intake = Intake { plant, network, anchors, keeper: self.keeper.address, patience: BEHIND };
+        let intake = Intake { plant, network, anchors, keeper: self.place.keeper.address, patience: BEHIND };
         let judged = intake.judge_erased(digest, &left).await.map_err(Refusal::because(Code::Stale))?;
         let (header, proof) = match judged {
             Ok(proven) => proven,
@@ -126,13 +132,13 @@ impl GatewayDesk {
             RootSighting { account, root: inclusion.root, count: inclusion.count, transaction, block, block_hash };
         let taken = taken_erased(left.record.blob, &left.statement);
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: left.record.signature };
-        let row = NewRecord::foreign(sealed, self.keeper.address);
+        let row = NewRecord::foreign(sealed, self.place.keeper.address);
         let row = NewRecord { blob: None, ..row };
         let stated = (taken, account_signature.0.to_vec());
         match block_in_place(|| plant.ledger.erasures.take_told(row, stated, (inclusion, anchor))) {
             Ok(ToldErased::Listed | ToldErased::Named) => {
-                self.gateway.hub.confirmed.notify_one();
-                self.gateway.hub.changed(Part::Uploads);
+                self.gateway.parts.hub.confirmed.notify_one();
+                self.gateway.parts.hub.changed(Part::Uploads);
                 Ok(Judged::Taken)
             }
             Ok(ToldErased::Restated) => Ok(Judged::Known),
@@ -148,7 +154,7 @@ impl GatewayDesk {
 }
 
 /// What the intake does not take is the owner's fault.
-pub(super) fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
+pub fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
     let code = match reason {
         Reason::Crypto(_) => Code::Signature,
         Reason::Number => Code::Malformed,
@@ -159,17 +165,17 @@ pub(super) fn not_taken(reason: &Reason, detail: impl fmt::Display) -> Refusal {
 
 impl GatewayDesk {
     /// What is left of a record that the caller may read now and that its owner had erased.
-    pub(super) fn erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
-        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
+    pub fn erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
+        let plant = &self.gateway.parts.plant;
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
-        let retained = plant.ledger.retention.find(row.digest).map_err(&internal)?;
+        let retained = plant.ledger.retention.find(row.digest).map_err(Refusal::internal)?;
         let retained = retained.filter(|retained| retained.deleted_at.is_some());
         let none = || Refusal::new(Code::NotFound, format_args!("record {} was not erased by its owner", row.id));
         let retained = retained.ok_or_else(none)?;
         let statement = self.stated(&network, &row, &retained)?.ok_or_else(none)?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
-        let record = left_of(plant, &network, &row, retained.header).map_err(Refusal::because(Code::Internal))?;
+        let record = left_of(plant, &network, &row, retained.header).map_err(Refusal::internal)?;
         Ok(ErasedRecord { record: record.ok_or_else(unknown)?, statement })
     }
 
@@ -181,13 +187,13 @@ impl GatewayDesk {
         row: &RecordRow,
         retained: &Retained,
     ) -> Result<Option<ErasedStatement>, Refusal> {
-        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
-        let kept = plant.ledger.erasures.kept(row.digest).map_err(&internal)?;
+        let plant = &self.gateway.parts.plant;
+        let kept = plant.ledger.erasures.kept(row.digest).map_err(Refusal::internal)?;
         let kept = kept.and_then(|kept| ErasedStatement::parse(&kept.statement).ok());
         if let Some(kept) = kept.filter(|kept| is_owners(network, row.owner, &kept.signer)) {
             return Ok(Some(kept));
         }
-        let Some(owner) = self.gateway.owners.all().into_iter().find(|owner| owner.address == row.owner) else {
+        let Some(owner) = self.gateway.parts.owners.all().into_iter().find(|owner| owner.address == row.owner) else {
             return Ok(None);
         };
         let keys = owner.sealing().filter(|keys| is_owners(network, row.owner, &keys.signing.public));
@@ -197,13 +203,13 @@ impl GatewayDesk {
             // What a rule deleted may be millions, and its statement goes to readers alone: it is not kept.
             let when = (retained.report, retained.deleted_at.unwrap_or_default());
             let stated = ErasedStatement::sign(plant.provider, &keys.signing, about, when);
-            return stated.map(Some).map_err(Refusal::because(Code::Internal));
+            return stated.map(Some).map_err(Refusal::internal);
         };
         let keys = (&*keys.signing, &owner.eoa());
         let when = (retained.report, erasure.at);
-        let stated = retention::stated(plant, keys, about, when).map_err(Refusal::because(Code::Internal))?;
-        let statement = ErasedStatement::parse(&stated.statement).map_err(Refusal::because(Code::Internal))?;
-        plant.ledger.erasures.keep(vec![stated]).map_err(&internal)?;
+        let stated = retention::stated(plant, keys, about, when).map_err(Refusal::internal)?;
+        let statement = ErasedStatement::parse(&stated.statement).map_err(Refusal::internal)?;
+        plant.ledger.erasures.keep(vec![stated]).map_err(Refusal::internal)?;
         Ok(Some(statement))
     }
 }

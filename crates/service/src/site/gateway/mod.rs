@@ -9,22 +9,12 @@ mod cut_off_tests;
 pub(super) mod desk;
 mod erasing;
 mod reading;
-pub(super) mod status;
 
-use crate::config::Config;
-use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
 use crate::site::gateway::admissions::Admissions;
-use crate::site::identity::Owners;
-use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
-use crate::site::supervision::Supervisor;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
@@ -33,16 +23,16 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
 use crate::crypto::{Fingerprint, SmKeyPair};
-use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
-use crate::model::{Address, AnchorMode, Domain, Timestamp};
+use crate::gateway::server::Sender;
+use crate::gateway::{Cabinet, Context, Limits, Schedule, Server, ServerWatch};
+use crate::model::{Address, AnchorMode, Domain, ProfileName, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::intake::Anchors;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
-use crate::service::reply::{Failure, GatewayView};
-use status::Serving;
+use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};
 
 /// How long running requests may take when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
@@ -54,10 +44,12 @@ pub(super) type KeptUnder = Arc<RwLock<Vec<SmKeyPair>>>;
 /// Where a gateway listens, and for whom.
 #[derive(Clone)]
 struct Place {
+    /// The profile whose account anchors, and whose SM2 key is, or was at its foundation, the gateway's identity.
     keeper: Arc<Owner>,
     under: KeptUnder,
     domain: Domain,
     address: SocketAddr,
+    /// Also for owners who were not admitted, within quotas.
     open: bool,
     /// Accounts of the home's profiles when the gateway was started.
     home_accounts: Arc<BTreeSet<Address>>,
@@ -73,10 +65,10 @@ async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>
     };
     let mut server = match server {
         Ok(server) => server,
-        Err(failure) => return gateway.hub.notice(NoticeLevel::Error, &failure.message),
+        Err(failure) => return gateway.parts.hub.notice(NoticeLevel::Error, &failure.message),
     };
     tokio::select! {
-        () = gateway.life.stopped() => {}
+        () = gateway.parts.life.stopped() => {}
         // A dropped sender means the same.
         _ = over.wait_for(|over| *over) => {}
         () = server.broken() => return,
@@ -88,29 +80,12 @@ async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>
 #[derive(Clone)]
 pub(super) struct GatewayDesk {
     gateway: Arc<Gateway>,
-    /// The profile whose account anchors, and whose SM2 key is, or was at its foundation, the gateway's identity.
-    keeper: Arc<Owner>,
-    under: KeptUnder,
-    domain: Domain,
-    /// Also owners who were not admitted, within quotas.
-    open: bool,
-    /// Accounts of the home's profiles when the gateway was started.
-    home_accounts: Arc<BTreeSet<Address>>,
-    /// Held while a guest's records are counted and stored.
-    guests: Arc<Mutex<()>>,
+    place: Place,
 }
 
 /// The gateway of this home.
-pub(in crate::site) struct Gateway {
-    home: Home,
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
-    supervisor: Arc<Supervisor>,
+pub struct Gateway {
+    parts: Parts,
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
     /// Anchors of records that their owners had erased, as far as the chain confirmed them.
@@ -130,17 +105,8 @@ impl Gateway {
         admissions: &Arc<Admissions>,
         remote: Option<Arc<Remote>>,
     ) -> Self {
-        let Parts { home, config, plant, hub, log, owners, link, life, supervisor, .. } = parts.clone();
         Self {
-            home,
-            config,
-            plant,
-            hub,
-            log,
-            owners,
-            link,
-            life,
-            supervisor,
+            parts: parts.clone(),
             sharing: Arc::clone(sharing),
             admissions: Arc::clone(admissions),
             anchors: Anchors::default(),
@@ -149,9 +115,7 @@ impl Gateway {
             passed_on: OnceLock::new(),
         }
     }
-}
 
-impl Gateway {
     /// The gateway as reported, while one is running.
     pub fn served(&self) -> Option<GatewayView> {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
@@ -183,19 +147,19 @@ impl Gateway {
     }
 
     /// Serves the gateway's protocol until `ended`, or the site's end.
-    pub(super) async fn serve(
+    pub async fn serve(
         self: &Arc<Self>,
         keeper: &Arc<Owner>,
         address: SocketAddr,
         open: bool,
         ended: oneshot::Receiver<()>,
     ) -> Result<GatewayView, Failure> {
-        if self.config.anchor_mode == AnchorMode::Each {
+        if self.parts.config.anchor_mode == AnchorMode::Each {
             return Err(input(
                 "a gateway anchors records of many owners, which requires batches; set anchor.mode = 'batch'",
             ));
         }
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let registered = network.directory.identity(keeper.address)?;
         if registered.signing != keeper.signing().public {
             return Err(refused(format!(
@@ -204,7 +168,7 @@ impl Gateway {
             )));
         }
         self.admissions.open()?;
-        let open = open || self.config.gateway.open;
+        let open = open || self.parts.config.gateway.open;
         let under = Arc::new(RwLock::new(keeper.envelopes()));
         let (keeper_of, kept) = (Arc::clone(keeper), Arc::clone(&under));
         let (home_accounts, guests) = (Arc::new(self.admissions.home_accounts()), Arc::default());
@@ -219,11 +183,11 @@ impl Gateway {
             account: keeper.address,
             domain: network.domain,
         };
-        self.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
-        self.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
+        self.parts.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
+        self.parts.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
         *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
             Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
-        self.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
     }
@@ -237,11 +201,11 @@ impl Gateway {
             drop(ended.await);
             over.send_replace(true);
             *gateway.serving.lock().unwrap_or_else(PoisonError::into_inner) = None;
-            gateway.hub.changed(Part::Health);
+            gateway.parts.hub.changed(Part::Health);
         });
         let (place, first) = (Place { address: server.address(), ..place }, Mutex::new(Some(server)));
         let over = is_over.clone();
-        self.supervisor.keep_while(
+        self.parts.supervisor.keep_while(
             "gateway",
             self,
             move |_| !*is_over.borrow(),
@@ -253,23 +217,14 @@ impl Gateway {
     }
 
     fn desk(self: &Arc<Self>, place: &Place) -> GatewayDesk {
-        let Place { keeper, under, domain, open, home_accounts, guests, .. } = place.clone();
-        GatewayDesk { gateway: Arc::clone(self), keeper, under, domain, open, home_accounts, guests }
-    }
-
-    /// The desk of a gateway that this profile keeps.
-    #[cfg(test)]
-    fn desk_of(self: &Arc<Self>, keeper: &Arc<Owner>, domain: Domain) -> GatewayDesk {
-        let (under, address) = (Arc::new(RwLock::new(keeper.envelopes())), SocketAddr::from(([127, 0, 0, 1], 0)));
-        let (home_accounts, guests, keeper) = (Arc::default(), Arc::default(), Arc::clone(keeper));
-        self.desk(&Place { keeper, under, domain, address, open: false, home_accounts, guests })
+        GatewayDesk { gateway: Arc::clone(self), place: place.clone() }
     }
 
     async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {
         let Place { keeper, domain, address, .. } = place;
-        let provider = self.plant.provider;
+        let provider = self.parts.plant.provider;
         let cabinet = block_in_place(|| {
-            let (directory, identity) = (self.home.gateway(), keeper.gateway_identity());
+            let (directory, identity) = (self.parts.home.gateway(), keeper.gateway_identity());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
         let desk = Arc::new(self.desk(place));
@@ -278,4 +233,86 @@ impl Gateway {
             .await
             .map_err(|error| input(format!("the gateway cannot listen at {address}: {error}; choose another --listen")))
     }
+}
+
+/// A running gateway: what is reported about it, and its server.
+pub struct Serving {
+    /// The report.
+    pub view: GatewayView,
+    /// Its server.
+    pub watch: ServerWatch,
+    /// The keys that encrypt the transport keys.
+    pub under: KeptUnder,
+}
+
+impl Gateway {
+    /// The keys that encrypt the transport keys of the gateway that this owner serves here.
+    pub fn kept_under(&self, owner: &Owner) -> Option<KeptUnder> {
+        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
+        serving
+            .as_ref()
+            .filter(|serving| serving.view.account == owner.address)
+            .map(|serving| Arc::clone(&serving.under))
+    }
+
+    pub fn status(&self) -> Result<GatewayStatusView, Failure> {
+        let bound = block_in_place(|| self.parts.plant.ledger.bindings.bound_names())?;
+        let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
+        let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(serving) = &*serving else {
+            let senders = sender_rows(bound, Vec::new());
+            return Ok(GatewayStatusView { through, senders, ..GatewayStatusView::default() });
+        };
+        let (list, now) = (serving.watch.system_keys(), Timestamp::now());
+        let keys = list.keys.iter().map(|key| SystemKeyView {
+            id: key.id(),
+            not_before: key.not_before,
+            not_after: key.not_after,
+            current: key.is_in_use(now),
+        });
+        let refused = serving.watch.refused().into_iter();
+        let mut refused: Vec<RefusedView> = refused
+            .map(|(code, count)| RefusedView { code: code.number(), text: code.text().to_owned(), count })
+            .collect();
+        refused.sort_by_key(|row| std::cmp::Reverse(row.count));
+        Ok(GatewayStatusView {
+            served: Some(serving.view.clone()),
+            through,
+            connections: u64::try_from(serving.watch.connections()).unwrap_or(u64::MAX),
+            senders: sender_rows(bound, serving.watch.senders()),
+            keys: keys.collect(),
+            list_version: list.version,
+            list_expires: Some(list.expires_at),
+            refused,
+        })
+    }
+}
+
+/// Every bound name with the sum of its sessions; connected ones first.
+fn sender_rows(bound: Vec<(String, Address)>, connected: Vec<Sender>) -> Vec<SenderView> {
+    let unknown = |name: ProfileName, account| SenderView {
+        name,
+        account,
+        sessions: 0,
+        peer: None,
+        since: None,
+        last: None,
+        frames: 0,
+        bytes: 0,
+    };
+    let known = bound.into_iter().filter_map(|(name, account)| Some((name.parse::<ProfileName>().ok()?, account)));
+    let mut rows: BTreeMap<ProfileName, SenderView> =
+        known.map(|(name, account)| (name.clone(), unknown(name, account))).collect();
+    for sender in connected {
+        let row = rows.entry(sender.name.clone()).or_insert_with(|| unknown(sender.name.clone(), sender.account));
+        row.sessions += 1;
+        row.peer = Some(sender.peer.to_string());
+        row.since = Some(row.since.map_or(sender.since, |since| since.min(sender.since)));
+        row.last = Some(row.last.map_or(sender.last, |last| last.max(sender.last)));
+        row.frames += sender.frames;
+        row.bytes = row.bytes.saturating_add(sender.bytes);
+    }
+    let mut rows: Vec<SenderView> = rows.into_values().collect();
+    rows.sort_by_key(|row| row.sessions == 0);
+    rows
 }

@@ -28,9 +28,9 @@ fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
 impl GatewayDesk {
     /// The network, if everything that is on the chain is known here, as of two seconds ago at most: only then is it known
     /// who may read. Who asks calls [`Self::freshen`] before.
-    pub(super) fn fresh_network(&self) -> Result<Network, Refusal> {
+    pub fn fresh_network(&self) -> Result<Network, Refusal> {
         let network = self.known_network()?;
-        self.gateway.link.view().map_err(Refusal::because(Code::Stale))?;
+        self.gateway.parts.link.view().map_err(Refusal::because(Code::Stale))?;
         Ok(network)
     }
 
@@ -38,8 +38,8 @@ impl GatewayDesk {
     ///
     /// # Errors
     /// [`Refusal`] with `Stale` if the chain does not answer, is cut off, or reading its block takes too long.
-    pub(super) async fn freshen(&self) -> Result<(), Refusal> {
-        let link = &self.gateway.link;
+    pub async fn freshen(&self) -> Result<(), Refusal> {
+        let link = &self.gateway.parts.link;
         if link.view().is_ok() {
             return Ok(());
         }
@@ -55,20 +55,20 @@ impl GatewayDesk {
 
     /// The network, if the chain has reported a head recently: enough for storing, since what is stored is judged again by
     /// the block that anchors it.
-    pub(super) fn known_network(&self) -> Result<Network, Refusal> {
-        let network = self.gateway.link.network_now().filter(|network| network.domain == self.domain);
-        let fresh = self.gateway.link.fresh_head(LONGEST_SILENCE);
+    pub fn known_network(&self) -> Result<Network, Refusal> {
+        let network = self.gateway.parts.link.network_now().filter(|network| network.domain == self.place.domain);
+        let fresh = self.gateway.parts.link.fresh_head(LONGEST_SILENCE);
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no recent block from the chain"))
     }
 
     /// The right by which `reader` reads `owner`'s records here, now. Waits for the ledger: not on the network's
     /// threads.
-    pub(super) fn reach(&self, network: &Network, reader: &Address, owner: &Address) -> Result<ReadingRight, Refusal> {
+    pub fn reach(&self, network: &Network, reader: &Address, owner: &Address) -> Result<ReadingRight, Refusal> {
         if reader == owner {
             return Ok(ReadingRight::Own);
         }
         let policy = Policy::Gateway {
-            head: self.gateway.link.view().ok(),
+            head: self.gateway.parts.link.view().ok(),
             confirmations: network.confirmations,
             revoke_announced: self.is_revoke_announced(network, owner, reader)?,
         };
@@ -81,50 +81,46 @@ impl GatewayDesk {
     }
 
     /// The right by which a key signs for `owner` now: the later of the head's time and the clock here decides.
-    pub(super) fn may_sign_now(
-        &self,
-        owner: &Address,
-        signer: &SignerId,
-    ) -> Result<Result<SigningRight, NoRight>, Refusal> {
+    pub fn may_sign_now(&self, owner: &Address, signer: &SignerId) -> Result<Result<SigningRight, NoRight>, Refusal> {
         let network = self.known_network()?;
-        let head = self.gateway.link.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
+        let head = self.gateway.parts.link.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
         let at = Moment::newest(network.directory.now().max(Timestamp::from_seconds(head)));
         Ok(may_sign(&network.directory, *owner, *signer, at))
     }
 
     fn is_revoke_announced(&self, network: &Network, owner: &Address, reader: &Address) -> Result<bool, Refusal> {
         let announced = AnnouncedRevoke { owner: *owner, reader: *reader };
-        let epoch = self.gateway.plant.ledger.notes.read(&announced).map_err(Refusal::because(Code::Internal))?;
+        let epoch = self.gateway.parts.plant.ledger.notes.read(&announced).map_err(Refusal::internal)?;
         // The chain has caught up: its own state decides again.
         if epoch.is_some_and(|epoch| network.directory.epoch(*owner) < epoch) {
             return Ok(true);
         }
-        let owners = self.gateway.owners.all();
+        let owners = self.gateway.parts.owners.all();
         let Some(local) = owners.iter().find(|local| local.address == *owner) else { return Ok(false) };
         let owed = self.gateway.sharing.owed_revocations(local, network);
         Ok(owed.map_err(|failure| Refusal::new(Code::Internal, failure.message))?.contains(reader))
     }
 
     /// A record's bytes, compared with its digest before any of them leave.
-    pub(super) fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
-        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
+    pub fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
+        let plant = &self.gateway.parts.plant;
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
-        let placed = plant.ledger.records.placed(row.digest).map_err(&internal)?;
-        let blob = plant.stored_bytes(&row).map_err(&internal)?;
+        let placed = plant.ledger.records.placed(row.digest).map_err(Refusal::internal)?;
+        let blob = plant.stored_bytes(&row).map_err(Refusal::internal)?;
         let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)))?;
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
             return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
         }
-        let signer = key_of(plant, &network, &row).map_err(Refusal::because(Code::Internal))?;
+        let signer = key_of(plant, &network, &row).map_err(Refusal::internal)?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
         let proof = placed.and_then(anchor_proof).map(|proof| proof.encode()).unwrap_or_default();
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 
     /// A record that the caller may read now.
-    pub(super) fn readable(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<RecordRow, Refusal> {
-        let row = self.gateway.plant.ledger.records.find(*digest).map_err(Refusal::because(Code::Internal))?;
+    pub fn readable(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<RecordRow, Refusal> {
+        let row = self.gateway.parts.plant.ledger.records.find(*digest).map_err(Refusal::internal)?;
         let row = row.filter(is_offered);
         let row = row.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("no record {digest}")))?;
         self.check_loan(network, caller)?;
@@ -144,7 +140,7 @@ impl GatewayDesk {
     ///
     /// # Errors
     /// [`Refusal`] if it is none of them.
-    pub(super) fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>, Refusal> {
+    pub fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>, Refusal> {
         let network = self.fresh_network()?;
         let (places, refused) = self.places(&network, reader, asked)?;
         match refused.into_iter().next() {
@@ -178,7 +174,7 @@ impl GatewayDesk {
     }
 
     /// What is there for the caller now, after the places that he asks from.
-    pub(super) fn page_of_feed(&self, caller: &Caller, asked: &Feed) -> Result<FeedPage, Refusal> {
+    pub fn page_of_feed(&self, caller: &Caller, asked: &Feed) -> Result<FeedPage, Refusal> {
         let of_own = caller.device.is_some() && !asked.recorders.is_empty();
         let network = if of_own { self.known_network()? } else { self.fresh_network()? };
         self.check_loan(&network, caller)?;
@@ -190,8 +186,8 @@ impl GatewayDesk {
                 .map_or_else(|| Refusal::new(Code::Malformed, "nobody is asked about"), |(_, refusal)| refusal));
         }
         let filter = FeedFilter { places, kind: asked.kind, recorders: asked.recorders.clone() };
-        let page = self.gateway.plant.ledger.feed.page(&asked.id, &filter, MOST_ENTRIES);
-        let store::FeedPage { id, is_anew, head, upto, mut rows } = page.map_err(Refusal::because(Code::Internal))?;
+        let page = self.gateway.parts.plant.ledger.feed.page(&asked.id, &filter, MOST_ENTRIES);
+        let store::FeedPage { id, is_anew, head, upto, mut rows } = page.map_err(Refusal::internal)?;
         // A device knows its owner's recorder from her notices.
         rows.retain(|row| !of_own || is_a_device(&network, caller, &row.placed.row.signer));
         let refused = refused.into_iter().map(|(owner, refusal)| (owner, refusal.code)).collect();
@@ -200,7 +196,7 @@ impl GatewayDesk {
     }
 
     /// What there is for the caller of the first of these records, as many as fit.
-    pub(super) fn found(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
+    pub fn found(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
         if !bytes {
             let network = if caller.device.is_some() { self.known_network()? } else { self.fresh_network()? };
             self.check_loan(&network, caller)?;
@@ -230,7 +226,7 @@ impl GatewayDesk {
 
     /// Whether a record is here, as far as the caller may know.
     fn is_here(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<Found, Refusal> {
-        let row = self.gateway.plant.ledger.records.find(*digest).map_err(Refusal::because(Code::Internal))?;
+        let row = self.gateway.parts.plant.ledger.records.find(*digest).map_err(Refusal::internal)?;
         let Some(row) = row else { return Ok(Found::Missing(Code::NotFound)) };
         let own = caller.device.is_none() || is_a_device(network, caller, &row.signer);
         let may_know = match self.reach(network, &caller.account, &row.owner) {

@@ -8,33 +8,29 @@ use tokio::task::block_in_place;
 use crate::crypto::signer_id;
 use crate::gateway::Cabinet;
 use crate::model::{Address, ProfileName, clean};
-use crate::pipeline::authority::{self, Moment, may_sign};
+use crate::pipeline::Owner;
+use crate::pipeline::authority;
 use crate::pipeline::directory::Granted;
-use crate::pipeline::{Network, Owner};
 use crate::service::command::PairKind;
 use crate::service::reply::{Failure, KeyChangeView};
 
 impl Profiles {
     /// Who is affected, and what happens then; changes nothing.
-    pub(in crate::site) async fn foresee_key_change(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        kind: PairKind,
-    ) -> Result<KeyChangeView, Failure> {
+    pub async fn foresee_key_change(&self, owner: &Arc<Owner>, kind: PairKind) -> Result<KeyChangeView, Failure> {
         let network = self.registered_network(owner).await?;
         let Some(network) = network else {
             let lines = vec!["nobody is affected: this profile is not registered on a chain yet".to_owned()];
-            return Ok(KeyChangeView { lines, ..nobody() });
+            return Ok(KeyChangeView { lines, ..KeyChangeView::default() });
         };
         let me = owner.address;
         let identity = owner.gateway_identity().public;
-        let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
+        let founded = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         let mut view = KeyChangeView {
             readers: parties(&authority::standing_grants(&network.directory, me), |grant| grant.terms.grantee),
             sharers: parties(&authority::shared_with(&network.directory, me), |grant| grant.terms.owner),
-            robots: self.lent_robots(owner, &network)?,
+            robots: self.enrolments.lent(owner, &network)?.into_iter().map(|robot| robot.name).collect(),
             keeps_gateway: founded == Some(signer_id(&identity)),
-            joined: self.config.site.as_ref().map(|site| clean(&site.addresses.join(", "), 600)),
+            joined: self.parts.config.site.as_ref().map(|site| clean(&site.addresses.join(", "), 600)),
             lines: Vec::new(),
         };
         view.lines = match kind {
@@ -42,24 +38,6 @@ impl Profiles {
             PairKind::Envelope => envelope_lines(&view),
         };
         Ok(view)
-    }
-
-    fn lent_robots(&self, owner: &Owner, network: &Network) -> Result<Vec<ProfileName>, Failure> {
-        let now = Moment::newest(network.directory.now());
-        let lent = |device| may_sign(&network.directory, owner.address, device, now).is_ok();
-        let enrolled = self.enrolments.of(owner)?.into_iter();
-        Ok(enrolled.filter(|device| lent(device.device)).map(|device| device.name).collect())
-    }
-}
-
-fn nobody() -> KeyChangeView {
-    KeyChangeView {
-        readers: Vec::new(),
-        sharers: Vec::new(),
-        robots: Vec::new(),
-        keeps_gateway: false,
-        joined: None,
-        lines: Vec::new(),
     }
 }
 
@@ -135,18 +113,19 @@ mod tests {
             robots,
             keeps_gateway: true,
             joined: Some("far:7000".to_owned()),
-            ..nobody()
+            ..KeyChangeView::default()
         };
         let text = signing_lines(&view).join("\n");
         for word in ["1 reader ", "2 robots (scout-1, scout-2)", "keeps its identity", "far:7000"] {
             assert!(text.contains(word), "{word} in {text}");
         }
-        let text = signing_lines(&nobody()).join("\n");
+        let text = signing_lines(&KeyChangeView::default()).join("\n");
         assert!(
             text.contains("0 readers") && text.contains("no robot is on loan") && !text.contains("gateway"),
             "{text}"
         );
-        let text = envelope_lines(&KeyChangeView { sharers: vec![Address([2; 20])], ..nobody() }).join("\n");
+        let text =
+            envelope_lines(&KeyChangeView { sharers: vec![Address([2; 20])], ..KeyChangeView::default() }).join("\n");
         assert!(text.contains("1 account that shares") && text.contains("your readers and robots are not"), "{text}");
     }
 }

@@ -24,10 +24,10 @@ use crate::store::{RecordQuery, RecordRow, StoreError};
 
 impl Profiles {
     /// Keys with fingerprints and epochs; no secret.
-    pub(in crate::site) async fn keys(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
+    pub async fn keys(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let (signing, envelope) = owner.public_keys();
         let mut epochs = Vec::new();
-        if let Some(network) = self.link.network_now() {
+        if let Some(network) = self.parts.link.network_now() {
             let current = owner.sealing().map(|keys| keys.epoch);
             for epoch in owner.epochs(network.domain) {
                 if let Some(token) = owner.token(network.domain, epoch) {
@@ -46,7 +46,7 @@ impl Profiles {
     }
 
     /// Replaces one key with that in a file.
-    pub(in crate::site) async fn load_key(
+    pub async fn load_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         kind: KeyKind,
@@ -55,14 +55,14 @@ impl Profiles {
     ) -> Result<KeysView, Failure> {
         let registered = self.registered_network(owner).await?;
         let word = format!("{kind:?}").to_lowercase();
-        self.log.begin(owner, "load key", &word).await?;
+        self.parts.log.begin(owner, "load key", &word).await?;
         let loaded = match kind {
             KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await,
-            KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await,
+            KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await.map(|()| Arc::clone(owner)),
             KeyKind::Eoa => self.load_eoa(owner, path, passphrase).await,
         };
-        let owner = self.log.end(owner, "load key", &word, loaded).await?;
-        self.hub.changed(Part::Identity);
+        let owner = self.parts.log.end(owner, "load key", &word, loaded).await?;
+        self.parts.hub.changed(Part::Identity);
         self.keys(&owner).await
     }
 
@@ -92,32 +92,28 @@ impl Profiles {
         owner: &Arc<Owner>,
         path: PathBuf,
         network: Option<&Network>,
-    ) -> Result<Arc<Owner>, Failure> {
-        let provider = self.plant.provider;
+    ) -> Result<(), Failure> {
+        let provider = self.parts.plant.provider;
         let pair = blocking(self, move |_| Ok(SmKeyPair::from_secret(provider, keyfile::load_sm2(&path)?)?)).await?;
         let new = NewPairs { signing: Some(pair), ..NewPairs::default() };
-        self.change_pairs(owner, network, new).await?;
-        Ok(Arc::clone(owner))
+        self.change_pairs(owner, network, new).await
     }
 
     /// Makes a new envelope pair; the old one still opens what was sealed to it.
-    pub(in crate::site) async fn rotate_envelope(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
+    pub async fn rotate_envelope(&self, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let registered = self.registered_network(owner).await?;
-        self.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
-        let pair = SmKeyPair::generate(self.plant.provider)?;
+        self.parts.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
+        let pair = SmKeyPair::generate(self.parts.plant.provider)?;
         let new = NewPairs { envelope: Some(pair), ..NewPairs::default() };
         let changed = self.change_pairs(owner, registered.as_ref(), new).await;
-        self.log.end(owner, "rotate envelope key", &owner.address.to_string(), changed).await?;
-        self.hub.changed(Part::Identity);
+        self.parts.log.end(owner, "rotate envelope key", &owner.address.to_string(), changed).await?;
+        self.parts.hub.changed(Part::Identity);
         self.keys(owner).await
     }
 
     /// The network, if the owner is registered on it; nothing if this home has none.
-    pub(in crate::site) async fn registered_network(
-        self: &Arc<Self>,
-        owner: &Owner,
-    ) -> Result<Option<Network>, Failure> {
-        match self.link.network().await {
+    pub async fn registered_network(&self, owner: &Owner) -> Result<Option<Network>, Failure> {
+        match self.parts.link.network().await {
             Ok(network) => Ok(network.directory.identity(owner.address).is_ok().then_some(network)),
             Err(failure) => match self.connection.pin()? {
                 Some(_) => Err(failure),
@@ -141,7 +137,8 @@ impl Profiles {
                 owner.profile, owner.address
             )));
         }
-        let rows = block_in_place(|| self.plant.ledger.records.in_state(Some(owner.address), RecordState::Stored, 1))?;
+        let rows =
+            block_in_place(|| self.parts.plant.ledger.records.in_state(Some(owner.address), RecordState::Stored, 1))?;
         if !rows.is_empty() {
             return Err(refused(format!("records of {} are waiting to be anchored; register first", owner.address)));
         }
@@ -152,7 +149,7 @@ impl Profiles {
             accounts.entry(profile).or_default().push(address);
             Ok::<(), StoreError>(())
         };
-        block_in_place(|| self.plant.ledger.notes.change(&ProfileAccounts {}, also))?;
+        block_in_place(|| self.parts.plant.ledger.notes.change(&ProfileAccounts {}, also))?;
         let loaded = |keys: &mut Keyring| {
             keys.eoa = key;
             keys.networks.clear();
@@ -163,7 +160,7 @@ impl Profiles {
     }
 
     /// Exports one key, in the format of other tools.
-    pub(in crate::site) async fn export_key(
+    pub async fn export_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         kind: KeyKind,
@@ -171,7 +168,7 @@ impl Profiles {
     ) -> Result<SecretBytes, Failure> {
         let word = format!("{kind:?}").to_lowercase();
         let exported = self.key_file(owner, kind, passphrase);
-        self.log.deed(&owner.profile, "export key", &word, exported).await.map(SecretBytes::new)
+        self.parts.log.deed(&owner.profile, "export key", &word, exported).await.map(SecretBytes::new)
     }
 
     async fn key_file(
@@ -205,7 +202,7 @@ const PAGE: usize = 1000;
 
 /// The replacements of the pairs in use.
 #[derive(Default)]
-pub(in crate::site) struct NewPairs {
+pub struct NewPairs {
     /// (d_C, P_C).
     pub signing: Option<SmKeyPair>,
     /// (d_E, P_E).
@@ -214,8 +211,8 @@ pub(in crate::site) struct NewPairs {
 
 impl Profiles {
     /// Replaces pairs; on the chain too, if `network` is given: the owner is registered there.
-    pub(in crate::site) async fn change_pairs(
-        self: &Arc<Self>,
+    pub async fn change_pairs(
+        &self,
         owner: &Arc<Owner>,
         network: Option<&Network>,
         new: NewPairs,
@@ -250,11 +247,7 @@ impl Profiles {
     ///
     /// # Errors
     /// If it is not anchored after a minute; what is wrong is in the site's health then.
-    pub(in crate::site) async fn drain_former(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        network: &Network,
-    ) -> Result<(), Failure> {
+    pub async fn drain_former(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if !recovery::is_ahead(network, owner)? {
             return Ok(());
         }
@@ -268,17 +261,13 @@ impl Profiles {
             Failure { message: text, ..failure }
         });
         self.sharing.note_pairs(owner, drained.as_ref().err().map(|failure| failure.message.clone()));
-        self.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Health);
         drained
     }
 
     /// Brings the chain to the pairs of the keyring: registers them again where it went back to earlier ones, and finishes a
     /// change that was begun. The caller holds the owner's changes, has taken over what the chain hands out, and drained.
-    pub(in crate::site) async fn settle_pairs(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        network: &Network,
-    ) -> Result<(), Failure> {
+    pub async fn settle_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if recovery::is_ahead(network, owner)? {
             let (signing, envelope) = (owner.signing(), owner.envelope());
             let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
@@ -291,25 +280,21 @@ impl Profiles {
                 Failure { message: text, ..failure }
             });
             let subject = owner.address.to_string();
-            self.log.ended(&owner.profile, "register keys again", &subject, sent).await?;
+            self.parts.log.ended(&owner.profile, "register keys again", &subject, sent).await?;
             self.sharing.note_pairs(owner, None);
             let text = format!(
                 "the chain had gone back to earlier SM2 keys of '{}', as an older copy does: those of the keyring are \
                  registered again",
                 owner.profile
             );
-            self.hub.notice(NoticeLevel::Warning, &text);
-            self.hub.changed(Part::Identity);
+            self.parts.hub.notice(NoticeLevel::Warning, &text);
+            self.parts.hub.changed(Part::Identity);
         }
         self.finish_pairs(owner, network).await
     }
 
     /// Finishes a change that was begun; does nothing if there is none. The caller holds the owner's changes.
-    pub(in crate::site) async fn finish_pairs(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        network: &Network,
-    ) -> Result<(), Failure> {
+    pub async fn finish_pairs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let (signing, envelope, moves) = {
             let keyring = owner.keyring();
             let (ring, further) = (keyring.keys(), &keyring.keys().further);
@@ -332,7 +317,7 @@ impl Profiles {
     }
 
     async fn register_pairs(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         signing: &SmKeyPair,
@@ -356,7 +341,7 @@ impl Profiles {
     }
 
     async fn send_pairs(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         signing: &SmKeyPair,
@@ -364,19 +349,19 @@ impl Profiles {
     ) -> Result<(), Failure> {
         let token = network.directory.account(owner.address).and_then(|account| account.token);
         let token = token.ok_or(PipelineError::Unregistered(owner.address))?;
-        let (provider, domain) = (self.plant.provider, &network.domain);
+        let (provider, domain) = (self.parts.plant.provider, &network.domain);
         let identity = prove(provider, domain, &owner.address, signing, &envelope.public, token)?;
-        let envelope = recovery::handover(&self.plant, network, owner, (signing, envelope))?;
+        let envelope = recovery::handover(&self.parts.plant, network, owner, (signing, envelope))?;
         let call = Call::RotateKeys { identity, envelope };
-        let (_, receipt) = self.sender.send(&network.chain, &owner.eoa(), call, "rotateKeys").await?;
-        self.link.scanned(receipt.block).await;
+        let (_, receipt) = self.parts.sender.send(&network.chain, &owner.eoa(), call, "rotateKeys").await?;
+        self.parts.link.scanned(receipt.block).await;
         Ok(())
     }
 
     /// The chain has the new pairs, or the owner is on no chain: they take their place in the keyring, and what they
     /// encrypt follows.
     fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<(), Failure> {
-        let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
+        let founded = block_in_place(|| Cabinet::founded_in(&self.parts.home.gateway()));
         {
             let mut keyring = owner.keyring();
             let taken_over = |keys: &mut Keyring| {
@@ -398,13 +383,13 @@ impl Profiles {
         let Some(network) = network else { return Ok(()) };
         block_in_place(|| self.reseal_kept(owner))?;
         // A joined gateway knows this site by its old keys only; another transport key is allocated.
-        drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
+        drop(std::fs::remove_file(self.parts.home.transport_key(&owner.profile)));
         self.sharing.take_up_epoch(owner, network)
     }
 
     /// Re-encrypts the transport keys kept by this owner's gateway under its current pair.
     fn reseal_kept(&self, owner: &Owner) -> Result<(), Failure> {
-        let (pairs, provider, ledger) = (owner.envelopes(), self.plant.provider, &self.plant.ledger);
+        let (pairs, provider, ledger) = (owner.envelopes(), self.parts.plant.provider, &self.parts.plant.ledger);
         let under = self.gateway.kept_under(owner);
         // Nothing is bound meanwhile.
         let mut held = under.as_ref().map(|under| under.write().unwrap_or_else(std::sync::PoisonError::into_inner));
@@ -460,7 +445,7 @@ impl Profiles {
             loop {
                 let (owner, state) = (Some(owner.address), Some(state));
                 let query = RecordQuery { owner, state, after, limit: PAGE, ..RecordQuery::default() };
-                let page = self.plant.ledger.records.list(&query)?;
+                let page = self.parts.plant.ledger.records.list(&query)?;
                 pending += page.rows.iter().filter(|row: &&RecordRow| row.signer == signer).count();
                 let Some(next) = page.next else { break };
                 after = Some(next);
@@ -474,5 +459,5 @@ impl Profiles {
 /// one.
 fn unverified() -> impl Iterator<Item = RecordState> {
     let waits = |state: &RecordState| state.is_pending() || *state == RecordState::RightEnded;
-    RecordState::ALL.into_iter().filter(waits)
+    RecordState::ALL.iter().copied().filter(waits)
 }

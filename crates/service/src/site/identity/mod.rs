@@ -10,11 +10,9 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
-use super::audit::Log;
 use super::blocking;
 use super::capture::watches::Watches;
 use super::chain::connection::Connection;
-use super::chain::link::Link;
 use super::devices::enrolled::Enrolments;
 use super::gateway::Gateway;
 use super::parts::Parts;
@@ -23,14 +21,12 @@ use super::reading::Reading;
 use super::sharing::Sharing;
 use crate::chain::Call;
 use crate::command::{SecretBytes, SecretText};
-use crate::config::Config;
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
 use crate::event::{NoticeLevel, Part};
 use crate::failure::{input, internal, refused};
-use crate::hub::Hub;
 use crate::model::{Address, ProfileName};
 use crate::paths::Home;
-use crate::pipeline::{Network, Owner, Plant, Recorder, Sender, recovery};
+use crate::pipeline::{Network, Owner, Recorder, recovery};
 use crate::reply::{EpochRecords, Failure, IdentityView};
 use crate::store::StoreError;
 use crate::store::notes::ProfileAccounts;
@@ -39,72 +35,23 @@ use crate::store::notes::ProfileAccounts;
 const LOCKED: Duration = Duration::from_secs(3);
 
 /// The profiles of a home and their keys.
-pub(in crate::site) struct Profiles {
-    home: Home,
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    sender: Arc<Sender>,
-    connection: Arc<Connection>,
-    sharing: Arc<Sharing>,
-    enrolments: Arc<Enrolments>,
-    gateway: Arc<Gateway>,
-    reading: Arc<Reading>,
-    pins: Arc<Pinning>,
-    recorder: Arc<Recorder>,
-    watches: Arc<Watches>,
-}
-
-/// The parts used by profiles.
-pub(in crate::site) struct Asked<'a> {
-    pub connection: &'a Arc<Connection>,
-    pub sharing: &'a Arc<Sharing>,
-    pub enrolments: &'a Arc<Enrolments>,
-    pub gateway: &'a Arc<Gateway>,
-    pub reading: &'a Arc<Reading>,
-    pub pins: &'a Arc<Pinning>,
-    pub recorder: &'a Arc<Recorder>,
-    pub watches: &'a Arc<Watches>,
-}
-
-impl Profiles {
-    /// From the shared parts.
-    pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
-        let Asked { connection, sharing, enrolments, gateway, reading, pins, recorder, watches } = asked;
-        let Parts { home, config, plant, hub, log, owners, link, sender, .. } = parts.clone();
-        Self {
-            home,
-            config,
-            plant,
-            hub,
-            log,
-            owners,
-            link,
-            sender,
-            connection: Arc::clone(connection),
-            sharing: Arc::clone(sharing),
-            enrolments: Arc::clone(enrolments),
-            gateway: Arc::clone(gateway),
-            reading: Arc::clone(reading),
-            pins: Arc::clone(pins),
-            recorder: Arc::clone(recorder),
-            watches: Arc::clone(watches),
-        }
-    }
+pub struct Profiles {
+    pub parts: Parts,
+    pub connection: Arc<Connection>,
+    pub sharing: Arc<Sharing>,
+    pub enrolments: Arc<Enrolments>,
+    pub gateway: Arc<Gateway>,
+    pub reading: Arc<Reading>,
+    pub pins: Arc<Pinning>,
+    pub recorder: Arc<Recorder>,
+    pub watches: Arc<Watches>,
 }
 
 impl Profiles {
     /// Makes keys and a keyring for a new profile, and opens it.
-    pub(super) async fn create(
-        self: &Arc<Self>,
-        profile: ProfileName,
-        secret: SecretText,
-    ) -> Result<IdentityView, Failure> {
-        let path = self.home.keyring(&profile);
-        let _one_at_a_time = self.owners.opening(&profile).await;
+    pub async fn create(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+        let path = self.parts.home.keyring(&profile);
+        let _one_at_a_time = self.parts.owners.opening(&profile).await;
         self.check_account(&profile)?;
         if path.exists() {
             return Err(refused(format!(
@@ -113,60 +60,56 @@ impl Profiles {
         }
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
         let unlocked = blocking(self, move |profiles| {
-            let keyring = Keyring::generate(profiles.plant.provider)?;
+            let keyring = Keyring::generate(profiles.parts.plant.provider)?;
             Ok(UnlockedKeyring::create(keyring, &path, &passphrase)?)
         })
         .await?;
         self.open(profile.clone(), unlocked);
-        self.log.write(&profile, "create identity", "keys", "done").await?;
+        self.parts.log.write(&profile, "create identity", "keys", "done").await?;
         self.view(&profile).await
     }
 
     /// Opens the keyring of a profile for this site.
-    pub(super) async fn unlock(
-        self: &Arc<Self>,
-        profile: ProfileName,
-        secret: SecretText,
-    ) -> Result<IdentityView, Failure> {
-        if self.owners.get(&profile).is_none_or(|owner| owner.is_locked()) {
-            let _one_at_a_time = self.owners.opening(&profile).await;
+    pub async fn unlock(self: &Arc<Self>, profile: ProfileName, secret: SecretText) -> Result<IdentityView, Failure> {
+        if self.parts.owners.get(&profile).is_none_or(|owner| owner.is_locked()) {
+            let _one_at_a_time = self.parts.owners.opening(&profile).await;
             self.check_account(&profile)?;
-            let path = self.home.keyring(&profile);
+            let path = self.parts.home.keyring(&profile);
             let passphrase = Passphrase::new(secret.expose().to_owned())?;
             let opened = blocking(self, move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
             let outcome = if opened.is_ok() { "done" } else { "refused" };
-            self.log.write(&profile, "unlock", "keyring", outcome).await?;
+            self.parts.log.write(&profile, "unlock", "keyring", outcome).await?;
             // Opened by another request meanwhile, the owner keeps the keys it has.
-            match self.owners.get(&profile) {
+            match self.parts.owners.get(&profile) {
                 Some(owner) => owner.unlock(opened?),
                 None => drop(self.open(profile.clone(), opened?)),
             }
-            self.hub.changed(Part::Identity);
+            self.parts.hub.changed(Part::Identity);
         }
-        if let (Some(owner), Some(_)) = (self.owners.get(&profile), self.link.network_now()) {
+        if let (Some(owner), Some(_)) = (self.parts.owners.get(&profile), self.parts.link.network_now()) {
             self.resume(&owner).await?;
         }
         self.view(&profile).await
     }
 
     /// Protects a keyring with another passphrase. The file is replaced in one step: it opens with one or the other.
-    pub(super) async fn change_passphrase(
+    pub async fn change_passphrase(
         self: &Arc<Self>,
         profile: &ProfileName,
         old: SecretText,
         new: SecretText,
     ) -> Result<(), Failure> {
-        let path = self.home.keyring(profile);
+        let path = self.parts.home.keyring(profile);
         if !path.exists() {
             return Err(refused(format!(
                 "profile '{profile}' has no identity yet, so there is no passphrase to change"
             )));
         }
         let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
-        self.log.write(profile, "change passphrase", "keyring", "begun").await?;
+        self.parts.log.write(profile, "change passphrase", "keyring", "begun").await?;
         // Nor is it opened with the old passphrase meanwhile: what was read before could never be saved again.
-        let not_opened = self.owners.opening(profile).await;
-        let owner = self.owners.get(profile).filter(|owner| !owner.is_locked());
+        let not_opened = self.parts.owners.opening(profile).await;
+        let owner = self.parts.owners.get(profile).filter(|owner| !owner.is_locked());
         // No save of the keyring under the old passphrase may come after it.
         let _one_at_a_time = match &owner {
             Some(owner) => Some(owner.changes.lock().await),
@@ -184,49 +127,49 @@ impl Profiles {
             Ok(())
         });
         let changed = changed.await;
-        self.log.ended(profile, "change passphrase", "keyring", changed).await
+        self.parts.log.ended(profile, "change passphrase", "keyring", changed).await
     }
 
     /// Puts an open keyring into the site. The caller holds [`Owners::opening`] and has seen that none is open.
-    pub(super) fn open(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
+    pub fn open(&self, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
         self.put_in_place(Owner::new(profile, keyring))
     }
 
     /// Puts an owner into the site, replacing the profile's previous one, which has the same keyring.
-    pub(super) fn put_in_place(self: &Arc<Self>, owner: Owner) -> Arc<Owner> {
+    pub fn put_in_place(&self, owner: Owner) -> Arc<Owner> {
         let owner = Arc::new(owner);
         let known = |accounts: &mut Accounts| {
             accounts.insert(owner.profile.clone(), vec![owner.address]);
             Ok::<(), StoreError>(())
         };
-        if let Err(error) = block_in_place(|| self.plant.ledger.notes.change(&ProfileAccounts {}, known)) {
-            self.hub.notice(NoticeLevel::Warning, &error.to_string());
+        if let Err(error) = block_in_place(|| self.parts.plant.ledger.notes.change(&ProfileAccounts {}, known)) {
+            self.parts.hub.notice(NoticeLevel::Warning, &error.to_string());
         }
         self.pins.introduce(&owner);
-        self.owners.insert(&owner);
+        self.parts.owners.insert(&owner);
         self.seal_as_before(&owner);
         if let Err(failure) = self.watches.restore(&owner) {
             let text = format!("what '{}' watches is not captured: {}", owner.profile, failure.message);
-            self.hub.notice(NoticeLevel::Error, &text);
+            self.parts.hub.notice(NoticeLevel::Error, &text);
         }
-        self.hub.changed(Part::Identity);
+        self.parts.hub.changed(Part::Identity);
         owner
     }
 
     /// Refuses a profile whose keyring is gone or another account's: what it sealed before would be nobody's.
     fn check_account(&self, profile: &ProfileName) -> Result<(), Failure> {
         let known = self.known_accounts()?;
-        let fault = known.get(profile).and_then(|accounts| keyring_fault(&self.home, profile, accounts));
+        let fault = known.get(profile).and_then(|accounts| keyring_fault(&self.parts.home, profile, accounts));
         fault.map_or(Ok(()), |text| Err(refused(text)))
     }
 
     /// What is wrong with the keyrings of the profiles that this home knows.
-    pub(in crate::site) fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>, Failure> {
-        Ok(keyring_faults(&self.home, &self.known_accounts()?))
+    pub fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>, Failure> {
+        Ok(keyring_faults(&self.parts.home, &self.known_accounts()?))
     }
 
     fn known_accounts(&self) -> Result<Accounts, Failure> {
-        Ok(block_in_place(|| self.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default())
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default())
     }
 
     /// Seals under the newest epoch of the keyring until the chain's state is known, so that a start loses no message
@@ -236,13 +179,13 @@ impl Profiles {
         let domain = pin.domain();
         let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
         if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
-            self.hub.notice(NoticeLevel::Warning, &error.to_string());
+            self.parts.hub.notice(NoticeLevel::Warning, &error.to_string());
         }
     }
 
     /// Refuses to go on with an owner whose account was replaced while it was waited for.
-    pub(super) fn is_current(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
-        if self.owners.is_open(owner) {
+    pub fn is_current(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if self.parts.owners.is_open(owner) {
             return Ok(());
         }
         Err(refused(format!(
@@ -252,20 +195,14 @@ impl Profiles {
     }
 
     /// The public side of a profile; needs no passphrase.
-    pub(super) async fn view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
-        let path = self.home.keyring(profile);
-        let owner = self.owners.get(profile);
+    pub async fn view(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        let path = self.parts.home.keyring(profile);
+        let owner = self.parts.owners.get(profile);
         let mut view = IdentityView {
             profile: profile.clone(),
             exists: path.exists(),
             unlocked: owner.is_some_and(|owner| !owner.is_locked()),
-            registered: false,
-            address: None,
-            epoch: None,
-            epoch_records: None,
-            signing_key: None,
-            fingerprint: None,
-            envelope_key: None,
+            ..IdentityView::default()
         };
         if !view.exists {
             return Ok(view);
@@ -278,14 +215,15 @@ impl Profiles {
         // A gateway that has no room for visitors may let the site in once the keyring is open: who is about to open it asks
         // first whether it is.
         let patience = if view.unlocked { Duration::MAX } else { LOCKED };
-        if let Ok(Ok(network)) = tokio::time::timeout(patience, self.link.network()).await {
+        if let Ok(Ok(network)) = tokio::time::timeout(patience, self.parts.link.network()).await {
             view.registered =
                 network.directory.identity(public.address).is_ok_and(|identity| identity.signing == public.signing);
             view.epoch = Some(network.directory.epoch(public.address)).filter(|epoch| *epoch > 0);
         }
         if let Some(epoch) = view.epoch {
-            let sealed =
-                move |profiles: &Self| Ok(profiles.plant.ledger.counts.sealed_in_epoch(public.address, epoch, None)?);
+            let sealed = move |profiles: &Self| {
+                Ok(profiles.parts.plant.ledger.counts.sealed_in_epoch(public.address, epoch, None)?)
+            };
             let (records, since) = blocking(self, sealed).await?;
             view.epoch_records = Some(EpochRecords { records, since });
         }
@@ -336,40 +274,40 @@ const PATIENCE: Duration = Duration::from_secs(10);
 impl Profiles {
     /// Wipes the keys for reading, granting and revoking. A running change of epochs or grants is waited for a moment:
     /// without its keys it could not be finished.
-    pub(in crate::site) async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
-        let _not_opened = self.owners.opening(profile).await;
-        if let Some(owner) = self.owners.get(profile).filter(|owner| !owner.is_locked()) {
+    pub async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        let _not_opened = self.parts.owners.opening(profile).await;
+        if let Some(owner) = self.parts.owners.get(profile).filter(|owner| !owner.is_locked()) {
             {
                 // One that hangs is cut off: what it leaves open is resumed at the next unlock.
                 let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
-                if let Some(network) = self.link.network_now() {
+                if let Some(network) = self.parts.link.network_now() {
                     block_in_place(|| self.sharing.foresee_locked(&owner, &network))?;
                 }
-                owner.lock(self.plant.provider)?;
+                owner.lock(self.parts.plant.provider)?;
                 self.reading.forget();
             }
-            self.hub.changed(Part::Identity);
-            self.log.write(profile, "lock", "keyring", "done").await?;
+            self.parts.hub.changed(Part::Identity);
+            self.parts.log.write(profile, "lock", "keyring", "done").await?;
         }
         self.view(profile).await
     }
 
-    pub(in crate::site) async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes, Failure> {
-        let path = self.home.keyring(profile);
+    pub async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes, Failure> {
+        let path = self.parts.home.keyring(profile);
         if !path.exists() {
             return Err(input(format!("profile '{profile}' has no identity yet, so there is nothing to back up")));
         }
         let read = move |_: &Self| {
             std::fs::read(&path).map_err(|error| internal(format!("the keyring cannot be read: {error}")))
         };
-        let bytes = self.log.deed(profile, "back up keys", "keyring", blocking(self, read)).await?;
+        let bytes = self.parts.log.deed(profile, "back up keys", "keyring", blocking(self, read)).await?;
         Ok(SecretBytes::new(bytes))
     }
 }
 
 impl Profiles {
     /// Registers the owner's identity; nothing is sent if the chain has it already.
-    pub(in crate::site) async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
+    pub async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
         let network = self.connection.network_or_deploy(owner).await?;
         if network.directory.identity(owner.address).is_ok() {
             self.drain_former(owner, &network).await?;
@@ -389,28 +327,29 @@ impl Profiles {
         self.view(&owner.profile).await
     }
 
-    async fn send_registration(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn send_registration(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let token = owner.prepare_epoch(network.domain, 1)?;
         let (signing, envelope) = (owner.signing(), owner.envelope());
-        let identity = prove(self.plant.provider, &network.domain, &owner.address, &signing, &envelope.public, token)?;
-        let envelope = recovery::own_envelope(&self.plant, network, owner, 1)?;
+        let identity =
+            prove(self.parts.plant.provider, &network.domain, &owner.address, &signing, &envelope.public, token)?;
+        let envelope = recovery::own_envelope(&self.parts.plant, network, owner, 1)?;
         let call = Call::Register { identity, envelope };
-        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "register").await;
+        let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, "register").await;
         let outcome = if sent.is_ok() { "done" } else { "failed" };
-        self.log.write(&owner.profile, "register", &owner.address.to_string(), outcome).await?;
+        self.parts.log.write(&owner.profile, "register", &owner.address.to_string(), outcome).await?;
         let (_, receipt) = sent?;
-        self.link.scanned(receipt.block).await;
-        self.hub.changed(Part::Identity);
+        self.parts.link.scanned(receipt.block).await;
+        self.parts.hub.changed(Part::Identity);
         Ok(())
     }
 
     /// Resumes at the state of the owner's keys on the chain: fetches those that the keyring lacks, seals under the
     /// current epoch, or finishes one that was begun and never reached the chain; re-wraps what readers lack.
-    pub(in crate::site) async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
-        if self.home.original().is_some() {
+    pub async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if self.parts.home.original().is_some() {
             return Ok(());
         }
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         // A locked keyring goes on sealing as it was told.
         if owner.is_locked() || network.directory.identity(owner.address).is_err() {
             return Ok(());
@@ -425,42 +364,45 @@ impl Profiles {
             // What is wrong is in the site's health.
             while profiles.drain_former(&owner, &network).await.is_err() {
                 tokio::time::sleep(DRAIN_AGAIN).await;
-                if !profiles.owners.is_open(&owner) {
+                if !profiles.parts.owners.is_open(&owner) {
                     return;
                 }
             }
             let pairs = async {
-                let network = profiles.link.network().await?;
+                let network = profiles.parts.link.network().await?;
                 let _one_at_a_time = owner.changes.lock().await;
                 profiles.settle_pairs(&owner, &network).await
             };
             if let Err(failure) = pairs.await {
-                profiles.hub.notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
+                profiles
+                    .parts
+                    .hub
+                    .notice(NoticeLevel::Error, &format!("the change of an SM2 key: {}", failure.message));
             }
             if let Err(failure) = profiles.sharing.finish_epoch(&owner).await {
-                profiles.hub.notice(NoticeLevel::Error, &failure.message);
+                profiles.parts.hub.notice(NoticeLevel::Error, &failure.message);
             }
         });
         Ok(())
     }
 
     /// Brings the keyring to what the chain has of this owner's pairs and epochs. The caller holds the owner's changes.
-    async fn take_up(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
-        let newer = block_in_place(|| recovery::recover_pairs(&self.plant, network, owner));
+    async fn take_up(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let newer = block_in_place(|| recovery::recover_pairs(&self.parts.plant, network, owner));
         self.sharing.note_pairs(owner, newer.as_ref().err().map(ToString::to_string));
         let newer = newer.unwrap_or(false);
         self.sharing.take_up_epoch(owner, network)?;
         if newer {
             self.finish_pairs(owner, network).await?;
             let text = format!("the chain handed newer SM2 keys over to the keyring of '{}'", owner.profile);
-            self.hub.notice(NoticeLevel::Info, &text);
+            self.parts.hub.notice(NoticeLevel::Info, &text);
         }
         Ok(())
     }
 }
 
 /// The owners of a site.
-pub(in crate::site) struct Owners {
+pub struct Owners {
     home: Home,
     open: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     /// Profiles that are being opened, locked or given another passphrase.

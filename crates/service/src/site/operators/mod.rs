@@ -10,13 +10,12 @@ use tokio::net::UnixListener;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::block_in_place;
 
-use super::audit::{Log, acting_as, by};
+use super::audit::{acting_as, by};
 use super::consoles::Claims;
 use super::parts::Parts;
 use super::{Site, blocking};
 use crate::accounts::{self, Account, AccountError};
 use crate::command::{Needed, Request};
-use crate::config::Config;
 use crate::crypto::hands::{self, Fault};
 use crate::event::{Event, NoticeLevel};
 use crate::failure::refused;
@@ -48,18 +47,10 @@ pub(crate) struct Operator {
 
 /// The operators of a site.
 pub(super) struct Operators {
-    home: Home,
-    config: Arc<Config>,
-    log: Arc<Log>,
+    pub parts: Parts,
 }
 
 impl Operators {
-    /// From the shared parts.
-    pub fn new(parts: &Parts) -> Self {
-        let Parts { home, config, log, .. } = parts.clone();
-        Self { home, config, log }
-    }
-
     /// Lets a user in who has rights here.
     async fn admit(self: &Arc<Self>, uid: u32) -> Result<Arc<Operator>, Failure> {
         let (name, rights) = self.standing(uid).await?.inspect_err(|error| self.count(&uid, error.word()))?;
@@ -98,7 +89,7 @@ impl Operators {
     ) -> Result<Result<(OperatorName, OperatorRights), AccountError>, Failure> {
         blocking(self, move |operators| {
             let standing = Account::of(uid).and_then(|account| {
-                let rights = account.rights(&operators.config.operators.rules)?;
+                let rights = account.rights(&operators.parts.config.operators.rules)?;
                 Ok((account.name, rights))
             });
             Ok(standing)
@@ -108,7 +99,7 @@ impl Operators {
 
     /// Counts a refusal of a user who is nobody's operator.
     fn count(&self, user: &dyn std::fmt::Display, word: &str) {
-        let _first = self.log.refused(&format!("user {user}"), word);
+        let _first = self.parts.log.refused(&format!("user {user}"), word);
     }
 }
 
@@ -226,11 +217,11 @@ impl Operators {
         }
         // The names of profiles that are not there could be many.
         let who = if self.has(profile) { by(profile, &operator.name) } else { format!("user {}", operator.name) };
-        let _first = self.log.refused(&who, &format!("needs {}", needed.word()));
+        let _first = self.parts.log.refused(&who, &format!("needs {}", needed.word()));
     }
 
     fn has(&self, profile: &ProfileName) -> bool {
-        self.home.keyring(profile).exists()
+        self.parts.home.keyring(profile).exists()
     }
 
     /// Why an operator may not do this now; `None` if it may.

@@ -16,8 +16,8 @@ use crate::ros::Limits;
 use crate::ros::message::Folders;
 use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
-use crate::service::command::{self as ask, Ask, LONGEST_PATH, Viewing};
-use crate::service::reply::{Failure, OpenedView, PathView, Reply};
+use crate::service::command::LONGEST_PATH;
+use crate::service::reply::{Failure, OpenedView, PathView};
 use crate::site::reading;
 use crate::store::{RecordQuery, RecordRow};
 
@@ -39,16 +39,6 @@ struct Opened {
 }
 
 impl Reading {
-    /// Answers a request about opened records.
-    pub async fn handle_viewing(&self, owner: &Arc<Owner>, viewing: Viewing) -> Result<Reply, Failure> {
-        match viewing {
-            Viewing::ViewFile { id, kind } => {
-                self.file_of(owner, &id, kind).await.map(Box::new).map(ask::ViewFile::told)
-            }
-            Viewing::ViewPath { id, records } => self.path_to(owner, &id, records).await.map(ask::ViewPath::told),
-        }
-    }
-
     /// Checks, decrypts and decodes one record, shared or own.
     pub async fn open_record(&self, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
         let opened = self.opened(owner, id, "decrypt").await?;
@@ -62,7 +52,7 @@ impl Reading {
         }))
     }
 
-    async fn file_of(&self, owner: &Arc<Owner>, id: &str, kind: Option<Exported>) -> Result<OpenedView, Failure> {
+    pub async fn file_of(&self, owner: &Arc<Owner>, id: &str, kind: Option<Exported>) -> Result<OpenedView, Failure> {
         let opened = self.opened(owner, id, "export message").await?;
         block_in_place(|| {
             let mut view = view_of(&opened, owner);
@@ -117,7 +107,7 @@ impl Reading {
         Ok(described)
     }
 
-    async fn path_to(&self, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
+    pub async fn path_to(&self, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
         let records = records.clamp(2, LONGEST_PATH);
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };

@@ -2,7 +2,7 @@
 //! become records of this home, with their own capture times. Nothing in the other home changes.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tokio::runtime::Handle;
@@ -18,7 +18,6 @@ use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LA
 use crate::pipeline::reader::{Definitions, Opening, Reader};
 use crate::pipeline::{CaptureSession, Network, Owner, Plant, network_pin};
 use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
-use crate::service::command::HomeWishes;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic};
 use crate::site::blocking;
@@ -36,9 +35,9 @@ struct OldHome {
 
 impl Recordings {
     /// Seals every message of another home that this profile's keys open.
-    pub async fn import_home(self: &Arc<Self>, owner: &Arc<Owner>, wishes: HomeWishes) -> Result<ImportView, Failure> {
-        let path = wishes.home.clone();
-        let old = blocking(self, move |recordings| recordings.open_home(&wishes.home)).await?;
+    pub async fn import_home(self: &Arc<Self>, owner: &Arc<Owner>, home: PathBuf) -> Result<ImportView, Failure> {
+        let path = home.clone();
+        let old = blocking(self, move |recordings| recordings.open_home(&home)).await?;
         if owner.epochs(old.network.domain).is_empty() {
             return Err(refused(format!(
                 "profile '{}' of this home does not have the keys of {}; {SEAL_ANEW}, where NEW is empty: the import brings \

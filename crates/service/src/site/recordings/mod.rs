@@ -16,21 +16,13 @@ use crate::site::capture::sealer_thread::SealerThread;
 use crate::site::contacts::Contacts;
 use crate::site::evidence::Evidence;
 use crate::site::identity::Profiles;
-use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::site::progress::{Run, Running};
 use crate::site::reading::Reading;
 use std::path::Path;
 use std::sync::Arc;
 
-use tokio::sync::oneshot;
-
 use crate::model::ProfileName;
-use crate::pipeline::Owner;
-use crate::service::command::{
-    Ask, ExportWishes, FollowWishes, HomeWishes, ImportWishes, RecordingCommand, RecordingProgress,
-};
-use crate::service::reply::{Failure, Reply};
 
 /// Imports and exports of recordings.
 pub(in crate::site) struct Recordings {
@@ -39,7 +31,6 @@ pub(in crate::site) struct Recordings {
     pub reading: Arc<Reading>,
     pub capture: Arc<Capture>,
     pub profiles: Arc<Profiles>,
-    pub joined: Arc<Joined>,
     pub sealer: Arc<SealerThread>,
     pub rings: Arc<Rings<CapturedMessage>>,
     pub evidence: Arc<Evidence>,
@@ -49,24 +40,5 @@ pub(in crate::site) struct Recordings {
 impl Recordings {
     fn begin_run(&self, profile: &ProfileName, path: &Path, step: &'static str) -> Running {
         self.parts.runs.begin(profile, &path.display().to_string(), step, "messages")
-    }
-
-    /// Answers a command about recordings.
-    pub async fn answer(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        command: RecordingCommand,
-        gone: oneshot::Receiver<()>,
-    ) -> Result<Reply, Failure> {
-        match command {
-            RecordingCommand::Import(wishes) => self.import_recording(owner, wishes).await.map(ImportWishes::told),
-            RecordingCommand::Follow(wishes) => self.follow(owner, wishes, gone).await.map(FollowWishes::told),
-            RecordingCommand::ImportHome(wishes) => self.import_home(owner, wishes).await.map(HomeWishes::told),
-            RecordingCommand::Export(wishes) => {
-                self.joined.caught_up(&owner.profile).await?;
-                self.export_recording(owner, wishes).await.map(ExportWishes::told)
-            }
-            RecordingCommand::Progress => Ok(RecordingProgress::told(self.parts.runs.of(&owner.profile))),
-        }
     }
 }
