@@ -155,17 +155,6 @@ pub struct ImportedTopic {
     pub already: u64,
 }
 
-/// Messages of one topic that an import left out.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LeftOut {
-    /// Topic as it was recorded, cleaned.
-    pub topic: String,
-    /// The reason.
-    pub why: String,
-    /// How many.
-    pub messages: u64,
-}
-
 /// The result of an import.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ImportView {
@@ -389,6 +378,17 @@ impl PlayEnd {
     /// Its word in answers.
     pub fn word(self) -> &'static str {
         self.into()
+    }
+
+    /// What ended it, if nobody asked for that and not everything was played.
+    pub fn cut_short(self) -> Option<&'static str> {
+        match self {
+            Self::Whole | Self::Asked => None,
+            Self::Revoked => Some("the grant was revoked"),
+            Self::Expired => Some("the grant has expired"),
+            Self::Locked => Some("the keyring was locked"),
+            Self::Site => Some("the site stopped"),
+        }
     }
 
     /// Whether it ended for want of a right to read.

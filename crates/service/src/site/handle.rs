@@ -231,7 +231,7 @@ impl Site {
                 let audited = self.audit.records(&profile, is_pinned, deep, since).await;
                 audited.map(Box::new).map(ask::AuditRecords::told)
             }
-            Command::ListAllUploads(query) => self.reading.list_all(query).await.map(ask::ListAllUploads::told),
+            Command::ListAllUploads(query) => self.reading.list_all(query).map(ask::ListAllUploads::told),
             Command::EraseRecords(wishes) => {
                 let owner = owner()?;
                 self.reading.learn_own_names(&profile).await?;
