@@ -10,15 +10,13 @@ mod picture;
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::model::Timestamp;
-use crate::ros::address::{Endpoint, own_host};
-use crate::ros::publisher::{Advertised, Outlet, PublisherNode};
 use crate::ros::ros2::{Declined, Offer, Offered, Ros2Publisher};
-use crate::ros::{RosError, RosrustPublisher};
+use crate::ros::{Advertised, GraphPublisher, Publisher, RosError, RosrustPublisher};
 use picture::Camera;
 
 pub use messages::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
@@ -28,9 +26,6 @@ pub const MOST_ROBOTS: u16 = 64;
 
 /// The fastest publishing rate, Hz.
 const FASTEST: f64 = 1000.0;
-
-/// How long starting waits for the master.
-const PATIENCE: Duration = Duration::from_secs(2);
 
 /// How long subscribers get for the rest of their queues at the end.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -50,138 +45,181 @@ impl Default for FleetOptions {
     }
 }
 
-/// Running robots. They unregister and end on drop; what is queued for subscribers is sent first.
-pub struct Fleet {
-    nodes: Vec<PublisherNode>,
+/// Takes a message of one topic; whether it was published.
+type Sink = Box<dyn FnMut(&[u8]) -> bool + Send>;
+
+/// The threads in which robots drive and look. They end on drop.
+#[derive(Default)]
+struct Work {
     stopping: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
+    /// Each returns how many messages it published.
+    threads: Vec<JoinHandle<u32>>,
+}
+
+impl Work {
+    /// A robot that publishes where and how it moves, and what it sees, in CDR or as ROS 1 has it.
+    fn add(
+        &mut self,
+        number: u16,
+        periods: (Duration, Duration),
+        is_cdr: bool,
+        [mut odometry, mut pictures]: [Sink; 2],
+    ) -> Result<(), RosError> {
+        let track = Track::of_robot(number);
+        self.repeat("robot-odometry", periods.0, move |seq, age| {
+            odometry(&messages::odometry(is_cdr, seq, Timestamp::now(), &track.at(age)))
+        })?;
+        let mut camera = Camera::new(number, track);
+        self.repeat("robot-camera", periods.1, move |seq, age| {
+            let picture = |jpeg: Vec<u8>| messages::compressed_image(is_cdr, seq, Timestamp::now(), number, &jpeg);
+            camera.shoot(seq, age).is_some_and(|jpeg| pictures(&picture(jpeg)))
+        })
+    }
+
+    /// Does `work` with number and age (seconds) once per period, in a thread; what it does counts if it returns true.
+    fn repeat(
+        &mut self,
+        name: &str,
+        period: Duration,
+        mut work: impl FnMut(u32, f64) -> bool + Send + 'static,
+    ) -> Result<(), RosError> {
+        let stopping = Arc::clone(&self.stopping);
+        let work = move || {
+            let begun = Instant::now();
+            let mut due = begun;
+            let mut seq = 0u32;
+            while wait_until(due, &stopping) {
+                if work(seq, begun.elapsed().as_secs_f64()) {
+                    seq = seq.wrapping_add(1);
+                }
+                // After the machine was suspended continue from now: no burst of missed messages.
+                due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
+            }
+            seq
+        };
+        let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+        self.threads.push(thread.map_err(|error| RosError::system("start a thread", &error))?);
+        Ok(())
+    }
+
+    /// Ends all of it; returns how many messages each published, in the order in which they were added.
+    fn end(&mut self) -> Vec<u32> {
+        self.stopping.store(true, Ordering::SeqCst);
+        self.threads.iter().for_each(|thread| thread.thread().unpark());
+        self.threads.drain(..).map(|thread| thread.join().unwrap_or_default()).collect()
+    }
+}
+
+impl Drop for Work {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// Running robots of ROS 1. They leave the graph on drop; what is queued for subscribers is sent first.
+pub struct Fleet {
+    work: Work,
+    nodes: Vec<Arc<Mutex<GraphPublisher>>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Fleet {
-    /// Starts `robots` robots, numbered from 1, at the master.
+    /// Starts `robots` robots, numbered from 1, at the master, each a node of this process.
     ///
     /// # Errors
     /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, and failures of master,
     /// sockets and threads.
     pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
-        if robots > MOST_ROBOTS {
-            return Err(RosError::Robots(robots));
-        }
-        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
-        let host = own_host(None, &master, Instant::now() + PATIENCE)?;
-        let mut fleet = Self { nodes: Vec::new(), stopping: Arc::default(), threads: Vec::new() };
+        Self::of(robots, options, |node| Ok(Box::new(Publisher::start(master_uri, None, node)?)))
+    }
+
+    /// The same, each in a process of its own; `program` names the program in which rosrust runs if it is not beside
+    /// this one.
+    ///
+    /// # Errors
+    /// As [`Self::start`], and [`RosError::NoRosrust`] if that program is missing, [`RosError::NotPublishedByRosrust`]
+    /// if it cannot publish there.
+    pub fn by_rosrust(
+        master_uri: &str,
+        program: Option<&Path>,
+        robots: u16,
+        options: FleetOptions,
+    ) -> Result<Self, RosError> {
+        Self::of(robots, options, |node| Ok(Box::new(RosrustPublisher::start(master_uri, None, node, program)?)))
+    }
+
+    fn of(
+        robots: u16,
+        options: FleetOptions,
+        start: impl Fn(&str) -> Result<GraphPublisher, RosError>,
+    ) -> Result<Self, RosError> {
+        let periods = options.periods(robots)?;
+        let mut fleet = Self { work: Work::default(), nodes: Vec::new() };
         for number in 1..=robots {
-            fleet.add(&master, &host, number, periods)?;
+            let node = Arc::new(Mutex::new(start(&format!("/robot{number}_sim"))?));
+            fleet.nodes.push(Arc::clone(&node));
+            let [odometry, pictures] =
+                [(ODOMETRY, odometry_definition()), (COMPRESSED_IMAGE, compressed_image_definition())];
+            let topics = topics_of(number);
+            let sinks = [sink(&node, topics.0, odometry)?, sink(&node, topics.1, pictures)?];
+            fleet.work.add(number, periods, false, sinks)?;
         }
         Ok(fleet)
     }
 
-    /// The robots' topics and how many messages were published on each, with or without subscribers: the first has
-    /// `header.seq` 0, the last this count minus 1.
-    pub fn published(&self) -> Vec<(String, u64)> {
-        let outlets = self.nodes.iter().flat_map(PublisherNode::outlets);
-        outlets.map(|outlet| (outlet.topic().to_owned(), outlet.published())).collect()
-    }
-
-    /// Total messages that a subscriber missed because it read too slowly.
-    pub fn overflowed(&self) -> u64 {
-        self.nodes.iter().map(PublisherNode::overflowed).sum()
-    }
-
-    /// Ends publishing and returns the final counts; then like dropping.
+    /// Ends publishing and returns the robots' topics and how many messages were published on each, with or without
+    /// subscribers: the first has `header.seq` 0, the last this count minus 1. Then like dropping.
     pub fn stop(mut self) -> Vec<(String, u64)> {
-        self.end_publishing();
-        self.published()
+        let topics = (1..).map(topics_of).flat_map(|(odometry, pictures)| [odometry, pictures]);
+        topics.zip(self.work.end().into_iter().map(u64::from)).collect()
     }
+}
 
-    fn add(
-        &mut self,
-        master: &Endpoint,
-        host: &str,
-        number: u16,
-        periods: (Duration, Duration),
-    ) -> Result<(), RosError> {
-        let outlets = [
-            outlet(format!("/robot{number}/odom"), ODOMETRY, odometry_definition()),
-            outlet(format!("/robot{number}/camera/compressed"), COMPRESSED_IMAGE, compressed_image_definition()),
-        ];
-        let [odometry, pictures] = outlets.map(Arc::new);
-        let both = vec![Arc::clone(&odometry), Arc::clone(&pictures)];
-        self.nodes.push(PublisherNode::start(master.clone(), host, format!("/robot{number}_sim"), both)?);
-        let track = Track::of_robot(number);
-        self.publish("robot-odometry", odometry, periods.0, move |seq, age| {
-            Some(messages::odometry(seq, Timestamp::now(), &track.at(age)))
-        })?;
-        let mut camera = Camera::new(number, track);
-        self.publish("robot-camera", pictures, periods.1, move |seq, age| {
-            camera.shoot(seq, age).map(|jpeg| messages::compressed_image(seq, Timestamp::now(), number, &jpeg))
-        })
-    }
-
-    /// Publishes what `make` returns for number and age (seconds), once per period.
-    fn publish(
-        &mut self,
-        name: &str,
-        outlet: Arc<Outlet>,
-        period: Duration,
-        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
-    ) -> Result<(), RosError> {
-        let publish = move |seq, age| make(seq, age).inspect(|body| outlet.publish(body)).is_some();
-        self.threads.push(repeat(name, period, &self.stopping, publish)?);
-        Ok(())
-    }
-
-    fn end_publishing(&mut self) {
-        self.stopping.store(true, Ordering::SeqCst);
-        for thread in self.threads.drain(..) {
-            thread.thread().unpark();
-            let _ = thread.join();
-        }
-    }
+/// Announces a topic of a node.
+fn sink(
+    node: &Arc<Mutex<GraphPublisher>>,
+    topic: String,
+    (type_name, definition): (&str, String),
+) -> Result<Sink, RosError> {
+    let (type_name, md5sum) = (type_name.to_owned(), messages::sum_of(type_name, &definition));
+    let about = Advertised { topic, type_name, md5sum, definition, latching: false };
+    locked(node).advertise(&about, Duration::ZERO)?;
+    let node = Arc::clone(node);
+    Ok(Box::new(move |message: &[u8]| {
+        let mut node = locked(&node);
+        // A robot whose process ended comes back as one does that was switched off.
+        let is_there = node.broken().is_none() || node.come_back().is_ok();
+        is_there && node.publish(&about.topic, 0, message)
+    }))
 }
 
 impl Drop for Fleet {
     fn drop(&mut self) {
-        self.end_publishing();
-        for node in &self.nodes {
-            node.close(FAREWELL);
+        self.work.end();
+        self.nodes.iter().for_each(|node| locked(node).leave());
+        let begun = Instant::now();
+        while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| locked(node).is_sent()) {
+            std::thread::sleep(Duration::from_millis(5));
         }
     }
 }
 
-/// Does `work` with number and age (seconds) once per period, in a thread; what it does counts if it returns true.
-fn repeat(
-    name: &str,
-    period: Duration,
-    stopping: &Arc<AtomicBool>,
-    mut work: impl FnMut(u32, f64) -> bool + Send + 'static,
-) -> Result<JoinHandle<()>, RosError> {
-    let stopping = Arc::clone(stopping);
-    let work = move || {
-        let begun = Instant::now();
-        let mut due = begun;
-        let mut seq = 0u32;
-        while wait_until(due, &stopping) {
-            if work(seq, begun.elapsed().as_secs_f64()) {
-                seq = seq.wrapping_add(1);
-            }
-            // After the machine was suspended continue from now: no burst of missed messages.
-            due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
+/// The names of a robot's topics: odometry, pictures.
+fn topics_of(number: u16) -> (String, String) {
+    (format!("/robot{number}/odom"), format!("/robot{number}/camera/compressed"))
+}
+
+impl FleetOptions {
+    /// Between two messages of odometry, and between two pictures.
+    fn periods(self, robots: u16) -> Result<(Duration, Duration), RosError> {
+        if robots > MOST_ROBOTS {
+            return Err(RosError::Robots(robots));
         }
-    };
-    let thread = std::thread::Builder::new().name(name.into()).spawn(work);
-    thread.map_err(|error| RosError::system("start a thread", &error))
-}
-
-/// A topic of ours, by its definition.
-fn about(topic: String, type_name: &str, definition: String) -> Advertised {
-    let (type_name, md5sum) = (type_name.to_owned(), messages::sum_of(type_name, &definition));
-    Advertised { topic, type_name, md5sum, definition, latching: false }
-}
-
-fn outlet(topic: String, type_name: &str, definition: String) -> Outlet {
-    Outlet::new(about(topic, type_name, definition))
+        Ok((period(self.odometry_hz)?, period(self.picture_hz)?))
+    }
 }
 
 fn period(hz: f64) -> Result<Duration, RosError> {
@@ -270,9 +308,7 @@ const PICTURE_SIZE: usize = 60_000;
 
 /// Running robots of ROS 2. They leave the domain on drop.
 pub struct DomainFleet {
-    publisher: Arc<Mutex<Ros2Publisher>>,
-    stopping: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
+    _work: Work,
 }
 
 impl DomainFleet {
@@ -283,162 +319,26 @@ impl DomainFleet {
     /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, [`RosError::NoReader`] if that
     /// program is missing, [`RosError::NotPublished`] if it cannot publish there.
     pub fn start(domain: u16, program: Option<&Path>, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
-        if robots > MOST_ROBOTS {
-            return Err(RosError::Robots(robots));
-        }
-        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
+        let periods = options.periods(robots)?;
         let publisher = Arc::new(Mutex::new(Ros2Publisher::start(domain, program)?));
-        let mut fleet = Self { publisher, stopping: Arc::default(), threads: Vec::new() };
+        let sink = |name: String, type_name: &str, size: usize| -> Result<Sink, RosError> {
+            let topic = Offered { name, type_name: type_name.to_owned(), encoding: LITTLE, offer: USUAL };
+            let refused = |declined: Declined| RosError::NotPublished {
+                domain,
+                reason: format!("{}; choose a domain of their own for the robots, as --ros2 42", declined.reason),
+            };
+            let writer = locked(&publisher).advertise(&topic, size, (true, false))?.map_err(refused)?;
+            let publisher = Arc::clone(&publisher);
+            Ok(Box::new(move |message: &[u8]| locked(&publisher).publish(writer, message)))
+        };
+        let mut work = Work::default();
         for number in 1..=robots {
-            fleet.add(domain, number, periods)?;
+            let topics = topics_of(number);
+            let odometry = sink(topics.0, "nav_msgs/msg/Odometry", ODOMETRY_SIZE)?;
+            let pictures = sink(topics.1, "sensor_msgs/msg/CompressedImage", PICTURE_SIZE)?;
+            work.add(number, periods, true, [odometry, pictures])?;
         }
-        Ok(fleet)
-    }
-
-    fn add(&mut self, domain: u16, number: u16, periods: (Duration, Duration)) -> Result<(), RosError> {
-        let odometry = self.announce(domain, format!("/robot{number}/odom"), "nav_msgs/msg/Odometry", ODOMETRY_SIZE)?;
-        let name = format!("/robot{number}/camera/compressed");
-        let pictures = self.announce(domain, name, "sensor_msgs/msg/CompressedImage", PICTURE_SIZE)?;
-        let track = Track::of_robot(number);
-        self.publish("robot-odometry", odometry, periods.0, move |_, age| {
-            Some(messages::odometry_in_cdr(Timestamp::now(), &track.at(age)))
-        })?;
-        let mut camera = Camera::new(number, track);
-        self.publish("robot-camera", pictures, periods.1, move |seq, age| {
-            camera.shoot(seq, age).map(|jpeg| messages::compressed_image_in_cdr(Timestamp::now(), number, &jpeg))
-        })
-    }
-
-    fn announce(&self, domain: u16, name: String, type_name: &str, size: usize) -> Result<u32, RosError> {
-        let topic = Offered { name, type_name: type_name.to_owned(), encoding: LITTLE, offer: USUAL };
-        let mut publisher = self.publisher.lock().unwrap_or_else(PoisonError::into_inner);
-        let refused = |declined: Declined| RosError::NotPublished {
-            domain,
-            reason: format!("{}; choose a domain of their own for the robots, as --ros2 42", declined.reason),
-        };
-        publisher.advertise(&topic, size, (true, false))?.map_err(refused)
-    }
-
-    fn publish(
-        &mut self,
-        name: &str,
-        writer: u32,
-        period: Duration,
-        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
-    ) -> Result<(), RosError> {
-        let publisher = Arc::clone(&self.publisher);
-        let publish = move |seq, age| {
-            let message = make(seq, age);
-            message.is_some_and(|message| {
-                publisher.lock().unwrap_or_else(PoisonError::into_inner).publish(writer, &message)
-            })
-        };
-        self.threads.push(repeat(name, period, &self.stopping, publish)?);
-        Ok(())
-    }
-}
-
-impl Drop for DomainFleet {
-    fn drop(&mut self) {
-        self.stopping.store(true, Ordering::SeqCst);
-        for thread in self.threads.drain(..) {
-            thread.thread().unpark();
-            drop(thread.join());
-        }
-    }
-}
-
-/// Running robots. They leave the graph on drop; what is queued for subscribers is sent first.
-pub struct RosrustFleet {
-    nodes: Vec<Arc<Mutex<RosrustPublisher>>>,
-    stopping: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
-}
-
-fn locked(node: &Mutex<RosrustPublisher>) -> std::sync::MutexGuard<'_, RosrustPublisher> {
-    node.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-impl RosrustFleet {
-    /// Starts `robots` robots, numbered from 1, at the master; `program` names the program in which rosrust runs if it is
-    /// not beside this one.
-    ///
-    /// # Errors
-    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, [`RosError::NoRosrust`] if that
-    /// program is missing, [`RosError::NotPublishedByRosrust`] if it cannot publish there.
-    pub fn start(
-        master_uri: &str,
-        program: Option<&Path>,
-        robots: u16,
-        options: FleetOptions,
-    ) -> Result<Self, RosError> {
-        if robots > MOST_ROBOTS {
-            return Err(RosError::Robots(robots));
-        }
-        let periods = (period(options.odometry_hz)?, period(options.picture_hz)?);
-        let mut fleet = Self { nodes: Vec::new(), stopping: Arc::default(), threads: Vec::new() };
-        for number in 1..=robots {
-            let node = RosrustPublisher::start(master_uri, None, &format!("robot{number}_sim"), program)?;
-            fleet.add(node, number, periods)?;
-        }
-        Ok(fleet)
-    }
-
-    fn add(&mut self, mut node: RosrustPublisher, number: u16, periods: (Duration, Duration)) -> Result<(), RosError> {
-        let odometry = about(format!("/robot{number}/odom"), ODOMETRY, odometry_definition());
-        let camera = format!("/robot{number}/camera/compressed");
-        let pictures = about(camera, COMPRESSED_IMAGE, compressed_image_definition());
-        for topic in [&odometry, &pictures] {
-            node.advertise(topic, false)?;
-        }
-        let node = Arc::new(Mutex::new(node));
-        self.nodes.push(Arc::clone(&node));
-        let track = Track::of_robot(number);
-        self.publish("robot-odometry", (&node, odometry), periods.0, move |seq, age| {
-            Some(messages::odometry(seq, Timestamp::now(), &track.at(age)))
-        })?;
-        let mut camera = Camera::new(number, track);
-        self.publish("robot-camera", (&node, pictures), periods.1, move |seq, age| {
-            camera.shoot(seq, age).map(|jpeg| messages::compressed_image(seq, Timestamp::now(), number, &jpeg))
-        })
-    }
-
-    fn publish(
-        &mut self,
-        name: &str,
-        (node, about): (&Arc<Mutex<RosrustPublisher>>, Advertised),
-        period: Duration,
-        mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
-    ) -> Result<(), RosError> {
-        let node = Arc::clone(node);
-        let publish = move |seq, age| {
-            let message = make(seq, age);
-            message.is_some_and(|message| {
-                let mut node = locked(&node);
-                // A robot whose process ended comes back as one does that was switched off.
-                if node.broken().is_some() && node.revive().is_err() {
-                    return false;
-                }
-                node.publish(&about.topic, 0, &message)
-            })
-        };
-        self.threads.push(repeat(name, period, &self.stopping, publish)?);
-        Ok(())
-    }
-}
-
-impl Drop for RosrustFleet {
-    fn drop(&mut self) {
-        self.stopping.store(true, Ordering::SeqCst);
-        for thread in self.threads.drain(..) {
-            thread.thread().unpark();
-            drop(thread.join());
-        }
-        self.nodes.iter().for_each(|node| locked(node).leave());
-        let begun = Instant::now();
-        while begun.elapsed() < FAREWELL && !self.nodes.iter().all(|node| locked(node).is_sent()) {
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        Ok(Self { _work: work })
     }
 }
 

@@ -41,6 +41,7 @@ pub struct Outcome {
 }
 
 /// What is known.
+#[derive(Default)]
 pub struct State {
     /// Topics to be captured.
     pub watched: BTreeSet<TopicName>,
@@ -69,21 +70,7 @@ pub struct State {
 impl State {
     /// Nothing is known yet.
     pub fn new(domain: u16) -> Self {
-        Self {
-            watched: BTreeSet::new(),
-            reading: Reading::Looking,
-            counts: Counts::default(),
-            restarts: 0,
-            confined: None,
-            domain,
-            publishers: BTreeMap::new(),
-            descriptions: Descriptions::default(),
-            started: 0,
-            hello: None,
-            ordered: None,
-            held: 0,
-            participant: None,
-        }
+        Self { domain, ..Self::default() }
     }
 
     /// Handles a frame.

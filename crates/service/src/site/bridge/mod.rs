@@ -187,12 +187,12 @@ impl Bridge {
     fn publisher(&self, uri: &str, node: &str) -> Result<GraphPublisher, RosError> {
         let host = self.config.ros_host.as_deref();
         match self.config.publisher {
-            PublishedBy::Own => Publisher::start(uri, host, node).map(GraphPublisher::Own),
+            PublishedBy::Own => Ok(Box::new(Publisher::start(uri, host, node)?)),
             PublishedBy::Rosrust => {
                 let program = self.config.rosrust_program.as_deref();
                 let publisher = RosrustPublisher::start(uri, host, node, program)?;
                 self.tell_of_walls(publisher.is_confined());
-                Ok(GraphPublisher::Rosrust(Box::new(publisher)))
+                Ok(Box::new(publisher))
             }
         }
     }

@@ -19,9 +19,7 @@ use crate::crypto::random_bytes;
 use crate::model::TopicName;
 use crate::model::bytes::hex;
 use crate::ros::graph::Unreached;
-use crate::ros::{
-    Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, RosrustFleet, TopicInfo,
-};
+use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, TopicInfo};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::{Failure, UnreachedView};
@@ -52,29 +50,11 @@ pub enum RosState {
 }
 
 /// Simulated robots: nodes of this process, or rosrust in processes of their own.
-pub enum Robots {
-    /// Ours.
-    Own {
-        /// They unregister when dropped.
-        _fleet: Fleet,
-    },
-    /// rosrust's.
-    Rosrust {
-        /// See [`Self::Own`].
-        _fleet: RosrustFleet,
-    },
-}
-
-impl Robots {
-    fn start(config: &Config, uri: &str) -> Result<Self, RosError> {
-        let (robots, options) = (config.robots, FleetOptions::default());
-        match config.robots_by {
-            PublishedBy::Own => Ok(Self::Own { _fleet: Fleet::start(uri, robots, options)? }),
-            PublishedBy::Rosrust => {
-                let program = config.rosrust_program.as_deref();
-                Ok(Self::Rosrust { _fleet: RosrustFleet::start(uri, program, robots, options)? })
-            }
-        }
+fn robots(config: &Config, uri: &str) -> Result<Fleet, RosError> {
+    let (robots, options) = (config.robots, FleetOptions::default());
+    match config.robots_by {
+        PublishedBy::Own => Fleet::start(uri, robots, options),
+        PublishedBy::Rosrust => Fleet::by_rosrust(uri, config.rosrust_program.as_deref(), robots, options),
     }
 }
 
@@ -87,7 +67,7 @@ pub struct RosLink {
     /// The monitoring node.
     pub capture: Capture,
     /// Simulated robots.
-    pub fleet: Option<Robots>,
+    pub fleet: Option<Fleet>,
     /// Simulated robots, counted.
     pub robots: u16,
     graph: Graph,
@@ -269,7 +249,7 @@ impl RosSide {
         graph.ping()?;
         let robots = self.config.robots;
         let fleet = match &master {
-            Some(_) if robots > 0 => Some(Robots::start(&self.config, &uri)?),
+            Some(_) if robots > 0 => Some(self::robots(&self.config, &uri)?),
             _ => None,
         };
         self.recorder.set_simulated(if fleet.is_some() {
