@@ -237,24 +237,15 @@ pub(super) enum Primitive {
 }
 
 impl Primitive {
+    /// By its name in ROS 1, which has times but no wide text, and whose bytes have a sign.
     pub fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "bool" => Self::Bool,
-            "int8" | "byte" => Self::Int8,
-            "uint8" | "char" => Self::Uint8,
-            "int16" => Self::Int16,
-            "uint16" => Self::Uint16,
-            "int32" => Self::Int32,
-            "uint32" => Self::Uint32,
-            "int64" => Self::Int64,
-            "uint64" => Self::Uint64,
-            "float32" => Self::Float32,
-            "float64" => Self::Float64,
-            "string" => Self::Text,
-            "time" => Self::Time,
-            "duration" => Self::Duration,
-            _ => return None,
-        })
+        match name {
+            "byte" => Some(Self::Int8),
+            "time" => Some(Self::Time),
+            "duration" => Some(Self::Duration),
+            "wstring" => None,
+            _ => ros2::plain(name).map(|(primitive, _)| primitive),
+        }
     }
 
     pub fn is_text(self) -> bool {

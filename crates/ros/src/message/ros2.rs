@@ -140,7 +140,7 @@ enum Line<'a> {
 }
 
 /// A type that needs no definition: its layout in a body, and its number in type descriptions.
-fn plain(base: &str) -> Option<(Primitive, u8)> {
+pub(super) fn plain(base: &str) -> Option<(Primitive, u8)> {
     Some(match base {
         "int8" => (Primitive::Int8, 2),
         // In ROS 2 a char is an eight-bit number.
