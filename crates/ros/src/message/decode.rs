@@ -159,7 +159,7 @@ impl<'a> Walk<'a> {
         let count = match field.arity {
             Arity::One => 1,
             Arity::Fixed(count) => count,
-            Arity::Variable => self.cursor.length()?,
+            Arity::Bounded(_) | Arity::Variable => self.cursor.length()?,
         };
         self.claim(element_size(self.layouts, field.kind).0, count, &field.written)?;
         let taken = take(self, count)?;

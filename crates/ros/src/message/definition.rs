@@ -163,7 +163,7 @@ impl Layout {
         let (least, fixed) = match field.arity {
             Arity::One => (size, fixed),
             Arity::Fixed(count) => (size.saturating_mul(count), fixed),
-            Arity::Variable => (4, false),
+            Arity::Bounded(_) | Arity::Variable => (4, false),
         };
         self.minimum = self.minimum.saturating_add(least);
         self.fixed &= fixed;
@@ -268,6 +268,8 @@ impl Primitive {
 pub(super) enum Arity {
     One,
     Fixed(usize),
+    /// At most this many, of ROS 2.
+    Bounded(usize),
     Variable,
 }
 

@@ -86,14 +86,9 @@ fn layout(nesting: &mut Nesting<'_>, name: &str, lines: &[&str]) -> Result<(Layo
     let (mut layout, mut height) = (Layout::new(name), 1);
     for line in lines {
         let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
-        let Some(Line::Field { written, base, many, name: member, .. }) = read else { continue };
+        let Some(Line::Field { written, base, arity, name: member, .. }) = read else { continue };
         let (kind, below) = kind(nesting, name, base)?;
         height = height.max(below + 1);
-        let arity = match many {
-            Many::One => Arity::One,
-            Many::Fixed(count) => Arity::Fixed(count),
-            Many::Bounded(_) | Many::Any => Arity::Variable,
-        };
         layout.add(&nesting.layouts, Field { name: member.into(), kind, arity, written: written.to_owned() });
     }
     // The padding between numbers depends on where a message begins, so none has a fixed size; one without fields has a byte.
@@ -114,16 +109,6 @@ fn kind(nesting: &mut Nesting<'_>, inside: &str, base: &str) -> Result<(Kind, us
 /// The most digits of a number, including leading zeros: the text is kept, and shown with every array.
 const LONGEST_NUMBER: usize = 20;
 
-/// How many of its type a field holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Many {
-    One,
-    Fixed(usize),
-    /// At most this many.
-    Bounded(usize),
-    Any,
-}
-
 /// A meaningful line. Default values and the values of constants are not part of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Line<'a> {
@@ -133,7 +118,7 @@ enum Line<'a> {
         base: &'a str,
         /// The most characters of a text; 0 if unbounded.
         bound: usize,
-        many: Many,
+        arity: Arity,
         name: &'a str,
     },
     Constant,
@@ -200,37 +185,37 @@ fn without_comment(line: &str) -> &str {
 }
 
 /// The type of a field as written: its base, the most characters of a text, and how many of them.
-fn written_type(written: &str) -> Result<(&str, usize, Many), &'static str> {
+fn written_type(written: &str) -> Result<(&str, usize, Arity), &'static str> {
     let bounded = |text: &str| text.len() <= LONGEST_NUMBER;
     let number = |text: &str| text.parse().ok().filter(|count: &usize| *count > 0 && bounded(text));
-    let (element, many) = match written.strip_suffix(']').and_then(|inner| inner.rsplit_once('[')) {
-        None => (written, Many::One),
-        Some((element, "")) => (element, Many::Any),
+    let (element, arity) = match written.strip_suffix(']').and_then(|inner| inner.rsplit_once('[')) {
+        None => (written, Arity::One),
+        Some((element, "")) => (element, Arity::Variable),
         Some((element, count)) => {
-            let many = match count.strip_prefix("<=") {
-                Some(most) => number(most).map(Many::Bounded),
-                None => number(count).map(Many::Fixed),
+            let arity = match count.strip_prefix("<=") {
+                Some(most) => number(most).map(Arity::Bounded),
+                None => number(count).map(Arity::Fixed),
             };
-            (element, many.ok_or("an array has a broken length")?)
+            (element, arity.ok_or("an array has a broken length")?)
         }
     };
     match element.split_once("<=") {
         Some((base @ ("string" | "wstring"), most)) => {
-            Ok((base, number(most).ok_or("a text has a broken bound")?, many))
+            Ok((base, number(most).ok_or("a text has a broken bound")?, arity))
         }
         Some(_) => Err("a bound where none is allowed"),
-        None => Ok((element, 0, many)),
+        None => Ok((element, 0, arity)),
     }
 }
 
 fn field_line<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> {
-    let (base, bound, many) = written_type(written)?;
+    let (base, bound, arity) = written_type(written)?;
     let mut parts = base.split('/');
     let base_ok = parts.by_ref().take(3).all(is_name) && parts.next().is_none();
     if !base_ok || !is_name(name) {
         return Err("a field is broken");
     }
-    Ok(Line::Field { written, base, bound, many, name })
+    Ok(Line::Field { written, base, bound, arity, name })
 }
 
 fn written_base(written: &str) -> &str {
@@ -279,7 +264,7 @@ fn describe(layouts: &[Layout], layout: &Layout, hash: &mut Sha256) {
 
 fn described(layouts: &[Layout], field: &Field) -> String {
     // It was read as such before.
-    let (base, bound, many) = written_type(&field.written).unwrap_or(("", 0, Many::One));
+    let (base, bound, _) = written_type(&field.written).unwrap_or(("", 0, Arity::One));
     let (number, nested) = match field.kind {
         Kind::Primitive(_) => {
             let number = plain(base).map_or(0, |(_, number)| number);
@@ -287,11 +272,11 @@ fn described(layouts: &[Layout], field: &Field) -> String {
         }
         Kind::Message(index) => (INTERFACE, layouts.get(index).map_or("", |nested| nested.name.as_str())),
     };
-    let (more, capacity) = match many {
-        Many::One => (0, 0),
-        Many::Fixed(count) => (48, count),
-        Many::Bounded(most) => (96, most),
-        Many::Any => (144, 0),
+    let (more, capacity) = match field.arity {
+        Arity::One => (0, 0),
+        Arity::Fixed(count) => (48, count),
+        Arity::Bounded(most) => (96, most),
+        Arity::Variable => (144, 0),
     };
     put_field(&field.name, number + more, capacity, bound, nested)
 }
@@ -436,9 +421,9 @@ fn text_of(name: &str) -> Option<&'static str> {
 mod line_tests {
     use super::*;
 
-    fn read(line: &str) -> (String, usize, Many, String) {
+    fn read(line: &str) -> (String, usize, Arity, String) {
         match parse_line(line) {
-            Ok(Some(Line::Field { base, bound, many, name, .. })) => (base.to_owned(), bound, many, name.to_owned()),
+            Ok(Some(Line::Field { base, bound, arity, name, .. })) => (base.to_owned(), bound, arity, name.to_owned()),
             other => panic!("{line}: {other:?}"),
         }
     }
@@ -446,16 +431,16 @@ mod line_tests {
     #[test]
     fn fields_have_bounds_and_default_values() {
         let cases = [
-            ("  float64[36]\tc # six by six", ("float64", 0, Many::Fixed(36), "c")),
-            ("string<=10 s \"a # b\" # why", ("string", 10, Many::One, "s")),
-            ("wstring<=3[<=4] w", ("wstring", 3, Many::Bounded(4), "w")),
-            ("geometry_msgs/msg/Point[] points", ("geometry_msgs/msg/Point", 0, Many::Any, "points")),
-            ("int32[] numbers [1, 2]", ("int32", 0, Many::Any, "numbers")),
-            ("string text 'a=b'", ("string", 0, Many::One, "text")),
-            ("string note # don't", ("string", 0, Many::One, "note")),
+            ("  float64[36]\tc # six by six", ("float64", 0, Arity::Fixed(36), "c")),
+            ("string<=10 s \"a # b\" # why", ("string", 10, Arity::One, "s")),
+            ("wstring<=3[<=4] w", ("wstring", 3, Arity::Bounded(4), "w")),
+            ("geometry_msgs/msg/Point[] points", ("geometry_msgs/msg/Point", 0, Arity::Variable, "points")),
+            ("int32[] numbers [1, 2]", ("int32", 0, Arity::Variable, "numbers")),
+            ("string text 'a=b'", ("string", 0, Arity::One, "text")),
+            ("string note # don't", ("string", 0, Arity::One, "note")),
         ];
-        for (line, (base, bound, many, name)) in cases {
-            assert_eq!(read(line), (base.to_owned(), bound, many, name.to_owned()), "{line}");
+        for (line, (base, bound, arity, name)) in cases {
+            assert_eq!(read(line), (base.to_owned(), bound, arity, name.to_owned()), "{line}");
         }
     }
 
