@@ -665,23 +665,6 @@ pub enum Step {
     Restore,
 }
 
-impl Step {
-    /// All steps.
-    pub const ALL: [Self; 6] = [Self::Fields, Self::Keys, Self::Cipher, Self::Digest, Self::Signature, Self::Restore];
-
-    /// Its name where figures are shown.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Fields => "fields",
-            Self::Keys => "keys",
-            Self::Cipher => "SM4-GCM",
-            Self::Digest => "SM3",
-            Self::Signature => "SM2",
-            Self::Restore => "restore",
-        }
-    }
-}
-
 #[cfg(test)]
 mod naming_tests;
 
