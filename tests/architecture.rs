@@ -6,9 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates in their order: each may depend only on crates before it. The last is the binary's own.
-const CRATES: [&str; 18] = [
-    "model", "fault", "crypto", "evidence", "pipe", "keyless", "ros2", "rosrust", "ros", "chain", "store", "gateway",
-    "pipeline", "config", "service", "console", "output", "authros",
+const CRATES: [&str; 19] = [
+    "model", "tls", "fault", "crypto", "evidence", "pipe", "keyless", "ros2", "rosrust", "ros", "chain", "store",
+    "gateway", "pipeline", "config", "service", "console", "output", "authros",
 ];
 /// The rooms of the console, in order.
 const CONSOLE: [&str; 3] = ["app", "ui", "term"];
@@ -226,6 +226,37 @@ fn every_crate_depends_only_on_crates_before_it() {
     }
     assert_none("against the order of crates", &wrong);
     assert!(dependencies("crypto").contains(&"model".to_owned()) && dependencies("model").is_empty());
+}
+
+#[test]
+fn the_crates_are_drawn_as_they_depend_on_each_other() {
+    let widest = CRATES.iter().map(|name| name.len()).max().unwrap_or_default();
+    let drawn: String = CRATES.iter().fold(String::new(), |drawn, name| {
+        let needed = dependencies(name);
+        let in_order = CRATES.iter().filter(|other| needed.iter().any(|one| one == *other)).copied();
+        let line = format!("    {name:widest$}  {}", in_order.collect::<Vec<_>>().join(" "));
+        drawn + line.trim_end() + "\n"
+    });
+    assert!(read(Path::new("ARCHITECTURE.md")).contains(&drawn), "ARCHITECTURE.md should have:\n{drawn}");
+}
+
+#[test]
+fn the_chain_s_libraries_are_built_only_where_the_chain_is() {
+    let mut wrong = Vec::new();
+    for name in
+        ["model", "tls", "fault", "crypto", "evidence", "pipe", "keyless", "ros2", "rosrust", "ros", "store", "gateway"]
+    {
+        let (mut below, mut waiting) = (BTreeSet::new(), dependencies(name));
+        while let Some(one) = waiting.pop() {
+            waiting.extend(dependencies(&one));
+            below.insert(one);
+        }
+        wrong.extend(below.contains("chain").then(|| format!("{name} builds it")));
+        let named = ["ethers", "revm", "alloy"].into_iter();
+        let own = manifest(name).split("\n[dev-dependencies]").next().unwrap_or_default().to_owned();
+        wrong.extend(named.filter(|one| own.contains(&format!("\n{one}"))).map(|one| format!("{name} names {one}")));
+    }
+    assert_none("ethers and revm outside the chain", &wrong);
 }
 
 #[test]

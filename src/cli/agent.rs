@@ -1,5 +1,6 @@
 //! `authros agent`: the robot's side. `enrol` is run by the owner, `run` on the robot or its host.
 
+use std::future::pending;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -7,11 +8,14 @@ use serde::Serialize;
 
 use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
-use super::{parse, passphrase};
+use super::verbs::CHAIN;
+use super::{parse, passphrase, serve};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
 use crate::model::{ByteSize, ErrorKind};
 use crate::service::command::EnrolDevice;
-use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Failure, Needs, SecretText, Site};
+use crate::service::{
+    Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site,
+};
 use crate::store::TopicCounts;
 use authros_output::Output;
 
@@ -53,14 +57,8 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         until: arguments.until.as_deref().map(super::parse::end).transpose()?,
         passphrase: passphrase.clone(),
     };
-    let connection = context.connect(Needs { ros: false, chain: true }).await?;
-    let answer = async {
-        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
-        connection.client.ask(EnrolDevice(wishes)).await
-    };
-    let answer = answer.await;
-    connection.close().await;
-    let view = answer?;
+    let enrol = async |client: &Client| client.ask(EnrolDevice(wishes)).await;
+    let view = context.with(CHAIN, ProfileNeed::Unlocked, output, enrol).await?;
     private_file::create_private(&out, view.file.expose())?;
     if arguments.robot_passphrase_file.is_none() {
         let beside = beside(&out);
@@ -112,10 +110,9 @@ struct Summary {
 /// # Errors
 /// Errors of the enrolment, the outbox or the arguments.
 async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
-    let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
     let wishes = AgentWishes {
         topics: parse::values(&arguments.topics)?,
-        tags: tags?,
+        tags: parse::tags(&arguments.tags)?,
         count: arguments.count,
         length: arguments.seconds.map(Duration::from_secs),
     };
@@ -127,7 +124,9 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
     let lock = lock.ok_or_else(|| Failure::new(ErrorKind::Home, format!("{root} is in use by another process")))?;
     let site = Site::start(context.home, context.config, lock, Needs { ros: true, chain: false })?;
     site.oversee();
-    let notes = tokio::spawn(follow(site.events(), *output));
+    let (events, beside) = (site.events(), *output);
+    // What the site tells goes to stderr.
+    let notes = tokio::spawn(async move { serve::follow(events, NoticeLevel::Info, &beside, pending()).await });
     let mut agent = match Agent::start(&site, sealed, wishes).await {
         Ok(agent) => agent,
         Err(failure) => {
@@ -135,9 +134,9 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
             return Err(failure);
         }
     };
-    let ready = super::serve::ready();
+    let ready = serve::ready();
     let progress = |figures: &AgentFigures| output.result(figures, || text(figures));
-    let end = agent.run(super::serve::asked_to_end(), progress).await;
+    let end = agent.run(serve::asked_to_end(), progress).await;
     drop(ready);
     agent.stop().await;
     notes.abort();
@@ -153,35 +152,14 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
     Ok(code)
 }
 
-/// Warnings of the site go to stderr.
-async fn follow(mut events: tokio::sync::broadcast::Receiver<crate::service::Event>, output: Output) {
-    use crate::service::{Event, NoticeLevel};
-    use tokio::sync::broadcast::error::RecvError;
-    loop {
-        match events.recv().await {
-            Ok(Event::Notice { at, level, text, about }) if level >= NoticeLevel::Info => {
-                output.notice(at, level, about.as_deref(), &text);
-            }
-            Ok(_) | Err(RecvError::Lagged(_)) => {}
-            Err(RecvError::Closed) => return,
-        }
-    }
-}
-
 fn text(figures: &AgentFigures) -> String {
     let ring = figures.ring.map_or_else(String::new, |ring| {
         format!("; ring: {} messages, {}, {} fell out", ring.messages, ByteSize(ring.bytes), ring.fallen)
     });
-    format!(
-        "{}: captured {}, accepted {}, verified {}, pending {}, lost {}{ring}; gateway: {}",
-        figures.name,
-        figures.captured,
-        figures.accepted,
-        figures.verified,
-        figures.pending,
-        figures.lost,
-        figures.gateway
-    )
+    let AgentFigures { name, captured, accepted, verified, pending, lost, gateway, .. } = figures;
+    let counts =
+        format!("captured {captured}, accepted {accepted}, verified {verified}, pending {pending}, lost {lost}");
+    format!("{name}: {counts}{ring}; gateway: {gateway}")
 }
 
 /// For an agent that runs indefinitely, being told to stop is success: the outbox continues later.

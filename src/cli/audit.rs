@@ -93,17 +93,10 @@ pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
 /// The lines, for people.
 pub fn lines(lines: &[AuditView]) -> String {
     let row = |line: &AuditView| {
-        vec![
-            line.line.to_string(),
-            line.at.to_string(),
-            line.by(),
-            line.action.clone(),
-            line.subject.clone(),
-            line.outcome.clone(),
-        ]
+        let (action, subject, outcome) = (line.action.clone(), line.subject.clone(), line.outcome.clone());
+        [line.line.to_string(), line.at.to_string(), line.by(), action, subject, outcome]
     };
-    let rows: Vec<Vec<String>> = lines.iter().map(row).collect();
-    table(&["line", "at", "by", "action", "subject", "outcome"], &rows)
+    table(&["line", "at", "by", "action", "subject", "outcome"], lines.iter().map(row))
 }
 
 /// What a check found, for people.

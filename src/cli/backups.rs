@@ -10,48 +10,48 @@ use std::process::{Command, Stdio};
 use authros_output::Output;
 use clap::ValueEnum as _;
 
-use super::args::Global;
+use super::args::{BackupArguments, Global};
 use super::audit::AuditArguments;
-use super::check::{absolute, backed_up, backup_passphrase};
-use super::connect::{Connection, Context};
+use super::check::{backed_up, backup_passphrase};
+use super::connect::{Context, ProfileNeed};
+use super::parse::absolute;
 use super::serve::OWN_PROGRAM;
 use super::verbs::{self, NEITHER};
-use super::{passphrase, plans};
+use super::{passphrase, plans, printed};
 use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, UnlockedKeyring};
 use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::paths::Home;
 use crate::service::command::BackUp;
 use crate::service::failure::input;
-use crate::service::{Failure, SecretText, restoring};
+use crate::service::{Client, Failure, SecretText, restoring};
 use crate::term;
 
 /// Prefix and suffix of these files' names; the time they were written is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
 
-/// `backup --to DIR --keep N`: one more file, then at most `keep` of them.
+/// `backup FILE`, or `backup --to DIR --keep N`: one more file, then at most `keep` of them.
 ///
 /// # Errors
 /// If the folder does not exist, or errors of the site; nothing is removed then.
-pub async fn run(context: Context, folder: &Path, keep: Option<usize>, output: &Output) -> Result<u8, Failure> {
+pub async fn run(context: Context, backup: BackupArguments, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
-    let folder = absolute(folder)?;
-    if !folder.is_dir() {
-        let shown = folder.display();
-        return Err(input(format!("{shown} is not a folder; create it, or mount the disk that holds it")));
-    }
-    let file = folder.join(name_at(Timestamp::now()));
-    let Connection { client, site } = context.connect(NEITHER).await?;
-    let answer = client.ask(BackUp { file, passphrase }).await;
-    Connection { client, site }.close().await;
-    let mut view = answer?;
-    if let Some(keep) = keep {
+    let folder = backup.to.as_deref().map(absolute).transpose()?;
+    let file = match (&backup.file, &folder) {
+        (Some(file), _) => absolute(file)?,
+        (None, Some(folder)) if folder.is_dir() => folder.join(name_at(Timestamp::now())),
+        (None, Some(folder)) => {
+            let advice = "create it, or mount the disk that holds it";
+            return Err(input(format!("{} is not a folder; {advice}", folder.display())));
+        }
+        (None, None) => return Err(Failure::new(ErrorKind::Usage, "give a file, or a folder with --to")),
+    };
+    let back_up = async |client: &Client| printed::told(client, client.ask(BackUp { file, passphrase }), output).await;
+    let mut view = context.with(NEITHER, ProfileNeed::None, output, back_up).await?;
+    if let (Some(folder), Some(keep)) = (folder, backup.keep) {
         let removed = remove_old(&folder, keep).map_err(|error| {
-            let shown = folder.display();
-            Failure::new(
-                ErrorKind::Home,
-                format!("the backup was written, but old ones in {shown} could not be removed: {error}"),
-            )
+            let what = "the backup was written, but old ones in";
+            Failure::new(ErrorKind::Home, format!("{what} {} could not be removed: {error}", folder.display()))
         })?;
         view.notes.extend(removed.iter().map(|name| format!("{name} was removed; {keep} newer ones remain")));
     }

@@ -1,11 +1,13 @@
 //! `authros capture`: headless, ends when everything captured is verified.
 
+use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
 use super::args::CaptureArguments;
 use super::connect::{Context, ProfileNeed};
 use super::parse;
-use super::serve::Ending;
+use super::printed::TAMPERED;
+use super::serve::until_done;
 use crate::model::ErrorKind;
 use crate::service::command::{Capture, ChainStatus, SiteStatus, StopCapture};
 use crate::service::reply::{CaptureSummary, ChainView, HealthLevel, SiteView, TopicSummary};
@@ -22,19 +24,23 @@ const LOOK: Duration = Duration::from_secs(3);
 /// # Errors
 /// Errors of the site or the arguments.
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
-    let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
     let ask = Capture {
         topics: parse::values(&arguments.topics)?,
         type_name: arguments.type_name.as_deref().map(parse::value).transpose()?,
         count: arguments.count,
         milliseconds: length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX)),
-        tags: tags?,
+        tags: parse::tags(&arguments.tags)?,
     };
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     let result = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        until_done(&connection.client, ask, output).await
+        let client = &connection.client;
+        let words = (
+            "capture stopped; waiting until everything is verified",
+            "stopped before everything captured was verified; it is stored and continues at the next start",
+        );
+        until_done(client, ask, StopCapture, words, output, tell_what_it_waits_for(client, output)).await
     };
     let result = result.await;
     match &result {
@@ -46,29 +52,8 @@ pub async fn run(context: Context, arguments: CaptureArguments, output: &Output)
     Ok(code(&summary, output))
 }
 
-async fn until_done(client: &Client, ask: Capture, output: &Output) -> Result<CaptureSummary, Failure> {
-    let (answer, waiting) = (client.ask(ask), tell_what_it_waits_for(client, output));
-    tokio::pin!(answer, waiting);
-    let mut asked = false;
-    loop {
-        tokio::select! {
-            summary = &mut answer => return summary,
-            () = &mut waiting => {}
-            ending = crate::cli::serve::asked_to_end() => {
-                if asked || ending == Ending::Ordered {
-                    return Err(Failure::new(ErrorKind::Incomplete, "stopped before everything captured was verified; \
-                                                                    it is stored and continues at the next start"));
-                }
-                asked = true;
-                output.note("capture stopped; waiting until everything is verified (Ctrl-C again to quit now)");
-                client.ask(StopCapture).await?;
-            }
-        }
-    }
-}
-
 /// While records are captured and none gets verified: says why, as far as the site knows; each cause once. Never ends.
-async fn tell_what_it_waits_for(client: &Client, output: &Output) {
+async fn tell_what_it_waits_for(client: &Client, output: &Output) -> Infallible {
     let (mut verified, mut block) = ((0, Instant::now()), (0, Instant::now()));
     let mut told = None;
     loop {
@@ -115,65 +100,39 @@ fn obstacle(site: &SiteView, chain: &ChainView, still: Duration) -> (&'static st
 }
 
 fn text(summary: &CaptureSummary) -> String {
-    let rows: Vec<Vec<String>> = summary
-        .topics
-        .iter()
-        .map(|topic| {
-            let type_name = topic.type_name.clone().unwrap_or_else(|| "never seen".to_owned());
-            vec![
-                topic.topic.clone(),
-                type_name,
-                topic.captured.to_string(),
-                topic.verified.to_string(),
-                topic.quarantined.to_string(),
-                topic.lost.to_string(),
-            ]
-        })
-        .collect();
-    table(&["topic", "type", "captured", "verified", "quarantined", "lost"], &rows)
+    let row = |topic: &TopicSummary| {
+        let figures = [topic.captured, topic.verified, topic.quarantined, topic.lost].map(|count| count.to_string());
+        let type_name = topic.type_name.clone().unwrap_or_else(|| "never seen".to_owned());
+        [vec![topic.topic.clone(), type_name], figures.to_vec()].concat()
+    };
+    let head = ["topic", "type", "captured", "verified", "quarantined", "lost"];
+    table(&head, summary.topics.iter().map(row))
 }
 
 fn code(summary: &CaptureSummary, output: &Output) -> u8 {
     if summary.verified + summary.quarantined < summary.captured {
-        output.note(
-            "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them",
-        );
+        output.note(TAMPERED);
         return ErrorKind::Tampered.exit_code();
     }
-    let unseen: Vec<&TopicSummary> = summary.topics.iter().filter(|topic| topic.captured == 0).collect();
     for topic in &summary.topics {
-        topic
-            .unreached
-            .iter()
-            .for_each(|one| output.note(&format!("authros: {} was not read from {one}", topic.topic)));
+        let unreached = topic.unreached.iter();
+        unreached.for_each(|one| output.note(&format!("authros: {} was not read from {one}", topic.topic)));
     }
-    if !unseen.is_empty() || summary.lost > 0 || summary.quarantined > 0 || summary.skipped > 0 {
-        if summary.quarantined > 0 {
-            output.note(&format!(
-                "authros: {} messages are quarantined because their publisher is not pinned; see `authros quarantine \
-                 list`",
-                summary.quarantined
-            ));
-        }
-        if summary.lost > 0 {
-            output.note(&format!("authros: {} messages were lost before capture; the loss is recorded", summary.lost));
-        }
-        if summary.skipped > 0 {
-            output.note(&format!(
-                "authros: {} messages have a different type than requested and were not captured",
-                summary.skipped
-            ));
-        } else {
-            let unknown: Vec<&str> =
-                unseen.iter().filter(|topic| topic.unreached.is_empty()).map(|topic| topic.topic.as_str()).collect();
-            if !unknown.is_empty() {
-                output.note(&format!(
-                    "authros: nothing arrived on {}; check its name with `authros topics list`",
-                    unknown.join(", ")
-                ));
-            }
-        }
-        return ErrorKind::Incomplete.exit_code();
+    let told = [
+        (summary.quarantined, "are quarantined because their publisher is not pinned; see `authros quarantine list`"),
+        (summary.lost, "were lost before capture; the loss is recorded"),
+        (summary.skipped, "have a different type than requested and were not captured"),
+    ];
+    for (count, what) in told.into_iter().filter(|(count, _)| *count > 0) {
+        output.note(&format!("authros: {count} messages {what}"));
     }
-    0
+    let unseen: Vec<&TopicSummary> = summary.topics.iter().filter(|topic| topic.captured == 0).collect();
+    let unknown = unseen.iter().filter(|topic| topic.unreached.is_empty() && summary.skipped == 0);
+    let unknown: Vec<&str> = unknown.map(|topic| topic.topic.as_str()).collect();
+    if !unknown.is_empty() {
+        let advice = "check its name with `authros topics list`";
+        output.note(&format!("authros: nothing arrived on {}; {advice}", unknown.join(", ")));
+    }
+    let whole = unseen.is_empty() && summary.lost + summary.quarantined + summary.skipped == 0;
+    if whole { 0 } else { ErrorKind::Incomplete.exit_code() }
 }

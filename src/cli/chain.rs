@@ -6,17 +6,18 @@ use std::fs::{DirBuilder, OpenOptions};
 use std::io::{ErrorKind as IoKind, Write as _};
 use std::net::SocketAddr;
 use std::path::Path;
-use std::time::Duration;
 
 use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
 use super::connect::{Context, ProfileNeed};
+use super::parse;
+use super::show::not_written;
 use super::verbs::{CHAIN, Plan};
-use super::{parse, serve as site};
 use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;
 use crate::service::command::{
-    Administer, Administration, CancelTransaction, ChainStatus, DeployContract, ListSuccessions, ServeChain, SiteStatus,
+    Administer, Administration, CancelTransaction, ChainStatus, DeployContract, ListSuccessions, ServeChain,
 };
+use crate::service::failure::input;
 use crate::service::reply::ServedView;
 use crate::service::{Client, Failure, Needs};
 use authros_output::Output;
@@ -84,49 +85,14 @@ async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<
         drop(crate::chain::serve::listen(listen).await?);
     }
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
-    let (joined, events) = (connection.site.is_none(), connection.client.events());
-    let end = site::asked_to_end();
-    tokio::pin!(end);
-    let served = tokio::select! {
-        served = start(&connection.client, listen) => served,
-        _ = &mut end => {
-            connection.end().await;
-            return Ok(0);
-        }
-    };
-    let served = match served {
-        Ok(served) => served,
-        Err(failure) => {
-            connection.close().await;
-            return Err(failure);
-        }
-    };
-    let place = if joined { "the running site" } else { "this process, the site" };
-    output.result(&serde_json::json!({ "serving": &served, "joined": joined }), || {
-        format!("chain {} at {}, served by {place}; stop it with Ctrl-C", served.chain_id, served.url)
-    });
-    let ended = tokio::select! {
-        () = site::follow(events, output, end) => Ok(0),
-        failure = lost(&connection.client) => Err(failure),
-    };
-    connection.end().await;
-    ended
-}
-
-/// Waits until the site is gone: a joined one may end at any time, and the server with it.
-pub(super) async fn lost(client: &Client) -> Failure {
-    loop {
-        tokio::time::sleep(Duration::from_secs(2)).await;
-        if let Err(failure) = client.ask(SiteStatus).await
-            && failure.kind == ErrorKind::Unreachable
-        {
-            return failure;
-        }
-    }
-}
-
-async fn start(client: &Client, address: SocketAddr) -> Result<ServedView, Failure> {
-    client.ask(ServeChain { address }).await
+    let begin = async |client: &Client| client.ask(ServeChain { address: listen }).await;
+    super::serve::until_signal(connection, output, begin, |served: ServedView, joined| {
+        let place = if joined { "the running site" } else { "this process, the site" };
+        output.result(&serde_json::json!({ "serving": &served, "joined": joined }), || {
+            format!("chain {} at {}, served by {place}; stop it with Ctrl-C", served.chain_id, served.url)
+        });
+    })
+    .await
 }
 
 /// Makes a genesis file, or prints the guide.
@@ -172,14 +138,9 @@ fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
     let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == IoKind::AlreadyExists => {
-            let what = format!("{} already exists; choose another directory with --out", path.display());
-            return Err(Failure::new(ErrorKind::Input, what));
+            return Err(input(format!("{} already exists; choose another directory with --out", path.display())));
         }
         Err(error) => return Err(not_written(path, &error)),
     };
     writeln!(file, "{}", text.trim_end()).map_err(|error| not_written(path, &error))
-}
-
-fn not_written(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::new(ErrorKind::Input, format!("{} cannot be written: {error}", path.display()))
 }

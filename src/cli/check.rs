@@ -1,14 +1,13 @@
 //! `doctor`, `verify`, `backup`, `restore` and the audit of records: what their arguments mean, results for people.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::args::Global;
-use super::connect::{Connection, Context};
-use super::show::{Printed as _, Question};
-use super::verbs::NEITHER;
-use super::{parse, passphrase, printed};
+use super::connect::Context;
+use super::show::Question;
+use super::{parse, passphrase};
 use crate::model::ErrorKind;
-use crate::service::command::{BackUp, ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
+use crate::service::command::{ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
 use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
@@ -38,7 +37,7 @@ fn rounded(value: f64) -> String {
 /// The findings of an audit, for people.
 pub fn audit(audit: &RecordAudit) -> String {
     let how = if audit.deep { "re-hashed, signatures checked" } else { "compared (rows, proofs, chain)" };
-    let megabytes = rounded(audit.megabytes_per_second);
+    let (megabytes, threads) = (rounded(audit.megabytes_per_second), audit.threads);
     let alone = match audit.sm3_megabytes_per_second {
         // Nothing was hashed.
         0.0 => String::new(),
@@ -46,11 +45,7 @@ pub fn audit(audit: &RecordAudit) -> String {
     };
     let mut lines = vec![
         format!("{} records {how}, {} bytes, in {:.1} s", audit.records, audit.bytes, audit.seconds),
-        format!(
-            "{} records/s, {megabytes} MB/s on {} threads{alone}",
-            rounded(audit.records_per_second),
-            audit.threads
-        ),
+        format!("{} records/s, {megabytes} MB/s on {threads} threads{alone}", rounded(audit.records_per_second)),
         format!("{} batches checked against the chain, {} audit log lines", audit.batches, audit.audit_lines),
     ];
     let counted = [
@@ -153,9 +148,9 @@ fn verify_text(check: &FolderCheck) -> String {
             Some(false) => "FAILED",
             None => "not checked",
         };
-        vec![step.name.clone(), word.to_owned(), step.text.clone()]
+        [step.name.clone(), word.to_owned(), step.text.clone()]
     };
-    let steps = table(&["step", "", ""], &check.steps.iter().map(row).collect::<Vec<_>>());
+    let steps = table(&["step", "", ""], check.steps.iter().map(row));
     format!("{steps}\n{}", verdict(check))
 }
 
@@ -169,19 +164,6 @@ pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
     })
 }
 
-/// `backup FILE`.
-///
-/// # Errors
-/// Errors of the site.
-pub async fn run_backup(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
-    let passphrase = backup_passphrase(&context.global)?;
-    let file = absolute(file)?;
-    let Connection { client, site } = context.connect(NEITHER).await?;
-    let answer = printed::told(&client, client.ask(BackUp { file, passphrase }), output).await;
-    Connection { client, site }.close().await;
-    answer?.print(None, output)
-}
-
 /// `restore FILE`.
 ///
 /// # Errors
@@ -191,12 +173,4 @@ pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8
     let view = restoring::restore(file, &context.home, &passphrase)?;
     output.result(&view, || backed_up(&view));
     Ok(0)
-}
-
-/// The absolute path of a file.
-///
-/// # Errors
-/// If there is none.
-pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }

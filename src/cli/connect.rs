@@ -12,6 +12,7 @@ use crate::model::{ErrorKind, OperatorName, ProfileName};
 use crate::paths::{Home, PlaceError};
 use crate::service::accounts::Account;
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
+use crate::service::failure::{input, refused};
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Failure, Needs, Site, looking};
 use crate::store::{SiteLock, files};
@@ -108,7 +109,7 @@ impl Context {
         }
         let config = Self::read_config(&global, &home)?;
         if let Some(kernel) = config.sm4_kernel {
-            kernel.force().map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+            kernel.force().map_err(|error| input(error.to_string()))?;
         }
         let operator = Operator::of(&global)?;
         Ok(Self { global, home, profile, config, operator })
@@ -134,12 +135,31 @@ impl Context {
             Err(error) if matches!(error.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) => {
                 None
             }
-            Err(error) => {
-                return Err(Failure::new(ErrorKind::Input, format!("{} cannot be read: {error}", path.display())));
-            }
+            Err(error) => return Err(input(format!("{} cannot be read: {error}", path.display()))),
         };
         let file = text.as_deref().map(|text| (path.as_path(), text));
         Ok(Config::resolve(&|name| global.setting(name), &environment, file)?)
+    }
+
+    /// Connects, brings the profile to the state needed, does `work`, and closes the connection.
+    ///
+    /// # Errors
+    /// Errors of the site and of the work.
+    pub async fn with<T>(
+        &self,
+        needs: Needs,
+        profile: ProfileNeed,
+        output: &Output,
+        work: impl AsyncFnOnce(&Client) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        let connection = self.connect(needs).await?;
+        let result = async {
+            self.prepare(&connection.client, profile, output).await?;
+            work(&connection.client).await
+        };
+        let result = result.await;
+        connection.close().await;
+        result
     }
 
     /// Joins the running site, or opens one here with the parts needed.
@@ -150,18 +170,32 @@ impl Context {
         if let Some(operator) = &self.operator {
             return self.connect_to(&operator.socket).await;
         }
+        // A short command's site has only the parts that this command needs, and ends with it.
+        let waits = |greeting: &Greeting, waited: Duration| match greeting.has {
+            _ if greeting.stays => None,
+            has if needs.chain && !has.chain => Some(LONGEST_COMMAND),
+            has => (needs.ros && !has.ros && waited < FAREWELL * 4).then_some(SILENCE),
+        };
+        self.join_or_start(needs, "this command", waits).await
+    }
+
+    /// Joins the running site, or becomes one. `waits` says how long in all it is waited for the end of a site that is not
+    /// to be joined; `again` is what to run again then.
+    async fn join_or_start(
+        &self,
+        needs: Needs,
+        again: &str,
+        mut waits: impl FnMut(&Greeting, Duration) -> Option<Duration>,
+    ) -> Result<Connection, Failure> {
         let (begun, mut patience) = (Instant::now(), SILENCE);
         while begun.elapsed() < patience {
             match socket::join(&self.home, self.profile.clone()).await? {
-                // A short command's site has only the parts that this command needs, and ends with it.
-                Some((_, greeting)) if !greeting.stays && needs.chain && !greeting.has.chain => {
-                    patience = LONGEST_COMMAND;
-                }
-                Some((_, greeting))
-                    if !greeting.stays && needs.ros && !greeting.has.ros && begun.elapsed() < FAREWELL * 4 => {}
                 Some((client, greeting)) => {
-                    self.agree(&greeting)?;
-                    return Ok(Connection { client, site: None });
+                    let Some(longest) = waits(&greeting, begun.elapsed()) else {
+                        self.agree(&greeting)?;
+                        return Ok(Connection { client, site: None });
+                    };
+                    patience = patience.max(longest);
                 }
                 None => {
                     if let Some(opened) = self.start(needs)? {
@@ -171,7 +205,16 @@ impl Context {
             }
             tokio::time::sleep(AGAIN).await;
         }
-        Err(if patience == SILENCE { self.unanswered() } else { self.still_used(patience, "this command") })
+        let root = self.home.root().display();
+        let text = if patience == SILENCE {
+            format!("{root} is in use by another process that does not answer; stop it, or use another --home")
+        } else {
+            let seconds = patience.as_secs();
+            format!(
+                "another command is still using {root} after {seconds} s; wait for it or stop it, then run {again} again"
+            )
+        };
+        Err(Failure::new(ErrorKind::Home, text))
     }
 
     /// Joins the site of somebody else. Its settings are its owner's.
@@ -210,33 +253,14 @@ impl Context {
     /// # Errors
     /// If the home cannot be used, or the command does not end.
     pub async fn stay(&self, needs: Needs, output: &Output, again: &str) -> Result<Connection, Failure> {
-        let (root, begun, mut patience) = (self.home.root().display(), Instant::now(), SILENCE);
-        while begun.elapsed() < patience {
-            match socket::join(&self.home, self.profile.clone()).await? {
-                Some((client, greeting)) if greeting.stays => {
-                    self.agree(&greeting)?;
-                    return Ok(Connection { client, site: None });
-                }
-                Some(_) if patience == SILENCE => {
-                    patience = LONGEST_COMMAND;
-                    let most = patience.as_secs();
-                    output.note(&format!(
-                        "authros: another command is using {root}; waiting up to {most} s for it to end"
-                    ));
-                }
-                Some(_) => {}
-                None => {
-                    if let Some(opened) = self.start(needs)? {
-                        return Ok(opened);
-                    }
-                }
+        let (root, most, mut told) = (self.home.root().display(), LONGEST_COMMAND.as_secs(), false);
+        let waits = |greeting: &Greeting, _: Duration| {
+            if !greeting.stays && !std::mem::replace(&mut told, true) {
+                output.note(&format!("authros: another command is using {root}; waiting up to {most} s for it to end"));
             }
-            tokio::time::sleep(AGAIN).await;
-        }
-        if patience == SILENCE {
-            return Err(self.unanswered());
-        }
-        Err(self.still_used(patience, again))
+            (!greeting.stays).then_some(LONGEST_COMMAND)
+        };
+        self.join_or_start(needs, again, waits).await
     }
 
     /// Becomes the site, unless another process has the home.
@@ -261,20 +285,6 @@ impl Context {
         started().inspect_err(|_: &Failure| looking::forget(&copy))
     }
 
-    fn still_used(&self, patience: Duration, what: &str) -> Failure {
-        let (root, seconds) = (self.home.root().display(), patience.as_secs());
-        let text = format!(
-            "another command is still using {root} after {seconds} s; wait for it or stop it, then run {what} again"
-        );
-        Failure::new(ErrorKind::Home, text)
-    }
-
-    fn unanswered(&self) -> Failure {
-        let root = self.home.root().display();
-        let text = format!("{root} is in use by another process that does not answer; stop it, or use another --home");
-        Failure::new(ErrorKind::Home, text)
-    }
-
     /// The home's lock, if no other process holds it.
     ///
     /// # Errors
@@ -293,13 +303,9 @@ impl Context {
                 continue;
             }
             if self.config.source(setting.name) == Source::Flag && setting.value != *theirs {
-                return Err(Failure::new(
-                    ErrorKind::Usage,
-                    format!(
-                        "the running site of this home has {name} = '{theirs}'; omit the option, or stop that site \
-                         first"
-                    ),
-                ));
+                let advice = "omit the option, or stop that site first";
+                let text = format!("the running site of this home has {name} = '{theirs}'; {advice}");
+                return Err(Failure::new(ErrorKind::Usage, text));
             }
         }
         Ok(())
@@ -335,13 +341,8 @@ impl Context {
                 return Ok(());
             }
             let Some(passphrase) = given else {
-                return Err(Failure::new(
-                    ErrorKind::Refused,
-                    format!(
-                        "the keyring of profile '{}' is locked; pass --passphrase-file or --passphrase-fd",
-                        self.profile
-                    ),
-                ));
+                let advice = "pass --passphrase-file or --passphrase-fd";
+                return Err(refused(format!("the keyring of profile '{}' is locked; {advice}", self.profile)));
             };
             client.ask(Unlock { passphrase }).await?;
         }

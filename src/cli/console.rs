@@ -16,28 +16,27 @@ use crate::service::client::site_gone;
 use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
 use crate::service::event::NoticeLevel;
 use crate::service::{Call, Client, Event, Failure, Needs, Site};
-use crate::term::{self, ConsoleOptions, ExitReason};
+use crate::term::{self, ExitReason};
 
 /// Runs the console until it is left, with the tour if there is one; the exit code is the terminal's.
 ///
 /// # Errors
 /// Without a terminal, or if the profile's console is open already.
 pub fn run(
-    runtime: &tokio::runtime::Runtime,
+    runtime: &Runtime,
     context: Context,
     arguments: ConsoleArguments,
     tour: Option<Cast>,
 ) -> Result<u8, Failure> {
     if !term::is_interactive() {
-        return Err(Failure::new(
-            ErrorKind::Usage,
-            "the console needs a terminal; without one, use `authros demo`, `authros capture` or `authros serve`",
-        ));
+        let advice = "without one, use `authros demo`, `authros capture` or `authros serve`";
+        return Err(Failure::new(ErrorKind::Usage, format!("the console needs a terminal; {advice}")));
     }
     let leaves_site = tour.is_none() && context.operator.is_none();
-    let options = ConsoleOptions { tour, leaves_site, ..printed::options(&context, arguments)? };
+    let mut options = printed::options(&context, arguments)?;
+    let reader = tour.as_ref().map(|cast| cast.reader.clone());
+    (options.settings.tour, options.settings.leaves_site) = (tour, leaves_site);
     let successor = Successor::of(&context);
-    let reader = options.tour.as_ref().map(|cast| cast.reader.clone());
     let (events, _) = broadcast::channel(1024);
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
@@ -53,8 +52,7 @@ pub fn run(
     if let Some(secret) = secret {
         return Err(successor.become_it(&secret?));
     }
-    let reason = ended.map_err(|error| Failure::new(error.kind(), error.to_string()))?;
-    match reason {
+    match ended.map_err(|error| Failure::new(error.kind(), error.to_string()))? {
         ExitReason::Refused(failure) => Err(failure),
         reason => Ok(reason.exit_code()),
     }
@@ -152,10 +150,8 @@ pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArgument
         return Err(Failure::new(ErrorKind::Usage, text));
     }
     if context.config.robots == 0 {
-        return Err(Failure::new(
-            ErrorKind::Usage,
-            "the tour needs robots; use --robots 1 to 32 and no real ROS master",
-        ));
+        let text = "the tour needs robots; use --robots 1 to 32 and no real ROS master";
+        return Err(Failure::new(ErrorKind::Usage, text));
     }
     let temporary = demo::temporary_home(&mut context, "authros-tour-")?;
     context.profile = super::parse::value(OWNER)?;

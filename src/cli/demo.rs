@@ -18,7 +18,7 @@ use super::connect::Context;
 use crate::config::Config;
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
-    Anchor, CryptoError, Expected, Names, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
+    Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
 };
 use crate::model::head::Compression;
 use crate::model::{Digest, ErrorKind, Head, Signature};
@@ -75,10 +75,8 @@ pub struct Story {
 /// If a step cannot be taken at all.
 pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
     if context.config.robots == 0 && context.global.ros2.is_none() {
-        return Err(Failure::new(
-            ErrorKind::Usage,
-            "the demo needs robots; use --robots 1 to 32 and no real ROS master",
-        ));
+        let text = "the demo needs robots; use --robots 1 to 32 and no real ROS master";
+        return Err(Failure::new(ErrorKind::Usage, text));
     }
     let temporary = match context.global.home {
         Some(_) => None,
@@ -121,9 +119,10 @@ fn in_domain(context: &mut Context) -> Robots {
 /// # Errors
 /// If none can be created.
 pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<tempfile::TempDir, Failure> {
-    let directory = tempfile::Builder::new().prefix(prefix).tempdir();
-    let directory = directory
-        .map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be created: {error}")))?;
+    let uncreated = |error: std::io::Error| {
+        Failure::new(ErrorKind::Home, format!("no temporary directory can be created: {error}"))
+    };
+    let directory = tempfile::Builder::new().prefix(prefix).tempdir().map_err(uncreated)?;
     context.home = Home::new(directory.path().to_owned());
     context.operator = None;
     context.global.site_socket = None;
@@ -197,11 +196,8 @@ impl Listener {
     /// If no node can be started.
     pub fn start(master_uri: &str, topics: &[String]) -> Result<Self, Failure> {
         let hashes = Arc::new(Hashes::default());
-        let options = CaptureOptions {
-            master_uri: master_uri.to_owned(),
-            own_host: None,
-            node_name: "/authros_listener".to_owned(),
-        };
+        let (master_uri, node_name) = (master_uri.to_owned(), "/authros_listener".to_owned());
+        let options = CaptureOptions { master_uri, own_host: None, node_name };
         let capture = Capture::start(options, hashes.clone())?;
         for topic in topics.iter().filter_map(|topic| topic.parse().ok()) {
             capture.watch(topic, None);
@@ -225,10 +221,8 @@ impl Listener {
     /// Waits until something was received on every topic, so that nothing captured from now on is missed.
     pub fn listen(&self) {
         let end = Instant::now() + PATIENCE;
-        let heard =
-            |topic: &String| self.hashes.heard.lock().unwrap_or_else(PoisonError::into_inner).contains(topic.as_str());
-        let deaf = || !self.topics.iter().all(heard);
-        while deaf() && Instant::now() < end {
+        let heard = || self.hashes.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        while !self.topics.iter().all(|topic| heard().contains(topic.as_str())) && Instant::now() < end {
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -270,14 +264,15 @@ impl Genuine {
         Ok(Self { blob, key, pair: owner.signing(), expected, row })
     }
 
+    /// Opens bytes in its place, as if they were its own.
     fn open(
         &self,
         provider: &dyn Provider,
-        blob: &[u8],
-        signature: &Signature,
+        (blob, signature): (&[u8], &Signature),
         anchor: Anchor,
-    ) -> Result<(), CryptoError> {
-        open(provider, blob, signature, &self.pair.public, anchor, &self.key, &self.expected).map(drop)
+        key: &TopicKey,
+    ) -> Result<OpenedRecord, CryptoError> {
+        open(provider, blob, signature, &self.pair.public, anchor, key, &self.expected)
     }
 
     /// A bit of the body flipped, then signed again by the owner and anchored: only the tag can tell.
@@ -297,34 +292,19 @@ impl Genuine {
 /// # Errors
 /// If a forgery cannot even be made.
 pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result<Vec<&'static str>, Failure> {
-    let mut broken = Vec::new();
-    // Another genuine record in its place: only the comparison with the chain can tell.
-    if one.open(provider, &other.blob, &other.row.signature, Anchor::Chain(one.row.digest)).is_ok() {
-        broken.push("digest");
-    }
+    let (own, anchor, key) = (&one.row.signature, Anchor::Chain(one.row.digest), &one.key);
     let stranger = SmKeyPair::generate(provider)?;
     let forged = provider.sign(&stranger.secret, &record::signed_bytes(&one.expected.domain, &one.row.digest))?;
-    if one.open(provider, &one.blob, &forged, Anchor::Chain(one.row.digest)).is_ok() {
-        broken.push("signature");
-    }
-    let wrong = TopicKey::generate()?;
-    let opened = open(
-        provider,
-        &one.blob,
-        &one.row.signature,
-        &one.pair.public,
-        Anchor::Chain(one.row.digest),
-        &wrong,
-        &one.expected,
-    );
-    if !matches!(opened, Err(CryptoError::WrongKey)) {
-        broken.push("commit");
-    }
-    let (blob, signature, digest) = one.resigned(provider)?;
-    if one.open(provider, &blob, &signature, Anchor::Chain(digest)).is_ok() {
-        broken.push("tag");
-    }
-    Ok(broken)
+    let (resigned, signature, digest) = one.resigned(provider)?;
+    let wrong_key = one.open(provider, (&one.blob, own), anchor, &TopicKey::generate()?);
+    let passed = [
+        // Another genuine record in its place: only the comparison with the chain can tell.
+        ("digest", one.open(provider, (&other.blob, &other.row.signature), anchor, key).is_ok()),
+        ("signature", one.open(provider, (&one.blob, &forged), anchor, key).is_ok()),
+        ("commit", !matches!(wrong_key, Err(CryptoError::WrongKey))),
+        ("tag", one.open(provider, (&resigned, &signature), Anchor::Chain(digest), key).is_ok()),
+    ];
+    Ok(passed.into_iter().filter(|(_, passed)| *passed).map(|(check, _)| check).collect())
 }
 
 /// A record sealed and signed by the owner that was never anchored, as a row that claims it was.
@@ -332,18 +312,9 @@ pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result
 /// # Errors
 /// If it cannot be sealed.
 pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8>), Failure> {
-    let (header, _) =
-        crate::model::Header::parse(&one.blob).map_err(|error| crate::service::failure::internal(error.to_string()))?;
-    let opened = open(
-        plant.provider,
-        &one.blob,
-        &one.row.signature,
-        &one.pair.public,
-        Anchor::Unanchored,
-        &one.key,
-        &one.expected,
-    )?;
-    let head = Head { compression: Compression::None, ..opened.head.clone() };
+    let opened = one.open(plant.provider, (&one.blob, &one.row.signature), Anchor::Unanchored, &one.key)?;
+    let OpenedRecord { header, head, body, .. } = opened;
+    let head = Head { compression: Compression::None, ..head };
     let request = SealRequest {
         domain: header.domain,
         owner: header.owner,
@@ -357,7 +328,7 @@ pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8
         filters: header.filters,
         captured_at: header.captured_at,
         head: &head,
-        body: &opened.body,
+        body: &body,
     };
     let sealed = seal(plant.provider, &request)?;
     let row = RecordRow { digest: sealed.digest, signature: sealed.signature, ..one.row.clone() };

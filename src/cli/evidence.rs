@@ -14,8 +14,9 @@ use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
+use crate::service::failure::input;
 use crate::service::reply::{EvidenceView, StampView};
-use crate::service::{Failure, definition_of};
+use crate::service::{Client, Failure, definition_of};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
@@ -61,30 +62,21 @@ pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Resul
     let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
         return stamp(context, output).await;
     };
-    let file = std::path::absolute(&file)
-        .map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", file.display())))?;
+    let file = parse::absolute(&file)?;
     let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
     let topic = topic.as_deref().map(parse::value).transpose()?;
     let incident = incident.as_deref().map(parse::value).transpose()?;
     let wishes =
         EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
-    let connection = context.connect(CHAIN).await?;
-    let result = async {
-        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
-        connection.client.ask(ExportEvidence(wishes)).await
-    };
-    let result = result.await;
-    connection.close().await;
-    let view = result?;
+    let export = async |client: &Client| client.ask(ExportEvidence(wishes)).await;
+    let view = context.with(CHAIN, ProfileNeed::Unlocked, output, export).await?;
     output.result(&view, || exported(&view));
     Ok(0)
 }
 
 async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
-    let connection = context.connect(CHAIN).await?;
-    let result = connection.client.ask(StampEvidence).await;
-    connection.close().await;
-    let view = result?;
+    let stamp = async |client: &Client| client.ask(StampEvidence).await;
+    let view = context.with(CHAIN, ProfileNeed::None, output, stamp).await?;
     output.result(&view, || stamped(&view));
     Ok(if view.problem.is_some() { ErrorKind::Incomplete.exit_code() } else { 0 })
 }
@@ -93,10 +85,8 @@ async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
 pub fn stamped(view: &StampView) -> String {
     let mut lines = vec![format!("{} batches stamped, {} stamps pending", view.roots, view.waiting)];
     lines.extend(view.tokens.iter().map(|token| {
-        format!(
-            "{} batches existed before {}, according to the stamp of {}",
-            token.roots, token.before, token.authority
-        )
+        let (roots, before) = (token.roots, token.before);
+        format!("{roots} batches existed before {before}, according to the stamp of {}", token.authority)
     }));
     lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it will be retried")));
     lines.join("\n")
@@ -126,11 +116,8 @@ pub fn run_verify(
     output: &Output,
 ) -> Result<u8, Failure> {
     if !path.exists() {
-        let text = format!(
-            "{} does not exist; give a bundle (NAME.authros) or a folder from `uploads export`",
-            path.display()
-        );
-        return Err(Failure::new(ErrorKind::Input, text));
+        let advice = "give a bundle (NAME.authros) or a folder from `uploads export`";
+        return Err(input(format!("{} does not exist; {advice}", path.display())));
     }
     let provider = provider(ProviderName::default());
     let trust = trust.map(read_trust).transpose()?;
@@ -156,7 +143,7 @@ pub fn run_verify(
 /// The reader's pins. Nothing of the bundle is shown where they cannot be read: without them it would look as if nothing
 /// were proven.
 fn read_trust(path: &Path) -> Result<Trust, Failure> {
-    let failed = |why: String| Failure::new(ErrorKind::Input, format!("{}: {why}", path.display()));
+    let failed = |why: String| input(format!("{}: {why}", path.display()));
     let unread = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::NotFound => failed(
             "there is no such trust file, so the bundle was not checked; write what you know of its chain and its \
@@ -193,12 +180,8 @@ fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
     let (mut value, mut limits) = (serde_json::to_value(report).unwrap_or_default(), Limits::default());
     let records = value.get_mut("records").and_then(serde_json::Value::as_array_mut);
     for (shown, record) in records.into_iter().flatten().zip(&report.records) {
-        let (Some(disclosed), Some(fields)) =
-            (shown.get_mut("disclosed"), message(bundle, report, record.digest, &mut limits))
-        else {
-            continue;
-        };
-        if let Some(disclosed) = disclosed.as_object_mut() {
+        let disclosed = shown.get_mut("disclosed").and_then(serde_json::Value::as_object_mut);
+        if let (Some(disclosed), Some(fields)) = (disclosed, message(bundle, report, record.digest, &mut limits)) {
             disclosed.insert("message".to_owned(), fields);
         }
     }
@@ -290,9 +273,9 @@ fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
         return vec![format!("{who}{when}: {}", standings(record))];
     }
     let row = |(letter, level): (char, &authros_evidence::Level)| {
-        vec![format!("({letter})"), level.standing.word().to_owned(), clean(&level.text, 400)]
+        [format!("({letter})"), level.standing.word().to_owned(), clean(&level.text, 400)]
     };
-    let levels = table(&["level", "", ""], &record.levels().map(row));
+    let levels = table(&["level", "", ""], record.levels().map(row));
     std::iter::once(who).chain(when).chain([levels]).collect()
 }
 
@@ -304,10 +287,8 @@ fn text(bundle: &Bundle, report: &Report, verbose: bool) -> String {
         shortened |= briefly;
         lines.extend(about(record, briefly));
         if let Some(disclosed) = &record.disclosed {
-            lines.push(format!(
-                "'{}' {}, {} bytes, from {}",
-                disclosed.topic, disclosed.type_name, disclosed.length, disclosed.publisher
-            ));
+            let (topic, type_name, length) = (&disclosed.topic, &disclosed.type_name, disclosed.length);
+            lines.push(format!("'{topic}' {type_name}, {length} bytes, from {}", disclosed.publisher));
             let fields = message(bundle, report, record.digest, &mut limits);
             let unread =
                 "its fields are not shown: the message's definition is not in the bundle, or the message is too large";

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::connect::{Context, ProfileNeed};
 use crate::model::Timestamp;
-use crate::service::command::{ListShared, ListUploads};
+use crate::service::command::Ask;
 use crate::service::reply::{RecordPage, RecordView, ShownState};
 use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery};
 use authros_output::Output;
@@ -13,24 +13,20 @@ use authros_output::Output;
 /// Records captured longer than this before the newest are no longer followed, nanoseconds.
 const WINDOW: u64 = 60_000_000_000;
 
-/// Which list.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Which {
-    /// Own records.
-    Uploads,
-    /// List records shared with this profile.
-    Shared,
-}
-
 /// Follows until a signal; opens the site, including robots and chain, if none runs.
 ///
 /// # Errors
 /// Errors of the site.
-pub async fn run(context: Context, which: Which, query: UploadQuery, output: &Output) -> Result<u8, Failure> {
+pub async fn run<A: Ask<Answer = RecordPage>>(
+    context: Context,
+    list: fn(UploadQuery) -> A,
+    query: UploadQuery,
+    output: &Output,
+) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     let followed = async {
         context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
-        follow(&connection.client, which, query, output).await
+        follow(&connection.client, list, query, output).await
     };
     let followed = tokio::select! {
         followed = followed => followed,
@@ -40,7 +36,12 @@ pub async fn run(context: Context, which: Which, query: UploadQuery, output: &Ou
     followed.map(|()| 0)
 }
 
-async fn follow(client: &Client, which: Which, mut query: UploadQuery, output: &Output) -> Result<(), Failure> {
+async fn follow<A: Ask<Answer = RecordPage>>(
+    client: &Client,
+    list: fn(UploadQuery) -> A,
+    mut query: UploadQuery,
+    output: &Output,
+) -> Result<(), Failure> {
     let mut events = client.events();
     let mut told: HashMap<String, (Timestamp, ShownState)> = HashMap::new();
     query.newest_first = false;
@@ -50,7 +51,7 @@ async fn follow(client: &Client, which: Which, mut query: UploadQuery, output: &
         query.since = newest.map(|at| Timestamp(at.0.saturating_sub(WINDOW))).max(begin);
         query.after = None;
         loop {
-            let page = page(client, which, &query).await?;
+            let page = client.ask(list(query.clone())).await?;
             page.records.iter().for_each(|record| tell(record, &mut told, output));
             query.after = page.next;
             if query.after.is_none() {
@@ -61,13 +62,6 @@ async fn follow(client: &Client, which: Which, mut query: UploadQuery, output: &
             told.retain(|_, (at, _)| at.0 + 2 * WINDOW > newest.0);
         }
         wait(&mut events).await;
-    }
-}
-
-async fn page(client: &Client, which: Which, query: &UploadQuery) -> Result<RecordPage, Failure> {
-    match which {
-        Which::Uploads => client.ask(ListUploads(query.clone())).await,
-        Which::Shared => client.ask(ListShared(query.clone())).await,
     }
 }
 

@@ -1,20 +1,23 @@
 //! `bag follow`: what is being recorded, sealed while it is recorded.
 
+use std::convert::Infallible;
+use std::future::pending;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
+use tokio::sync::broadcast::Receiver;
 
 use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::printed::Teller;
-use super::recordings::absolute;
-use super::serve::Ending;
+use super::parse::{self, absolute};
+use super::serve::until_done;
+use super::verbs::CHAIN;
+use super::{printed, serve};
 use crate::model::ErrorKind;
 use crate::service::command::{FollowWishes, StopCapture};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{FollowView, FollowedFile};
-use crate::service::{Client, Event, Failure, Needs};
+use crate::service::{Client, Event, Failure};
 use authros_output::{Output, table};
 
 /// Between two lines about how far it is: it may go on for days.
@@ -42,11 +45,10 @@ pub struct FollowArguments {
 
 impl FollowArguments {
     fn wishes(&self) -> Result<FollowWishes, Failure> {
-        let tags: Result<Vec<_>, Failure> = self.tags.iter().map(|text| parse::tag(text)).collect();
         Ok(FollowWishes {
             folder: absolute(&self.folder)?,
             topics: parse::values(&self.topics)?,
-            tags: tags?,
+            tags: parse::tags(&self.tags)?,
             until_closed: self.until_closed,
             attach: self.attach,
         })
@@ -59,57 +61,35 @@ impl FollowArguments {
 /// What the site or the arguments say.
 pub async fn run(context: Context, arguments: FollowArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = arguments.wishes()?;
-    let connection = context.connect(Needs { ros: false, chain: true }).await?;
-    let result = async {
-        context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        until_ended(&connection.client, wishes, output).await
+    let words = (
+        "stopping; what is sealed stays sealed",
+        "stopped early; sealed records are stored, repeat the command to go on",
+    );
+    let follow = async |client: &Client| {
+        let telling = tell(client, client.events(), output);
+        until_done(client, wishes, StopCapture, words, output, telling).await
     };
-    let result = result.await;
-    connection.close().await;
-    let view = result?;
+    let view = context.with(CHAIN, ProfileNeed::Made, output, follow).await?;
     output.result(&view, || followed(&view));
     Ok(code(&view, arguments.until_closed, output))
 }
 
-async fn until_ended(client: &Client, wishes: FollowWishes, output: &Output) -> Result<FollowView, Failure> {
-    let mut events = client.events();
-    let answer = client.ask(wishes);
-    tokio::pin!(answer);
-    let (mut asked, mut teller, mut tick) = (false, Teller::default(), tokio::time::interval(TELLING));
-    tick.reset();
-    loop {
-        tokio::select! {
-            view = &mut answer => return view,
-            Ok(event) = events.recv() => if let Event::Notice { at, level, text, about } = event
-                && level >= NoticeLevel::Info
-            {
-                output.notice(at, level, about.as_deref(), &text);
-            },
-            _ = tick.tick() => teller.tell(client, output).await,
-            ending = super::serve::asked_to_end() => {
-                if asked || ending == Ending::Ordered {
-                    return Err(Failure::new(ErrorKind::Incomplete, "stopped early; sealed records are stored, repeat \
-                                                                    the command to go on"));
-                }
-                asked = true;
-                output.note("stopping; what is sealed stays sealed (Ctrl-C again to quit now)");
-                client.ask(StopCapture).await?;
-            }
-        }
-    }
+/// What the site tells, and how far it is; never ends.
+async fn tell(client: &Client, events: Receiver<Event>, output: &Output) -> Infallible {
+    let told = serve::follow(events, NoticeLevel::Info, output, pending());
+    // After the site's end there is only the answer to wait for.
+    let (never, ()) = tokio::join!(printed::tell_on(client, TELLING, output), told);
+    never
 }
 
 fn followed(view: &FollowView) -> String {
-    let rows: Vec<Vec<String>> = view
-        .files
-        .iter()
-        .map(|file| {
-            let figures = [file.found, file.sealed, file.already, file.chunks].map(|figure| figure.to_string());
-            let proof = if file.proof.is_some() { "yes" } else { "no" };
-            [vec![file.file.clone()], figures.to_vec(), vec![proof.to_owned()]].concat()
-        })
-        .collect();
-    let mut text = table(&["file", "found", "sealed", "already there", "chunks", "proof"], &rows);
+    let row = |file: &FollowedFile| {
+        let figures = [file.found, file.sealed, file.already, file.chunks].map(|figure| figure.to_string());
+        let proof = if file.proof.is_some() { "yes" } else { "no" };
+        [vec![file.file.clone()], figures.to_vec(), vec![proof.to_owned()]].concat()
+    };
+    let head = ["file", "found", "sealed", "already there", "chunks", "proof"];
+    let mut text = table(&head, view.files.iter().map(row));
     for file in &view.files {
         let name = &file.file;
         file.notes.iter().for_each(|note| text.push_str(&format!("\n{name}: {note}")));

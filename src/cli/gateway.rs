@@ -5,14 +5,14 @@
 use std::net::SocketAddr;
 
 use super::args::GatewayVerb;
-use super::connect::{Connection, Context, ProfileNeed};
+use super::connect::{Context, ProfileNeed};
+use super::parse;
 use super::show::Question;
 use super::verbs::{NEITHER, Plan};
-use super::{parse, serve as site};
 use crate::model::clean;
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
-use crate::service::{Failure, Needs};
+use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
 /// `gateway …`
@@ -41,48 +41,20 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
         None => context.stay(needs, output, "`authros gateway serve`").await?,
     };
     connection.oversee();
-    let (joined, events) = (connection.site.is_none(), connection.client.events());
-    let end = site::asked_to_end();
-    tokio::pin!(end);
-    let begun = tokio::select! {
-        begun = begin(&context, &connection, (listen, open), output) => begun,
-        _ = &mut end => {
-            connection.end().await;
-            return Ok(0);
-        }
+    let begin = async |client: &Client| {
+        context.prepare(client, ProfileNeed::Made, output).await?;
+        client.ask(Register).await?;
+        client.ask(ServeGateway { address: listen, open }).await
     };
-    let view = match begun {
-        Ok(view) => view,
-        Err(failure) => {
-            connection.close().await;
-            return Err(failure);
-        }
-    };
-    output.result(&serde_json::json!({ "gateway": &view, "joined": joined }), || {
-        format!(
-            "gateway at {}, key {} (fingerprint {}), anchoring as {}; stop it with Ctrl-C",
-            view.address, view.gateway, view.fingerprint, view.account
-        )
-    });
-    let _ready = super::serve::ready();
-    let ended = tokio::select! {
-        () = site::follow(events, output, end) => Ok(0),
-        failure = super::chain::lost(&connection.client) => Err(failure),
-    };
-    connection.end().await;
-    ended
-}
-
-async fn begin(
-    context: &Context,
-    connection: &Connection,
-    (address, open): (SocketAddr, bool),
-    output: &Output,
-) -> Result<GatewayView, Failure> {
-    let client = &connection.client;
-    context.prepare(client, ProfileNeed::Made, output).await?;
-    client.ask(Register).await?;
-    client.ask(ServeGateway { address, open }).await
+    super::serve::until_signal(connection, output, begin, |view: GatewayView, joined| {
+        output.result(&serde_json::json!({ "gateway": &view, "joined": joined }), || {
+            format!(
+                "gateway at {}, key {} (fingerprint {}), anchoring as {}; stop it with Ctrl-C",
+                view.address, view.gateway, view.fingerprint, view.account
+            )
+        });
+    })
+    .await
 }
 
 /// Who may use a gateway, for people.
@@ -90,12 +62,10 @@ pub fn admitted(rows: &[AdmittedView]) -> String {
     if rows.is_empty() {
         return "only this home's own profiles; `authros gateway admit OWNER` admits others".to_owned();
     }
-    let name = |row: &AdmittedView| row.name.clone().unwrap_or_default();
-    let rows: Vec<Vec<String>> = rows
-        .iter()
-        .map(|row| vec![row.owner.to_string(), name(row), row.since.to_string(), clean(&row.by, 60)])
-        .collect();
-    table(&["owner", "contact", "since", "admitted by"], &rows)
+    let row = |row: &AdmittedView| {
+        [row.owner.to_string(), row.name.clone().unwrap_or_default(), row.since.to_string(), clean(&row.by, 60)]
+    };
+    table(&["owner", "contact", "since", "admitted by"], rows.iter().map(row))
 }
 
 /// A gateway for people.

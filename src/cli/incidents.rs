@@ -3,6 +3,7 @@
 use clap::Subcommand;
 
 use super::connect::ProfileNeed;
+use super::lists::or_dash;
 use super::parse;
 use super::verbs::{CHAIN, NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
@@ -92,10 +93,8 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
         IncidentVerb::Close { name } => kept(CloseIncident { name: parse::value(&name)? }.into()),
         IncidentVerb::Remove { name, yes: true } => kept(RemoveIncident { name: parse::value(&name)? }.into()),
         IncidentVerb::Remove { .. } => {
-            return Err(Failure::new(
-                ErrorKind::Usage,
-                "what retention then deletes cannot be restored; add --yes to confirm",
-            ));
+            let text = "what retention then deletes cannot be restored; add --yes to confirm";
+            return Err(Failure::new(ErrorKind::Usage, text));
         }
     })
 }
@@ -103,10 +102,6 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
 /// A moment; so long ago with or without the sign.
 pub(super) fn moment(text: &str) -> Result<Timestamp, Failure> {
     parse::past(text.strip_prefix('-').unwrap_or(text))
-}
-
-fn time(at: Option<Timestamp>) -> String {
-    at.map_or_else(|| "-".to_owned(), |at| at.to_string())
 }
 
 fn state(incident: &IncidentView) -> &'static str {
@@ -119,18 +114,17 @@ pub fn all(incidents: &[IncidentView]) -> String {
         return "no incidents; open one with `authros incident open NAME --since 10m`".to_owned();
     }
     let row = |incident: &IncidentView| {
-        vec![
+        [
             incident.name.to_string(),
             state(incident).to_owned(),
             incident.since.to_string(),
-            time(incident.until),
+            or_dash(incident.until),
             incident.coverage.iter().filter(|topic| topic.records > 0).count().to_string(),
             incident.records.to_string(),
             incident.bytes.to_string(),
         ]
     };
-    let rows: Vec<Vec<String>> = incidents.iter().map(row).collect();
-    table(&["incident", "", "from", "to", "topics", "records", "bytes"], &rows)
+    table(&["incident", "", "from", "to", "topics", "records", "bytes"], incidents.iter().map(row))
 }
 
 /// One incident with its notes and what there is of each topic.
@@ -145,11 +139,11 @@ pub fn incident(view: &IncidentView) -> String {
     let row = |one: &SpanCoverageView| {
         let [records, lost, quarantined, deleted] =
             [one.records, one.lost, one.quarantined, one.deleted].map(|count| count.to_string());
-        vec![one.topic.clone(), records, time(one.first), time(one.last), lost, quarantined, deleted]
+        [one.topic.clone(), records, or_dash(one.first), or_dash(one.last), lost, quarantined, deleted]
     };
-    let rows: Vec<Vec<String>> = view.coverage.iter().map(row).collect();
-    if !rows.is_empty() {
-        lines.push(table(&["topic", "records", "first", "last", "lost", "quarantined", "deleted earlier"], &rows));
+    if !view.coverage.is_empty() {
+        let head = ["topic", "records", "first", "last", "lost", "quarantined", "deleted earlier"];
+        lines.push(table(&head, view.coverage.iter().map(row)));
     }
     let empty = view.coverage.iter().filter(|one| one.records + one.quarantined == 0);
     lines.extend(empty.map(|one| {

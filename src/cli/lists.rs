@@ -4,7 +4,7 @@ use super::connect::Context;
 use super::parties;
 use crate::config::SettingView;
 use crate::crypto::{Fingerprint, read_public};
-use crate::model::{Address, ProfileName, Timestamp, Verdict};
+use crate::model::{Address, ProfileName, Verdict};
 use crate::pipeline::columns::Compared;
 use crate::pipeline::sender::LaneState;
 use crate::service::Failure;
@@ -18,7 +18,8 @@ fn yes(value: bool) -> String {
     if value { "yes" } else { "no" }.to_owned()
 }
 
-fn or_dash<T: ToString>(value: Option<T>) -> String {
+/// The value, or a dash where there is none.
+pub fn or_dash<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| value.to_string())
 }
 
@@ -40,13 +41,10 @@ pub fn verdict_code(verdict: Verdict) -> u8 {
 
 /// Every setting.
 pub fn settings(settings: &[SettingView]) -> String {
-    let rows: Vec<Vec<String>> = settings
-        .iter()
-        .map(|setting| {
-            vec![setting.name.to_owned(), setting.value.clone(), setting.source.clone(), setting.text.to_owned()]
-        })
-        .collect();
-    table(&["setting", "value", "from", "meaning"], &rows)
+    let row = |setting: &SettingView| {
+        [setting.name.to_owned(), setting.value.clone(), setting.source.clone(), setting.text.to_owned()]
+    };
+    table(&["setting", "value", "from", "meaning"], settings.iter().map(row))
 }
 
 /// The profiles of a home, with the one in use marked.
@@ -85,9 +83,9 @@ pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
         }
         let line = |(used, profile, address, fingerprint): &(bool, ProfileName, Address, String)| {
             let mark = if *used { "*" } else { " " };
-            vec![format!("{mark} {profile}"), address.to_string(), fingerprint.clone()]
+            [format!("{mark} {profile}"), address.to_string(), fingerprint.clone()]
         };
-        table(&["  profile", "address", "fingerprint"], &rows.iter().map(line).collect::<Vec<_>>())
+        table(&["  profile", "address", "fingerprint"], rows.iter().map(line))
     });
     Ok(0)
 }
@@ -113,18 +111,11 @@ pub fn keys(view: &KeysView) -> String {
         ("SM2 signing", view.signing_fingerprint.clone()),
         ("SM2 envelope", view.envelope_fingerprint.clone()),
     ]);
-    let rows: Vec<Vec<String>> = view
-        .epochs
-        .iter()
-        .map(|epoch| {
-            vec![
-                epoch.epoch.to_string(),
-                if epoch.current { "current" } else { "past" }.to_owned(),
-                epoch.token.to_string(),
-            ]
-        })
-        .collect();
-    format!("{head}\n\n{}", table(&["epoch", "state", "token"], &rows))
+    let rows = view.epochs.iter().map(|epoch| {
+        let state = if epoch.current { "current" } else { "past" };
+        [epoch.epoch.to_string(), state.to_owned(), epoch.token.to_string()]
+    });
+    format!("{head}\n\n{}", table(&["epoch", "state", "token"], rows))
 }
 
 /// The graph; which ROS a topic is of where there are topics of ROS 2.
@@ -134,9 +125,9 @@ pub fn topics(rows: &[TopicRow]) -> String {
         let mut cells = vec![row.topic.clone()];
         cells.extend(second.then(|| row.ros.to_string()));
         cells.extend([
-            row.type_name.clone().unwrap_or_else(|| "-".to_owned()),
+            or_dash(row.type_name.as_ref()),
             row.publishers.join(" "),
-            row.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
+            or_dash(row.hz.map(|hz| format!("{hz:.1}"))),
             if row.left_out > 0 { format!("{} left out", row.left_out) } else { String::new() },
             if row.watched { "watched" } else { "" }.to_owned(),
             if row.alarm { "ALARM" } else { "" }.to_owned(),
@@ -144,7 +135,6 @@ pub fn topics(rows: &[TopicRow]) -> String {
         ]);
         cells
     };
-    let cells: Vec<Vec<String>> = rows.iter().map(row).collect();
     let mut head = vec!["topic", "type", "publishers", "Hz", "", "", "", ""];
     if second {
         head.insert(1, "ROS");
@@ -153,31 +143,28 @@ pub fn topics(rows: &[TopicRow]) -> String {
         let topic = row.topic.clone();
         row.unreached.clone().into_iter().map(move |one| format!("\n{topic} is not read from {one}"))
     };
-    table(&head, &cells) + &rows.iter().flat_map(unreached).collect::<String>()
+    table(&head, rows.iter().map(row)) + &rows.iter().flat_map(unreached).collect::<String>()
 }
 
 /// A page of records.
 pub fn records(page: &RecordPage) -> String {
-    let rows: Vec<Vec<String>> = page
-        .records
-        .iter()
-        .map(|record| {
-            vec![
-                record.id.clone(),
-                record.seq.to_string(),
-                record.topic.clone(),
-                record.state.word().to_owned(),
-                record.bytes.to_string(),
-                in_milliseconds(record.captured_at),
-                or_dash(record.block),
-                if record.simulated { "SIMULATED" } else { "" }.to_owned(),
-                record.owner.map(|owner| parties::named(owner, record.owner_name.as_ref())).unwrap_or_default(),
-            ]
-        })
-        .collect();
+    let row = |record: &RecordView| {
+        [
+            record.id.clone(),
+            record.seq.to_string(),
+            record.topic.clone(),
+            record.state.word().to_owned(),
+            record.bytes.to_string(),
+            record.captured_at.in_milliseconds(),
+            or_dash(record.block),
+            if record.simulated { "SIMULATED" } else { "" }.to_owned(),
+            record.owner.map(|owner| parties::named(owner, record.owner_name.as_ref())).unwrap_or_default(),
+        ]
+    };
     let shared = page.records.iter().any(|record| record.owner.is_some());
     let owner = if shared { "owner" } else { "" };
-    let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", "", owner], &rows);
+    let head = ["id", "seq", "topic", "state", "bytes", "captured", "block", "", owner];
+    let list = table(&head, page.records.iter().map(row));
     let mut lines = vec![list];
     lines.extend(doubts(page));
     lines.extend(page.records.iter().filter_map(|record| Some(format!("{} {}", record.id, record.erased.as_ref()?))));
@@ -186,18 +173,11 @@ pub fn records(page: &RecordPage) -> String {
     lines.join("\n")
 }
 
-/// A moment with three digits of its second, so that columns stand still.
-pub fn in_milliseconds(at: Timestamp) -> String {
-    let second = Timestamp::from_seconds(at.seconds()).to_string();
-    format!("{}.{:03}Z", second.trim_end_matches('Z'), at.0 / 1_000_000 % 1_000)
-}
-
 /// Which parts of a page come only from the ledger, or contradict the records.
 fn doubts(page: &RecordPage) -> Vec<String> {
     let count = |is: &dyn Fn(&RecordView) -> bool| page.records.iter().filter(|record| is(record)).count();
-    let altered =
-        page.records.iter().filter_map(|record| Some(format!("{} ({})", record.id, record.differs.as_ref()?)));
-    let altered: Vec<String> = altered.collect();
+    let differs = |record: &RecordView| Some(format!("{} ({})", record.id, record.differs.as_ref()?));
+    let altered: Vec<String> = page.records.iter().filter_map(differs).collect();
     let misnamed = count(&|record| record.state == ShownState::Refused(Refusal::FalseName));
     let unread = count(&|record| record.state == ShownState::Verified(Caveat::Unread));
     let sealed = count(&|record| record.compared == Compared::Header);
@@ -237,7 +217,7 @@ pub fn provenance(view: &Provenance) -> String {
 /// Grants.
 pub fn grants(rows: &[GrantRow]) -> String {
     let row = |row: &GrantRow| {
-        vec![
+        [
             row.direction.word().to_owned(),
             parties::named(if row.direction == Direction::Given { row.grantee } else { row.owner }, row.name.as_ref()),
             or_dash(row.fingerprint.as_ref()),
@@ -247,8 +227,8 @@ pub fn grants(rows: &[GrantRow]) -> String {
             if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },
         ]
     };
-    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["", "account", "SM2 fingerprint", "state", "epoch", "expires", "topics"], &rows)
+    let head = ["", "account", "SM2 fingerprint", "state", "epoch", "expires", "topics"];
+    table(&head, rows.iter().map(row))
 }
 
 /// The chain.
@@ -274,11 +254,8 @@ pub fn chain(view: &ChainView) -> String {
     rows.extend(view.through.clone().map(|text| ("seen", text)));
     rows.extend(parties::administration(&view.administration));
     let waits = |one: &WaitingView| {
-        let of = if one.account == view.lanes.first().map_or(one.account, |lane| lane.account) {
-            String::new()
-        } else {
-            format!(" of {}", one.account)
-        };
+        let is_first = view.lanes.first().is_none_or(|lane| lane.account == one.account);
+        let of = if is_first { String::new() } else { format!(" of {}", one.account) };
         ("waits", format!("nonce {}{of}: {}, at {} per gas", one.nonce, one.purpose, one.price))
     };
     rows.extend(view.waiting.iter().map(waits));
@@ -288,11 +265,8 @@ pub fn chain(view: &ChainView) -> String {
 }
 
 fn listed(accounts: &[Address]) -> String {
-    if accounts.is_empty() {
-        "-".to_owned()
-    } else {
-        accounts.iter().map(Address::to_string).collect::<Vec<_>>().join(" ")
-    }
+    let listed: Vec<String> = accounts.iter().map(Address::to_string).collect();
+    or_dash((!listed.is_empty()).then(|| listed.join(" ")))
 }
 
 /// A deployed contract.
@@ -305,21 +279,4 @@ pub fn deployed(view: &DeployedView) -> String {
         ("block", view.pin.deployed_at.to_string()),
         ("code hash", view.pin.code_hash.to_string()),
     ])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn moments_in_a_column_have_one_width() {
-        for (nanoseconds, text) in [
-            (0, "1970-01-01T00:00:00.000Z"),
-            (1_700_000_000_123_456_789, "2023-11-14T22:13:20.123Z"),
-            (1_700_000_000_999_999_999, "2023-11-14T22:13:20.999Z"),
-            (1_700_000_000_040_000_000, "2023-11-14T22:13:20.040Z"),
-        ] {
-            assert_eq!(in_milliseconds(Timestamp(nanoseconds)), text);
-        }
-    }
 }

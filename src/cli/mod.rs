@@ -46,8 +46,9 @@ use std::process::ExitCode;
 use clap::Parser as _;
 use tokio::runtime::Runtime;
 
-use self::args::{Arguments, Global, Verb};
+use self::args::{Arguments, IdentityVerb, Verb};
 use self::connect::{Context, ProfileNeed};
+use self::recordings::BagVerb;
 use self::verbs::{CHAIN, Plan};
 use crate::model::ErrorKind;
 use crate::service::{Failure, command};
@@ -78,7 +79,7 @@ pub fn main() -> ExitCode {
     let result = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
-        .map_err(|error| Failure::new(crate::model::ErrorKind::Internal, format!("threads cannot be started: {error}")))
+        .map_err(|error| Failure::new(ErrorKind::Internal, format!("threads cannot be started: {error}")))
         .and_then(|runtime| {
             let there = reading::needs_a_home(&arguments.global, arguments.verb.as_ref());
             let result = there.and_then(|()| run(&runtime, arguments, &output));
@@ -107,32 +108,22 @@ fn misused(error: &clap::Error) -> Failure {
 #[deny(clippy::wildcard_enum_match_arm)]
 fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
     if let Some(text) = printed::defaults(&arguments.print)? {
-        output.raw(&text);
-        return Ok(0);
+        return Ok(print(output, &text));
     }
     let global = arguments.global;
+    let context = || Context::new(global.clone(), output);
+    let ask = |context: Context, plan: Plan| runtime.block_on(verbs::run(context, plan, output));
     match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
-        Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console, None),
-        Verb::Tour(arguments) => console::run_tour(runtime, Context::new(global, output)?, arguments),
-        Verb::Completions { shell } => {
-            output.raw(&printed::completions(shell));
-            Ok(0)
-        }
-        Verb::Complete { what, begun } => {
-            output.raw(&complete::candidates(&global, what, &begun));
-            Ok(0)
-        }
-        Verb::Man => {
-            output.raw(&printed::manual()?);
-            Ok(0)
-        }
-        Verb::Profiles => Ok(lists::profiles(&Context::new(global, output)?, output)),
-        Verb::Config(verb) => verbs::config(&Context::new(global, output)?, &verb, output),
-        Verb::Restore { file, check: true } => {
-            runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
-        }
-        Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
-        Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
+        Verb::Console(console) => console::run(runtime, context()?, console, None),
+        Verb::Tour(arguments) => console::run_tour(runtime, context()?, arguments),
+        Verb::Completions { shell } => Ok(print(output, &printed::completions(shell))),
+        Verb::Complete { what, begun } => Ok(print(output, &complete::candidates(&global, what, &begun))),
+        Verb::Man => Ok(print(output, &printed::manual()?)),
+        Verb::Profiles => Ok(lists::profiles(&context()?, output)),
+        Verb::Config(verb) => verbs::config(&context()?, &verb, output),
+        Verb::Restore { file, check: true } => runtime.block_on(backups::check(context()?, &file, output)),
+        Verb::Restore { file, check: false } => check::run_restore(&context()?, &file, output),
+        Verb::Evidence(verb) => runtime.block_on(evidence::run(context()?, verb, output)),
         Verb::Verify { path, trust, recording, genesis: None, verbose }
             if trust.is_some() || recording.is_some() || evidence::is_bundle(&path) =>
         {
@@ -143,79 +134,51 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         }
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
         Verb::Chain(verb) => runtime.block_on(chain::run(global, verb, output)),
-        Verb::Serve(serve) => runtime.block_on(serve::run(Context::new(global, output)?, serve, output)),
-        Verb::Demo(demo) => runtime.block_on(demo::run(Context::new(global, output)?, demo, output)),
-        Verb::Gateway(verb) => runtime.block_on(gateway::run(Context::new(global, output)?, verb, output)),
-        Verb::Doctor => runtime.block_on(check::run_doctor(Context::new(global, output)?, output)),
-        Verb::Backup(backup) => runtime.block_on(back_up(Context::new(global, output)?, backup, output)),
-        Verb::Status { watch: true } => runtime.block_on(status::watch(Context::new(global, output)?, output)),
-        Verb::Status { watch: false } => runtime.block_on(status::run(Context::new(global, output)?, output)),
-        Verb::Capture(capture) => runtime.block_on(capture::run(Context::new(global, output)?, capture, output)),
-        Verb::Bag(recordings::BagVerb::Import(import)) => {
-            runtime.block_on(recordings::import(Context::new(global, output)?, import, output))
+        Verb::Serve(serve) => runtime.block_on(serve::run(context()?, serve, output)),
+        Verb::Demo(demo) => runtime.block_on(demo::run(context()?, demo, output)),
+        Verb::Gateway(verb) => runtime.block_on(gateway::run(context()?, verb, output)),
+        Verb::Doctor => runtime.block_on(check::run_doctor(context()?, output)),
+        Verb::Backup(backup) => runtime.block_on(backups::run(context()?, backup, output)),
+        Verb::Status { watch: true } => runtime.block_on(status::watch(context()?, output)),
+        Verb::Status { watch: false } => runtime.block_on(status::run(context()?, output)),
+        Verb::Capture(capture) => runtime.block_on(capture::run(context()?, capture, output)),
+        Verb::Bag(BagVerb::Import(import)) => runtime.block_on(recordings::import(context()?, import, output)),
+        Verb::Bag(BagVerb::Follow(follow)) => runtime.block_on(following::run(context()?, follow, output)),
+        Verb::Uploads(verb) => runtime.block_on(verbs::uploads(context()?, verb, output)),
+        Verb::Shared(verb) => runtime.block_on(verbs::shared(context()?, verb, output)),
+        Verb::Retention(verb) => runtime.block_on(retention::run(context()?, verb, output)),
+        Verb::Identity(IdentityVerb::List) => lists::identities(&context()?, output),
+        Verb::Identity(IdentityVerb::Create) => runtime.block_on(verbs::create_identity(context()?, output)),
+        Verb::Identity(verb) => ask(context()?, verbs::identity(verb)?),
+        Verb::Keys(verb) => {
+            let context = context()?;
+            let plan = plans::keys(&context, verb)?;
+            ask(context, plan)
         }
-        Verb::Bag(recordings::BagVerb::Follow(follow)) => {
-            runtime.block_on(following::run(Context::new(global, output)?, follow, output))
+        Verb::Audit(arguments) => {
+            let context = context()?;
+            let plan = plans::audit(&context, &arguments)?;
+            ask(context, plan)
         }
-        Verb::Uploads(verb) => runtime.block_on(verbs::uploads(Context::new(global, output)?, verb, output)),
-        Verb::Shared(verb) => runtime.block_on(verbs::shared(Context::new(global, output)?, verb, output)),
-        Verb::Identity(verb) => identity(runtime, global, verb, output),
-        Verb::Keys(verb) => asked(runtime, global, output, |context| plans::keys(context, verb)),
-        Verb::Register => {
-            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Made, command::Register)))
+        Verb::Register => ask(context()?, Plan::new(CHAIN, ProfileNeed::Made, command::Register)),
+        Verb::Topics(verb) => ask(context()?, verbs::topics(verb)?),
+        Verb::Quarantine(verb) => ask(context()?, verbs::quarantine(verb)?),
+        Verb::Grant(grant) => ask(context()?, Plan::new(CHAIN, ProfileNeed::Unlocked, plans::grant(&grant)?)),
+        Verb::Revoke { address } => {
+            let context = context()?;
+            let revoke = command::Revoke { grantee: parse::value(&address)? };
+            ask(context, Plan::new(CHAIN, ProfileNeed::Unlocked, revoke))
         }
-        Verb::Topics(verb) => asked(runtime, global, output, |_| verbs::topics(verb)),
-        Verb::Quarantine(verb) => asked(runtime, global, output, |_| verbs::quarantine(verb)),
-        Verb::Grant(arguments) => {
-            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, plans::grant(&arguments)?)))
-        }
-        Verb::Revoke { address } => asked(runtime, global, output, |_| {
-            Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, command::Revoke { grantee: parse::value(&address)? }))
-        }),
-        Verb::Grants(verb) => asked(runtime, global, output, |_| verbs::grants(verb)),
-        Verb::Contacts(verb) => {
-            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::None, parties::contacts(verb)?)))
-        }
-        Verb::Devices(verb) => {
-            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, robots::question(&verb)?)))
-        }
-        Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(status::plan(&verb))),
-        Verb::Robots(verb) => asked(runtime, global, output, |_| robots::plan(verb)),
-        Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
-        Verb::Retention(verb) => runtime.block_on(retention::run(Context::new(global, output)?, verb, output)),
-        Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
+        Verb::Grants(verb) => ask(context()?, verbs::grants(verb)?),
+        Verb::Contacts(verb) => ask(context()?, Plan::new(CHAIN, ProfileNeed::None, parties::contacts(verb)?)),
+        Verb::Devices(verb) => ask(context()?, Plan::new(CHAIN, ProfileNeed::Unlocked, robots::question(&verb)?)),
+        Verb::Alerts(verb) => ask(context()?, status::plan(&verb)),
+        Verb::Robots(verb) => ask(context()?, robots::plan(verb)?),
+        Verb::Incident(verb) => ask(context()?, incidents::plan(verb)?),
     }
 }
 
-/// `identity …`
-fn identity(runtime: &Runtime, global: Global, verb: args::IdentityVerb, output: &Output) -> Result<u8, Failure> {
-    match verb {
-        args::IdentityVerb::List => lists::identities(&Context::new(global, output)?, output),
-        args::IdentityVerb::Create => runtime.block_on(verbs::create_identity(Context::new(global, output)?, output)),
-        verb @ (args::IdentityVerb::Show
-        | args::IdentityVerb::Compare { .. }
-        | args::IdentityVerb::Recovery { .. }
-        | args::IdentityVerb::Lock) => asked(runtime, global, output, |_| verbs::identity(verb)),
-    }
-}
-
-/// `backup …`
-async fn back_up(context: Context, backup: args::BackupArguments, output: &Output) -> Result<u8, Failure> {
-    match (backup.file, backup.to) {
-        (Some(file), _) => check::run_backup(context, &file, output).await,
-        (None, Some(folder)) => backups::run(context, &folder, backup.keep, output).await,
-        (None, None) => Err(Failure::new(ErrorKind::Usage, "give a file, or a folder with --to")),
-    }
-}
-
-/// Runs a plain verb: one request, and its answer printed.
-fn asked(
-    runtime: &Runtime,
-    global: Global,
-    output: &Output,
-    plan: impl FnOnce(&Context) -> Result<Plan, Failure>,
-) -> Result<u8, Failure> {
-    let context = Context::new(global, output)?;
-    let plan = plan(&context)?;
-    runtime.block_on(verbs::run(context, plan, output))
+fn print(output: &Output, text: &str) -> u8 {
+    output.raw(text);
+    0
 }

@@ -1,12 +1,14 @@
 //! Parses arguments into the model's types, with errors of kind `Input`.
 
 use std::fmt::Display;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::model::{ErrorKind, SignerId, Timestamp, bytes::unhex, clean, positive_span};
+use crate::model::{SignerId, Timestamp, bytes::unhex, clean, positive_span};
 pub use crate::service::command::filter::{moment, tag};
 use crate::service::command::{Term, filter};
+use crate::service::failure::input;
 use crate::service::{Failure, UploadQuery};
 
 use super::args::ListArguments;
@@ -16,7 +18,7 @@ use super::args::ListArguments;
 /// # Errors
 /// A [`Failure`] of kind `Input` with the type's own message.
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
-    text.parse().map_err(|error: T::Err| Failure::new(ErrorKind::Input, error.to_string()))
+    text.parse().map_err(|error: T::Err| input(error.to_string()))
 }
 
 /// Parses several values.
@@ -25,6 +27,22 @@ pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
 /// See [`value`], for the first that fails.
 pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {
     texts.iter().map(|text| value(text)).collect()
+}
+
+/// The path from the root.
+///
+/// # Errors
+/// If there is none.
+pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+    std::path::absolute(path).map_err(|error| input(format!("{}: {error}", path.display())))
+}
+
+/// Tags, each as NAME=VALUE.
+///
+/// # Errors
+/// For the first that is none.
+pub fn tags(texts: &[String]) -> Result<Vec<(String, String)>, Failure> {
+    texts.iter().map(|text| tag(text)).collect()
 }
 
 /// An end: a moment, or a length of time from now.
@@ -43,7 +61,7 @@ pub fn end(text: &str) -> Result<Timestamp, Failure> {
 /// # Errors
 /// A [`Failure`] of kind `Input` that says how to write it.
 pub fn duration(text: &str) -> Result<Duration, Failure> {
-    positive_span(text).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
+    positive_span(text).map_err(|error| input(error.to_string()))
 }
 
 /// A gateway's fingerprint: the whole id, with or without spaces in between.
@@ -57,7 +75,7 @@ pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
             32 => "that is the fingerprint; give the 64-digit hex key that the gateway prints beside it",
             _ => "its operator can give it to you as 64 hex characters",
         };
-        Failure::new(ErrorKind::Input, format!("'{}' is not a gateway key; {advice}", clean(text, 80)))
+        input(format!("'{}' is not a gateway key; {advice}", clean(text, 80)))
     })
 }
 
@@ -75,24 +93,10 @@ pub fn past(text: &str) -> Result<Timestamp, Failure> {
 /// A [`Failure`] of kind `Input` naming the filter at fault.
 pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
     if !(1..=1000).contains(&arguments.limit) {
-        return Err(Failure::new(ErrorKind::Input, format!("--limit {} is not between 1 and 1000", arguments.limit)));
+        return Err(input(format!("--limit {} is not between 1 and 1000", arguments.limit)));
     }
-    let ListArguments {
-        topic,
-        type_name,
-        tags,
-        state,
-        kind,
-        owner,
-        since,
-        until,
-        incident,
-        after,
-        limit,
-        newest,
-        follow: _,
-    } = arguments;
-    let (after, limit, newest_first) = (after.clone(), *limit, *newest);
+    let ListArguments { topic, type_name, tags, state, kind, owner, since, until, incident, .. } = arguments;
+    let (after, limit, newest_first) = (arguments.after.clone(), arguments.limit, arguments.newest);
     let mut query = UploadQuery { after, limit, newest_first, ..UploadQuery::default() };
     let now = Timestamp::now();
     for (term, texts) in [
@@ -114,6 +118,7 @@ pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::ErrorKind;
 
     #[test]
     fn durations() {

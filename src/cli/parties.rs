@@ -2,6 +2,7 @@
 
 use clap::Subcommand;
 
+use super::lists::or_dash;
 use super::parse;
 use super::show::Question;
 use crate::model::{Address, ErrorKind};
@@ -59,14 +60,12 @@ pub fn contacts(verb: ContactsVerb) -> Result<Question, Failure> {
 
 /// The address book, for people.
 pub fn contact_table(rows: &[ContactRow]) -> String {
-    let or_dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "-".to_owned());
     let row = |row: &ContactRow| {
         let from = if row.given { "told" } else { "found" };
-        let noted = row.fingerprint.as_ref().map_or_else(|| "-".to_owned(), |noted| format!("{noted} ({from})"));
-        vec![row.name.to_string(), row.address.to_string(), row.state.clone(), noted, or_dash(&row.registered)]
+        let noted = or_dash(row.fingerprint.as_ref().map(|noted| format!("{noted} ({from})")));
+        [row.name.to_string(), row.address.to_string(), row.state.clone(), noted, or_dash(row.registered.as_ref())]
     };
-    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["name", "address", "key", "noted", "registered"], &rows)
+    table(&["name", "address", "key", "noted", "registered"], rows.iter().map(row))
 }
 
 /// Two fingerprints, for people.

@@ -11,6 +11,7 @@ use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::Home;
 use crate::service::command::ChangePassphrase;
+use crate::service::failure::input;
 use crate::service::{Failure, SecretText};
 use crate::store::{atomic_write, files};
 use crate::term;
@@ -29,15 +30,13 @@ fn first_line(text: &str) -> SecretText {
 /// If the file cannot be read, or others can read it.
 pub fn from_file(path: &Path) -> Result<SecretText, Failure> {
     let bytes = private_file::read_private(path, LONGEST)?;
-    let text = std::str::from_utf8(&bytes)
-        .map_err(|_| Failure::new(ErrorKind::Input, format!("{} is not text", path.display())))?;
+    let text = std::str::from_utf8(&bytes).map_err(|_| input(format!("{} is not text", path.display())))?;
     Ok(first_line(text))
 }
 
 fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
-    let unreadable = |error: std::io::Error| {
-        Failure::new(ErrorKind::Input, format!("no passphrase can be read from descriptor {number}: {error}"))
-    };
+    let unreadable =
+        |error: std::io::Error| input(format!("no passphrase can be read from descriptor {number}: {error}"));
     let file = std::fs::File::open(format!("/proc/self/fd/{number}")).map_err(unreadable)?;
     let mut text = zeroize::Zeroizing::new(String::new());
     file.take(LONGEST as u64).read_to_string(&mut text).map_err(unreadable)?;
@@ -53,14 +52,7 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
         let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
         return Err(Failure::new(ErrorKind::Refused, text));
     }
-    if let Some(path) = &global.passphrase_file {
-        return from_file(path).map(Some);
-    }
-    if let Some(number) = global.passphrase_fd {
-        return from_descriptor(number).map(Some);
-    }
-    let own = home.passphrase(profile);
-    if own.exists() { from_file(&own).map(Some) } else { Ok(None) }
+    of_file(global, &home.passphrase(profile))
 }
 
 /// Whether a passphrase is given, or stored beside the keyring, without reading it.
@@ -114,8 +106,7 @@ pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(),
 }
 
 fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
-    let answer = term::secret(question)
-        .map_err(|error| Failure::new(ErrorKind::Input, format!("the terminal does not answer: {error}")))?;
+    let answer = term::secret(question).map_err(|error| input(format!("the terminal does not answer: {error}")))?;
     let answer = answer.ok_or_else(|| {
         Failure::new(ErrorKind::Usage, format!("no passphrase was given; type it at a terminal, or pass {option}"))
     })?;
@@ -128,13 +119,13 @@ fn asked_twice(option: &str) -> Result<SecretText, Failure> {
     if new.expose() == again.expose() {
         return Ok(new);
     }
-    Err(Failure::new(ErrorKind::Input, "the passphrases do not match; nothing was changed, try again"))
+    Err(input("the passphrases do not match; nothing was changed, try again"))
 }
 
 /// The passphrase given, or that in a file beside what it protects; `None` if there is neither.
 ///
 /// # Errors
-/// See [`given`].
+/// If a given file or descriptor cannot be read.
 pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
     match (&global.passphrase_file, global.passphrase_fd) {
         (Some(path), _) => from_file(path).map(Some),

@@ -1,6 +1,6 @@
 //! Verbs of keys, grants and the audit log, as requests to the site.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::args::{EpochsChoice, ExportKind, GrantArguments, KeysVerb};
 use super::audit::{AuditArguments, AuditVerb};
@@ -30,30 +30,19 @@ pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Fail
     Ok(match verb {
         AuditVerb::List { since, action, by, by_operator, before, limit } => {
             let query = super::audit::query(since.as_deref(), *limit)?;
-            let query = AuditQuery {
-                action: action.clone(),
-                profile: by.clone(),
-                operator: by_operator.clone(),
-                before: *before,
-                ..query
-            };
+            let (action, profile, operator, before) = (action.clone(), by.clone(), by_operator.clone(), *before);
+            let query = AuditQuery { action, profile, operator, before, ..query };
             Plan::new(NEITHER, ProfileNeed::None, ListAudit(query))
         }
         AuditVerb::Verify { without_heads: true } => {
             Plan::new(NEITHER, ProfileNeed::None, VerifyAudit { heads: false })
         }
-        AuditVerb::Verify { without_heads: false } => {
-            Plan::new(CHAIN, ProfileNeed::Unlocked, VerifyAudit { heads: true })
-        }
+        AuditVerb::Verify { .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, VerifyAudit { heads: true }),
         AuditVerb::Export { dir, addresses } => {
             let ask = ExportAudit { addresses: *addresses };
             Plan { out: Some(dir.clone()), ..Plan::new(NEITHER, ProfileNeed::Unlocked, ask) }
         }
     })
-}
-
-fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }
 
 /// A change of a key pair: those affected are reported first, or only they are.
@@ -88,7 +77,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
                 // It tells who is affected by this key, so it has to be one.
                 crate::crypto::keyfile::load_sm2(&path)?;
             }
-            let ask = LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
+            let ask = LoadKey { kind, path: parse::absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
             match kind {
                 KeyKind::Sm2 => changes(ProfileNeed::Made, PairKind::Signing, dry_run, ask),
                 KeyKind::Sm4 | KeyKind::Eoa => Plan::new(CHAIN, ProfileNeed::Made, ask),

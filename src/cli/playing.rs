@@ -1,12 +1,14 @@
 //! `shared play`: shared records into a ROS graph or domain, until everything is played or something ends it.
 
+use std::future::pending;
+
 use clap::Args;
 
 use super::connect::{Context, ProfileNeed};
 use super::parse;
-use super::serve::Ending;
+use super::serve::until_done;
 use crate::model::ErrorKind;
-use crate::service::command::{Pace, PlayWishes, StopPlay};
+use crate::service::command::{Pace, Play, PlayWishes, StopPlay};
 use crate::service::reply::{PlayEnd, PlayedView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
@@ -89,42 +91,19 @@ pub async fn run(context: Context, arguments: PlayArguments, output: &Output) ->
     // If a graph is given, no capturing node of ours is needed.
     let is_named = wishes.master.is_some() || wishes.domain.is_some() || context.config.ros_master.is_some();
     let live = Needs { ros: !is_named, chain: true };
-    let connection = context.connect(live).await?;
-    let result = async {
-        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
-        until_done(&connection.client, wishes, output).await
-    };
-    let result = result.await;
-    connection.close().await;
-    let view = result?;
+    let words = (
+        "stopping; subscribers still receive what was played",
+        "stopped before the subscribers had received everything",
+    );
+    let play = async |client: &Client| until_done(client, Play(wishes), StopPlay, words, output, pending()).await;
+    let view = context.with(live, ProfileNeed::Unlocked, output, play).await?;
     output.result(&view, || text(&view));
     Ok(code(&view, output))
 }
 
-async fn until_done(client: &Client, wishes: PlayWishes, output: &Output) -> Result<PlayedView, Failure> {
-    let answer = client.ask(crate::service::command::Play(wishes));
-    tokio::pin!(answer);
-    let mut asked = false;
-    loop {
-        tokio::select! {
-            view = &mut answer => return view,
-            ending = crate::cli::serve::asked_to_end() => {
-                if asked || ending == Ending::Ordered {
-                    return Err(Failure::new(ErrorKind::Incomplete, "stopped before the subscribers had received \
-                                                                    everything"));
-                }
-                asked = true;
-                output.note("stopping; subscribers still receive what was played (Ctrl-C again to quit now)");
-                client.ask(StopPlay).await?;
-            }
-        }
-    }
-}
-
 fn text(view: &PlayedView) -> String {
-    let rows: Vec<Vec<String>> =
-        view.topics.iter().map(|(topic, messages)| vec![topic.clone(), messages.to_string()]).collect();
-    let list = table(&["topic", "messages"], &rows);
+    let rows = view.topics.iter().map(|(topic, messages)| [topic.clone(), messages.to_string()]);
+    let list = table(&["topic", "messages"], rows);
     format!("{list}\n{} messages published in {:.1} s", view.published, view.seconds)
 }
 
@@ -144,12 +123,8 @@ fn code(view: &PlayedView, output: &Output) -> u8 {
                      rosbag or rviz can subscribe as reliable";
         output.note(&format!("authros: {} of the published {words}", view.unconfirmed));
     }
-    match view.ended_by {
-        PlayEnd::Revoked => output.note("authros: ended: the grant was revoked"),
-        PlayEnd::Expired => output.note("authros: ended: the grant has expired"),
-        PlayEnd::Locked => output.note("authros: ended: the keyring was locked"),
-        PlayEnd::Site => output.note("authros: ended: the site stopped"),
-        PlayEnd::Whole | PlayEnd::Asked => {}
+    if let Some(why) = view.ended_by.cut_short() {
+        output.note(&format!("authros: ended: {why}"));
     }
     if view.ended_by.is_by_right() {
         return ErrorKind::Refused.exit_code();

@@ -1,6 +1,7 @@
 //! What is printed and needs no home: defaults as templates, completions, the manual page; the looks of the console,
 //! and the progress of long work.
 
+use std::convert::Infallible;
 use std::fmt::Write as _;
 use std::future::Future;
 use std::path::Path;
@@ -11,10 +12,10 @@ use clap::CommandFactory;
 
 use super::args::{Arguments, ConsoleArguments, PrintArguments};
 use super::connect::Context;
-use super::twins::{TWINS, Twin};
+use super::twins::TWINS;
 use super::{complete, passphrase};
 use crate::app::history::Progress;
-use crate::app::{Keymap, keymap};
+use crate::app::{Keymap, Settings, keymap};
 use crate::config::DEFINITIONS;
 use crate::model::{ErrorKind, Timestamp, clean};
 use crate::paths::Home;
@@ -96,10 +97,8 @@ pub fn manual() -> Result<String, Failure> {
     let mut text = String::from_utf8_lossy(&bytes).into_owned();
     commands(&mut text, &command, "authros");
     text.push_str(".SH THE CONSOLE\'S COMMANDS WITHOUT IT\n");
-    for (name, twin) in TWINS {
-        if let Twin::Runs(line) = twin {
-            let _ = write!(text, ".TP\n\\fB{}\\fR\nauthros {}\n", roff(name), roff(line));
-        }
+    for (name, line) in TWINS {
+        let _ = write!(text, ".TP\n\\fB{}\\fR\nauthros {}\n", roff(name), roff(line));
     }
     Ok(text)
 }
@@ -136,26 +135,28 @@ const LONGEST: u64 = 256 * 1024;
 /// # Errors
 /// If a file is wrong, with file and line.
 pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<ConsoleOptions, Failure> {
-    let settings = &context.config.console;
+    let (settings, owner) = (&context.config.console, context.operator.is_none());
+    let given = passphrase::is_given(&context.global, &context.home, &context.profile);
     let options = ConsoleOptions {
+        settings: Settings {
+            profile: context.profile.clone(),
+            operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
+            read_only: arguments.read_only,
+            keymap: keymap(&context.home)?,
+            // The keyring is the owner's to lock and to unlock.
+            lock_after: settings.lock_after.filter(|_| owner),
+            profiles: if owner { context.home.profiles() } else { Vec::new() },
+            asks_passphrase: owner && !given,
+            ..Settings::default()
+        },
         theme: arguments.theme.or_else(|| settings.theme.clone()),
         themes: themes(&context.home)?,
-        keymap: keymap(&context.home)?,
         ascii: arguments.ascii
             || settings.ascii.unwrap_or_else(|| !locale_has_unicode(|name| std::env::var(name).ok())),
         mouse: settings.mouse,
-        operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
-        read_only: arguments.read_only,
         bytes_per_second: settings.bytes_per_second,
         kept: context.home.console(&context.profile),
         pictures: settings.pictures,
-        // The keyring is the owner's to lock and to unlock.
-        lock_after: settings.lock_after.filter(|_| context.operator.is_none()),
-        profiles: if context.operator.is_some() { Vec::new() } else { context.home.profiles() },
-        tour: None,
-        leaves_site: false,
-        asks_passphrase: context.operator.is_none()
-            && !passphrase::is_given(&context.global, &context.home, &context.profile),
     };
     if let Some(name) = &options.theme {
         options.themes.named(name).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
@@ -202,6 +203,10 @@ fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
     })
 }
 
+/// What an import or a capture says of altered records.
+pub const TAMPERED: &str =
+    "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them";
+
 /// Between two looks.
 pub const LOOK: Duration = Duration::from_secs(3);
 
@@ -229,15 +234,20 @@ pub fn takes_long(command: &Command) -> bool {
     matches!(command, Command::OfStore(StoreCommand::AuditRecords { .. }))
 }
 
-/// Waits for `work`, and tells meanwhile how far it is.
-pub async fn told<T>(client: &Client, work: impl Future<Output = T>, output: &Output) -> T {
-    tokio::pin!(work);
+/// Tells every so often how far what runs is; never ends.
+pub async fn tell_on(client: &Client, every: Duration, output: &Output) -> Infallible {
     let mut teller = Teller::default();
     loop {
-        tokio::select! {
-            done = &mut work => return done,
-            () = tokio::time::sleep(LOOK) => teller.tell(client, output).await,
-        }
+        tokio::time::sleep(every).await;
+        teller.tell(client, output).await;
+    }
+}
+
+/// Waits for `work`, and tells meanwhile how far it is.
+pub async fn told<T>(client: &Client, work: impl Future<Output = T>, output: &Output) -> T {
+    tokio::select! {
+        done = work => done,
+        never = tell_on(client, LOOK, output) => match never {},
     }
 }
 

@@ -97,24 +97,18 @@ pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
 
 /// Pins and alarms.
 pub fn pins(view: &PinsView) -> String {
-    let pins = view.pins.iter().map(|pin| {
-        let at = pin.at.map_or_else(|| "-".to_owned(), |at| at.to_string());
-        vec![pin.topic.clone(), pin.publisher.to_string(), pin.source.clone(), at]
-    });
-    let mut text = table(&["topic", "pinned publisher", "by", "since"], &pins.collect::<Vec<_>>());
+    let pins = view
+        .pins
+        .iter()
+        .map(|pin| [pin.topic.clone(), pin.publisher.to_string(), pin.source.clone(), lists::or_dash(pin.at)]);
+    let mut text = table(&["topic", "pinned publisher", "by", "since"], pins);
     if !view.alarms.is_empty() {
         let alarms = view.alarms.iter().map(|alarm| {
-            let state = if alarm.open { "open" } else { "seen" };
-            vec![
-                alarm.topic.clone(),
-                alarm.publisher.clone(),
-                alarm.reason.clone(),
-                state.to_owned(),
-                alarm.at.to_string(),
-            ]
+            let state = if alarm.open { "open" } else { "seen" }.to_owned();
+            [alarm.topic.clone(), alarm.publisher.clone(), alarm.reason.clone(), state, alarm.at.to_string()]
         });
         text.push_str("\n\n");
-        text.push_str(&table(&["topic", "suspect publisher", "why", "alarm", "at"], &alarms.collect::<Vec<_>>()));
+        text.push_str(&table(&["topic", "suspect publisher", "why", "alarm", "at"], alarms));
     }
     text
 }
@@ -122,16 +116,10 @@ pub fn pins(view: &PinsView) -> String {
 /// What is held back.
 pub fn held(view: &QuarantineView) -> String {
     let rows = view.records.iter().map(|held| {
-        let record = &held.record;
-        vec![
-            record.id.clone(),
-            record.topic.clone(),
-            record.seq.to_string(),
-            held.reason.clone(),
-            held.publisher.clone(),
-            lists::in_milliseconds(record.captured_at),
-        ]
+        let (record, reason, publisher) = (&held.record, held.reason.clone(), held.publisher.clone());
+        let captured = record.captured_at.in_milliseconds();
+        [record.id.clone(), record.topic.clone(), record.seq.to_string(), reason, publisher, captured]
     });
-    let list = table(&["id", "topic", "seq", "why", "publisher", "captured"], &rows.collect::<Vec<_>>());
+    let list = table(&["id", "topic", "seq", "why", "publisher", "captured"], rows);
     format!("{list}\n{} messages in quarantine", view.messages)
 }

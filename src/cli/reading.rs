@@ -7,7 +7,6 @@ use authros_output::table;
 
 use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
 use super::connect::ProfileNeed;
-use super::lists::in_milliseconds;
 use super::parties::ContactsVerb;
 use super::show::Question;
 use super::verbs::{CHAIN, Plan};
@@ -117,7 +116,7 @@ pub fn opened(view: &OpenedView) -> String {
     let verdict = view.verdict.word().to_uppercase();
     let mut lines = vec![
         format!("{}  {}  seq {}  {verdict}{held}", record.id, record.topic, record.seq),
-        format!("{}{} captured {}", record.type_name, from(&view.caller_id), in_milliseconds(record.captured_at)),
+        format!("{}{} captured {}", record.type_name, from(&view.caller_id), record.captured_at.in_milliseconds()),
         format!("{} bytes, sealed as {} ({})", record.bytes, view.stored, compressed(&view.compression)),
     ];
     lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
@@ -165,8 +164,8 @@ pub fn path(view: &PathView) -> String {
     let unread = if view.unread > 0 { format!(", {} could not be read", view.unread) } else { String::new() };
     let head = format!("{}: {} records{unread}", view.topic, view.records);
     let Some(Plot { axes, points, .. }) = &view.plot else { return head };
-    let rows: Vec<Vec<String>> = points.iter().map(|(x, y)| vec![format!("{x:.4}"), format!("{y:.4}")]).collect();
-    format!("{head}\n{}", table(&[&axes.0, &axes.1], &rows))
+    let rows = points.iter().map(|(x, y)| [format!("{x:.4}"), format!("{y:.4}")]);
+    format!("{head}\n{}", table(&[&axes.0, &axes.1], rows))
 }
 
 #[cfg(test)]

@@ -5,16 +5,17 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::printed::{LOOK, Teller};
-use super::serve::Ending;
+use super::parse::{self, absolute};
+use super::printed::{self, LOOK};
+use super::serve::until_done;
+use super::verbs::CHAIN;
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::paths::Home;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 use crate::service::command::{Ask, ExportWishes, HomeWishes, ImportWishes, StopCapture};
-use crate::service::reply::{ExportView, ImportView};
-use crate::service::{Client, Failure, Needs};
+use crate::service::reply::{ExportView, ExportedTopic, ImportView};
+use crate::service::{Client, Failure};
 use crate::store::files;
 use authros_output::{Output, table};
 
@@ -82,9 +83,8 @@ pub struct ExportArguments {
 
 impl ImportArguments {
     fn wishes(&self) -> Result<ImportWishes, Failure> {
-        let tags: Result<Vec<_>, Failure> = self.tags.iter().map(|text| parse::tag(text)).collect();
-        let topics = parse::values(&self.topics)?;
-        Ok(ImportWishes { path: absolute(&self.file)?, topics, tags: tags?, again: self.again })
+        let (topics, tags) = (parse::values(&self.topics)?, parse::tags(&self.tags)?);
+        Ok(ImportWishes { path: absolute(&self.file)?, topics, tags, again: self.again })
     }
 }
 
@@ -95,10 +95,8 @@ impl ExportArguments {
             (_, Some(path), _) => (path, RecordingFormat::Mcap),
             (.., Some(path)) => (path, RecordingFormat::Rosbag2),
             (None, None, None) => {
-                return Err(Failure::new(
-                    ErrorKind::Usage,
-                    "give the file with --bag or --mcap, or a folder with --rosbag2",
-                ));
+                let text = "give the file with --bag or --mcap, or a folder with --rosbag2";
+                return Err(Failure::new(ErrorKind::Usage, text));
             }
         };
         Ok(ExportWishes {
@@ -112,11 +110,6 @@ impl ExportArguments {
             unanchored: self.unanchored,
         })
     }
-}
-
-/// The path from the root.
-pub(super) fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }
 
 /// Runs an import; Ctrl-C ends it early, a second one leaves at once.
@@ -177,46 +170,21 @@ pub async fn export(context: Context, arguments: ExportArguments, output: &Outpu
 }
 
 async fn run<A: Ask>(context: Context, ask: A, need: ProfileNeed, output: &Output) -> Result<A::Answer, Failure> {
-    let connection = context.connect(Needs { ros: false, chain: true }).await?;
-    let result = async {
-        context.prepare(&connection.client, need, output).await?;
-        until_done(&connection.client, ask, output).await
+    let words = (
+        "stopping; sealed records are verified first",
+        "stopped early; sealed records are stored, repeat the command to continue",
+    );
+    let until_done = async |client: &Client| {
+        until_done(client, ask, StopCapture, words, output, printed::tell_on(client, LOOK, output)).await
     };
-    let result = result.await;
-    connection.close().await;
-    result
-}
-
-async fn until_done<A: Ask>(client: &Client, ask: A, output: &Output) -> Result<A::Answer, Failure> {
-    let answer = client.ask(ask);
-    tokio::pin!(answer);
-    let (mut asked, mut teller) = (false, Teller::default());
-    loop {
-        tokio::select! {
-            view = &mut answer => return view,
-            () = tokio::time::sleep(LOOK) => teller.tell(client, output).await,
-            ending = crate::cli::serve::asked_to_end() => {
-                if asked || ending == Ending::Ordered {
-                    return Err(Failure::new(ErrorKind::Incomplete, "stopped early; sealed records are stored, repeat \
-                                                                    the command to continue"));
-                }
-                asked = true;
-                output.note("stopping; sealed records are verified first (Ctrl-C again to quit now)");
-                client.ask(StopCapture).await?;
-            }
-        }
-    }
+    context.with(CHAIN, need, output, until_done).await
 }
 
 fn imported(view: &ImportView) -> String {
-    let rows: Vec<Vec<String>> = view
-        .topics
-        .iter()
-        .map(|topic| {
-            vec![topic.topic.clone(), topic.imported.to_string(), topic.verified.to_string(), topic.already.to_string()]
-        })
-        .collect();
-    let mut text = table(&["topic", "captured", "verified", "already there"], &rows);
+    let rows = view.topics.iter().map(|topic| {
+        [topic.topic.clone(), topic.imported.to_string(), topic.verified.to_string(), topic.already.to_string()]
+    });
+    let mut text = table(&["topic", "captured", "verified", "already there"], rows);
     for damage in &view.damages {
         text.push_str(&format!("\nbyte {}: {}", damage.position, damage.text));
     }
@@ -234,9 +202,7 @@ fn imported(view: &ImportView) -> String {
 
 fn import_code(view: &ImportView, output: &Output) -> u8 {
     if view.topics.iter().any(|topic| topic.verified < topic.imported) {
-        output.note(
-            "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them",
-        );
+        output.note(printed::TAMPERED);
         return ErrorKind::Tampered.exit_code();
     }
     let damages = view.damages.len() as u64 + view.more_damages;
@@ -271,12 +237,8 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
 }
 
 fn exported(view: &ExportView) -> String {
-    let rows: Vec<Vec<String>> = view
-        .topics
-        .iter()
-        .map(|topic| vec![topic.topic.clone(), topic.type_name.clone(), topic.messages.to_string()])
-        .collect();
-    let list = table(&["topic", "type", "messages"], &rows);
+    let row = |topic: &ExportedTopic| [topic.topic.clone(), topic.type_name.clone(), topic.messages.to_string()];
+    let list = table(&["topic", "type", "messages"], view.topics.iter().map(row));
     match &view.file {
         Some(file) if view.attachments > 0 => {
             format!("{list}\n{} messages and {} attachments written to {file}", view.messages, view.attachments)

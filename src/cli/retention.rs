@@ -13,6 +13,7 @@ use crate::crypto::Sm3Hasher;
 use crate::model::{ByteSize, Digest, ErrorKind, clean};
 use crate::ros::recording::content_of;
 use crate::service::command::{EraseRecords, ErasureWishes};
+use crate::service::failure::input;
 use crate::service::reply::ErasureView;
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -68,23 +69,16 @@ pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Resu
         sure: yes,
     };
     let asks = !yes && !context.global.json && std::io::stdin().is_terminal();
-    let connection = context.connect(CHAIN).await?;
-    let done = async {
-        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
-        erase(&connection.client, wishes, asks, output).await
-    };
-    let done = done.await;
-    connection.close().await;
-    done
+    let erase = async |client: &Client| erase(client, wishes, asks, output).await;
+    context.with(CHAIN, ProfileNeed::Unlocked, output, erase).await
 }
 
 async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Output) -> Result<u8, Failure> {
     let sure = wishes.sure;
     let view = client.ask(EraseRecords(wishes.clone())).await?;
     if matches_nothing(&view) {
-        let text =
-            "nothing matches: none of your messages is of that topic and time; `authros uploads list` shows them";
-        return Err(Failure::new(ErrorKind::Input, text));
+        let what = "none of your messages is of that topic and time; `authros uploads list` shows them";
+        return Err(input(format!("nothing matches: {what}")));
     }
     let is_sure = asks && view.records > 0 && view.held.is_empty() && {
         output.note(&text(&view));
@@ -104,11 +98,8 @@ fn tag_of(file: &str) -> Result<String, Failure> {
         return Ok(file.to_ascii_lowercase());
     }
     let unreadable = |error: &dyn std::fmt::Display| {
-        let text = format!(
-            "{} cannot be read: {error}; name the file that was imported, or the tag 'recording' of its messages",
-            clean(file, 300)
-        );
-        Failure::new(ErrorKind::Input, text)
+        let advice = "name the file that was imported, or the tag 'recording' of its messages";
+        input(format!("{} cannot be read: {error}; {advice}", clean(file, 300)))
     };
     let mut opened = content_of(Path::new(file)).map_err(|error| unreadable(&error))?;
     let (mut hasher, mut buffer) = (Sm3Hasher::new(), vec![0; 256 * 1024]);

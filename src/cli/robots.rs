@@ -9,18 +9,20 @@ use clap::{Args, Subcommand};
 
 use super::connect::ProfileNeed;
 use super::incidents::moment;
+use super::lists::or_dash;
 use super::parse;
 use super::show::Question;
 use super::verbs::{CHAIN, Plan};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::bytes::unhex;
-use crate::model::{ErrorKind, PublicKey, SignerId, Timestamp, TopicRule, clean};
+use crate::model::{PublicKey, SignerId, TopicRule, clean};
 use crate::service::Failure;
 use crate::service::command::{
     AddDeviceAddress, AddDeviceTopics, LendDevice, ListDevices, ListRobots, Policy, PolicyCommand, PullRing,
     RecallDevice, SetRobotPolicy, ShowRobot,
 };
+use crate::service::failure::input;
 use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
 
 /// `robots …`
@@ -95,17 +97,17 @@ pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
 /// The text of a file, read no further than a policy may be long.
 fn policy_of(file: &Path) -> Result<String, Failure> {
     let shown = clean(&file.display().to_string(), 200);
-    let unread = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{shown} cannot be read: {error}"));
+    let unread = |error: std::io::Error| input(format!("{shown} cannot be read: {error}"));
     let mut text = String::new();
     let most = LONGEST_POLICY as u64 + 1;
-    if file.as_os_str() == "-" {
-        std::io::stdin().take(most).read_to_string(&mut text).map_err(unread)?;
-    } else {
-        std::fs::File::open(file).map_err(unread)?.take(most).read_to_string(&mut text).map_err(unread)?;
-    }
+    let read = match file.as_os_str() == "-" {
+        true => std::io::stdin().take(most).read_to_string(&mut text),
+        false => std::fs::File::open(file).and_then(|file| file.take(most).read_to_string(&mut text)),
+    };
+    read.map_err(unread)?;
     if text.trim().is_empty() {
-        let why = format!("{shown} is empty; `robots policy ROBOT --clear` gives a robot back its own settings");
-        return Err(Failure::new(ErrorKind::Input, why));
+        let advice = "`robots policy ROBOT --clear` gives a robot back its own settings";
+        return Err(input(format!("{shown} is empty; {advice}")));
     }
     Ok(text)
 }
@@ -116,19 +118,19 @@ pub fn all(robots: &[RobotRow]) -> String {
         return "no robots; enrol one with `authros agent enrol`".to_owned();
     }
     let row = |robot: &RobotRow| {
-        vec![
+        [
             robot.name.to_string(),
             or_dash(robot.last_seen),
-            robot.address.clone().unwrap_or_else(|| "-".to_owned()),
+            or_dash(robot.address.as_ref()),
             robot.waiting.to_string(),
-            if robot.wanted == 0 { "-".to_owned() } else { robot.wanted.to_string() },
-            robot.running.map_or_else(|| "-".to_owned(), |version| version.to_string()),
+            or_dash(Some(robot.wanted).filter(|version| *version > 0)),
+            or_dash(robot.running),
             robot.standing.clone(),
             robot.drift_since.map_or_else(String::new, |since| format!("drift since {since}")),
         ]
     };
-    let rows: Vec<Vec<String>> = robots.iter().map(row).collect();
-    table(&["robot", "last seen", "gateway", "waiting", "wanted", "runs", "policy", ""], &rows)
+    let head = ["robot", "last seen", "gateway", "waiting", "wanted", "runs", "policy", ""];
+    table(&head, robots.iter().map(row))
 }
 
 /// One robot.
@@ -150,22 +152,17 @@ pub fn one(view: &RobotView) -> String {
     lines
         .extend(view.gateway.iter().flat_map(|gateway| &gateway.addresses).map(|address| format!("gateway {address}")));
     let counts = |topic: &RobotTopicRow| {
-        let [records, verified, waiting, lost] =
-            [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());
-        vec![topic.topic.clone(), records, verified, waiting, lost]
+        let counts = [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());
+        [vec![topic.topic.clone()], counts.to_vec()].concat()
     };
-    let rows: Vec<Vec<String>> = view.topics.iter().map(counts).collect();
-    if !rows.is_empty() {
-        lines.push(table(&["topic", "messages", "verified", "waiting", "lost"], &rows));
+    if !view.topics.is_empty() {
+        let head = ["topic", "messages", "verified", "waiting", "lost"];
+        lines.push(table(&head, view.topics.iter().map(counts)));
     }
     if !view.policy.is_empty() {
         lines.push(format!("\n{}", view.policy.trim_end()));
     }
     lines.join("\n")
-}
-
-fn or_dash(at: Option<Timestamp>) -> String {
-    at.map_or_else(|| "-".to_owned(), |at| at.to_string())
 }
 
 /// What was asked of a ring.
@@ -264,17 +261,14 @@ fn device_of(text: &str) -> Result<SignerId, Failure> {
     }
     unhex(text).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
         let advice = "a fingerprint alone is not enough to lend to; give the key file";
-        Failure::new(
-            ErrorKind::Input,
-            format!("give a device as 64 hex characters or as the file of its SM2 key; {advice}"),
-        )
+        input(format!("give a device as 64 hex characters or as the file of its SM2 key; {advice}"))
     })
 }
 
 fn public_key(path: &Path) -> Result<PublicKey, Failure> {
-    let broken = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display()));
+    let broken = |error: std::io::Error| input(format!("{}: {error}", path.display()));
     if std::fs::metadata(path).map_err(broken)?.len() > LONGEST {
-        return Err(Failure::new(ErrorKind::Input, format!("{} is too long to be a key", path.display())));
+        return Err(input(format!("{} is too long to be a key", path.display())));
     }
     let bytes = std::fs::read(path).map_err(broken)?;
     if String::from_utf8_lossy(&bytes).contains("BEGIN PUBLIC KEY") {
@@ -286,19 +280,18 @@ fn public_key(path: &Path) -> Result<PublicKey, Failure> {
 
 /// The devices, for people.
 pub fn devices(rows: &[DeviceRow]) -> String {
-    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
     let row = |row: &DeviceRow| {
-        vec![
+        [
             row.device.to_string(),
             row.fingerprint.clone(),
             row.state.clone(),
             row.from.to_string(),
-            or_dash(row.until.map(|until| until.to_string())),
-            or_dash(row.recalled.map(|block| block.to_string())),
+            or_dash(row.until),
+            or_dash(row.recalled),
         ]
     };
-    let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["device", "fingerprint", "state", "from block", "until", "recalled at"], &rows)
+    let head = ["device", "fingerprint", "state", "from block", "until", "recalled at"];
+    table(&head, rows.iter().map(row))
 }
 
 /// From this many bytes a second on, a rate is suggested.
@@ -344,16 +337,15 @@ pub fn show(view: &PolicyView, output: &Output) {
 fn text(view: &PolicyView) -> String {
     let row = |row: &PolicyRow| {
         let rule = row.rule.as_ref();
-        vec![
+        [
             row.topic.clone(),
-            rule.map_or_else(|| "-".to_owned(), |rule| format!("{} (line {})", rule.pattern, rule.line)),
+            or_dash(rule.map(|rule| format!("{} (line {})", rule.pattern, rule.line))),
             rule.map_or_else(|| "everything".to_owned(), terms),
             if row.watched { "watched" } else { "" }.to_owned(),
             row.left_out.to_string(),
         ]
     };
-    let rows: Vec<Vec<String>> = view.topics.iter().map(row).collect();
-    let mut text = table(&["topic", "rule", "kept", "", "skipped"], &rows);
+    let mut text = table(&["topic", "rule", "kept", "", "skipped"], view.topics.iter().map(row));
     for rule in &view.idle {
         text.push_str(&format!("\nno topic now: {} (line {})", rule.pattern, rule.line));
     }
@@ -412,7 +404,7 @@ fn observed(row: &PolicyRow) -> String {
     let (Some(hz), Some(bytes)) = (row.hz, row.bytes_per_second) else {
         return format!("# {}: nothing arrived\n", row.topic);
     };
-    let largest = row.largest.map_or_else(|| "-".to_owned(), |largest| largest.to_string());
+    let largest = or_dash(row.largest);
     format!("# {}: {hz:.1} messages/s, {:.1} KB/s, largest {largest} bytes\n", row.topic, bytes / 1000.0)
 }
 

@@ -1,5 +1,6 @@
 //! `authros serve`: the site without a console, in the background too, and its reports to systemd.
 
+use std::convert::Infallible;
 use std::ffi::OsStr;
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead as _, BufReader, Read as _};
@@ -18,12 +19,12 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast;
 use tokio::task::JoinHandle;
 
-use super::connect::{Context, ProfileNeed};
+use super::connect::{Connection, Context, ProfileNeed};
 use crate::model::ErrorKind;
-use crate::service::command::{ChainStatus, Register};
+use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::internal;
-use crate::service::{Event, Failure, Needs, is_bound};
+use crate::service::{Client, Event, Failure, Needs, is_bound};
 use crate::store::files;
 
 /// `serve …`
@@ -99,61 +100,47 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
     }
     let connection = context.open(Needs { ros: true, chain: true }, output).await.map_err(not_started)?;
     connection.oversee();
-    // Problems during startup are shown too.
-    let events = connection.client.events();
     // If it worked here before, no chain is needed to start.
     let known = is_bound(&context.home) && context.home.keyring(&context.profile).exists();
-    let prepared = async {
-        context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        let client = connection.client.clone();
-        let registering = tokio::spawn(async move { client.ask(Register).await });
-        let patience = if known { PATIENCE } else { Duration::MAX };
-        match tokio::time::timeout(patience, registering).await {
-            Ok(registered) => registered.map_err(|error| internal(error.to_string()))?.map(drop),
-            Err(_) => {
-                output.note(
-                    "authros: this profile's keys are not registered yet; `authros status` says what they wait for",
-                );
-                Ok(())
+    let site = connection.site.clone();
+    let begin = async |client: &Client| {
+        match register(&context, client, known, output).await {
+            // Whatever is wrong with the chain, what is captured meanwhile is kept.
+            Err(failure) if known && client.ask(ChainStatus).await.is_err() => {
+                output.note(&format!("authros: {}; capture goes on without the chain", failure.message));
             }
+            registered => registered.map_err(not_started)?,
         }
-    };
-    // Listened to from here to the end, so that no signal is missed in between.
-    let end = asked_to_end();
-    tokio::pin!(end);
-    let ended = tokio::select! {
-        prepared = prepared => prepared,
-        _ = &mut end => {
-            connection.end().await;
-            return Ok(0);
-        }
-    };
-    match ended {
-        Ok(()) => {}
-        // Whatever is wrong with the chain, what is captured meanwhile is kept.
-        Err(failure) if known && connection.client.ask(ChainStatus).await.is_err() => {
-            output.note(&format!("authros: {}; capture goes on without the chain", failure.message));
-        }
-        Err(failure) => {
-            connection.end().await;
-            return Err(not_started(failure));
-        }
-    }
-    let master = match &connection.site {
-        Some(site) if context.config.ros_master.is_none() => site.ros_uri().await.ok(),
-        _ => context.config.ros_master.clone(),
+        Ok(match site {
+            Some(site) if context.config.ros_master.is_none() => site.ros_uri().await.ok(),
+            _ => context.config.ros_master.clone(),
+        })
     };
     let root = context.home.root().display().to_string();
-    let serving = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
-    output.result(&serving, || {
-        let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
-        format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}", context.profile)
-    });
-    let ready = ready();
-    follow(events, output, end).await;
-    drop(ready);
-    connection.end().await;
-    Ok(0)
+    until_signal(connection, output, begin, |master: Option<String>, _| {
+        let serving = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
+        output.result(&serving, || {
+            let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
+            format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}", context.profile)
+        });
+    })
+    .await
+}
+
+/// Opens the profile and registers it; if it worked here before, that goes on behind after a while.
+async fn register(context: &Context, client: &Client, known: bool, output: &Output) -> Result<(), Failure> {
+    context.prepare(client, ProfileNeed::Made, output).await?;
+    let client = client.clone();
+    let registering = tokio::spawn(async move { client.ask(Register).await });
+    let patience = if known { PATIENCE } else { Duration::MAX };
+    match tokio::time::timeout(patience, registering).await {
+        Ok(registered) => registered.map_err(|error| internal(error.to_string()))?.map(drop),
+        Err(_) => {
+            let advice = "`authros status` says what they wait for";
+            output.note(&format!("authros: this profile's keys are not registered yet; {advice}"));
+            Ok(())
+        }
+    }
 }
 
 /// Nothing continues by itself if nothing runs.
@@ -162,18 +149,110 @@ fn not_started(failure: Failure) -> Failure {
     Failure::new(failure.kind, message)
 }
 
-/// Shows the site's warnings until `end`, or the site's end, including those since `events` were subscribed to.
-pub async fn follow(mut events: broadcast::Receiver<Event>, output: &Output, end: impl Future<Output = Ending>) {
+/// Shows what the site tells from level `least` on, and all that lasts, until `end`, or the site's end, including what
+/// came since `events` were subscribed to.
+pub async fn follow(
+    mut events: broadcast::Receiver<Event>,
+    least: NoticeLevel,
+    output: &Output,
+    end: impl Future<Output = Ending>,
+) {
     tokio::pin!(end);
     loop {
         tokio::select! {
             _ = &mut end => return,
             event = events.recv() => match event {
-                Ok(Event::Notice { at, level, text, about }) if level >= NoticeLevel::Warning || about.is_some() => {
+                Ok(Event::Notice { at, level, text, about }) if level >= least || about.is_some() => {
                     output.notice(at, level, about.as_deref(), &text);
                 }
                 Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
                 Err(broadcast::error::RecvError::Closed) => return,
+            },
+        }
+    }
+}
+
+/// Serves at a site, the running one or this process's own, until a signal, or until that site is gone: `begin` starts it,
+/// and `tell` says what is served, and whether the site was joined.
+///
+/// # Errors
+/// Errors of the beginning; the loss of the site.
+pub async fn until_signal<T>(
+    connection: Connection,
+    output: &Output,
+    begin: impl AsyncFnOnce(&Client) -> Result<T, Failure>,
+    tell: impl FnOnce(T, bool),
+) -> Result<u8, Failure> {
+    // Problems during startup are shown too, and no signal is missed in between.
+    let (joined, events, end) = (connection.site.is_none(), connection.client.events(), asked_to_end());
+    tokio::pin!(end);
+    let begun = tokio::select! {
+        begun = begin(&connection.client) => begun,
+        _ = &mut end => {
+            connection.end().await;
+            return Ok(0);
+        }
+    };
+    match begun {
+        Ok(served) => tell(served, joined),
+        Err(failure) => {
+            connection.end().await;
+            return Err(failure);
+        }
+    }
+    let ready = ready();
+    let ended = tokio::select! {
+        () = follow(events, NoticeLevel::Warning, output, end) => Ok(0),
+        failure = lost(&connection.client), if joined => Err(failure),
+    };
+    drop(ready);
+    connection.end().await;
+    ended
+}
+
+/// Waits until the site is gone: a joined one may end at any time, and what it serves with it.
+async fn lost(client: &Client) -> Failure {
+    loop {
+        tokio::time::sleep(Duration::from_secs(2)).await;
+        if let Err(failure) = client.ask(SiteStatus).await
+            && failure.kind == ErrorKind::Unreachable
+        {
+            return failure;
+        }
+    }
+}
+
+/// How long after an answer something that was said before it may still arrive.
+const LAST_WORDS: Duration = Duration::from_millis(100);
+
+/// Waits for an answer that takes its time, while `meanwhile` goes on for ever. The first Ctrl-C sends `stop` and says what
+/// is still done; a second one, or an order to end, leaves at once, with the other words.
+///
+/// # Errors
+/// Errors of the site, and where it was left.
+pub async fn until_done<A: Ask>(
+    client: &Client,
+    ask: A,
+    stop: impl Ask,
+    (stopping, left): (&str, &str),
+    output: &Output,
+    meanwhile: impl Future<Output = Infallible>,
+) -> Result<A::Answer, Failure> {
+    let (answer, mut stop) = (client.ask(ask), Some(stop));
+    tokio::pin!(answer, meanwhile);
+    loop {
+        tokio::select! {
+            answer = &mut answer => {
+                drop(tokio::time::timeout(LAST_WORDS, meanwhile).await);
+                return answer;
+            }
+            never = &mut meanwhile => match never {},
+            ending = asked_to_end() => match stop.take().filter(|_| ending == Ending::Asked) {
+                Some(stop) => {
+                    output.note(&format!("{stopping} (Ctrl-C again to quit now)"));
+                    client.ask(stop).await?;
+                }
+                None => return Err(Failure::new(ErrorKind::Incomplete, left)),
             },
         }
     }

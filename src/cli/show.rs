@@ -9,6 +9,7 @@ use super::{audit, check, coverage, gateway, incidents, lists, parties, quaranti
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
+use crate::service::failure::input;
 use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow,
@@ -75,13 +76,13 @@ impl Told {
     }
 }
 
-/// Answers that are a document of their own.
+/// Answers that are a document of their own, and the exit code where it depends on them.
 macro_rules! documents {
-    ($($view:ty => $text:path;)+) => {$(
+    ($($view:ty => $text:path $(, $code:path)?;)+) => {$(
         impl Printed for $view {
             fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
                 output.result(&self, || $text(&self));
-                Ok(0)
+                Ok([0_u8, $($code(&self))?].into_iter().sum())
             }
         }
     )+};
@@ -123,6 +124,9 @@ documents! {
     IncidentView => incidents::incident;
     RingPullView => robots::pulled;
     RobotView => robots::one;
+    CompareView => parties::comparison, parties::comparison_code;
+    AuditCheck => audit::check, audit::code;
+    Box<RecordAudit> => check::audit, check::audit_code;
 }
 
 rows! {
@@ -140,27 +144,6 @@ impl Printed for () {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&serde_json::json!({ "ok": true }), || "done".to_owned());
         Ok(0)
-    }
-}
-
-impl Printed for CompareView {
-    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        output.result(&self, || parties::comparison(&self));
-        Ok(parties::comparison_code(&self))
-    }
-}
-
-impl Printed for AuditCheck {
-    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        output.result(&self, || audit::check(&self));
-        Ok(audit::code(&self))
-    }
-}
-
-impl Printed for Box<RecordAudit> {
-    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        output.result(&self, || check::audit(&self));
-        Ok(check::audit_code(&self))
     }
 }
 
@@ -193,9 +176,8 @@ impl Printed for Vec<ExportedFile> {
         std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
         // Nothing is written if any file exists already: files of two records side by side would prove nothing.
         if let Some(there) = self.iter().map(|file| directory.join(&file.name)).find(|path| path.exists()) {
-            let text =
-                format!("{} exists and will not be overwritten; choose another folder with --dir", there.display());
-            return Err(Failure::new(ErrorKind::Input, text));
+            let what = "exists and will not be overwritten; choose another folder with --dir";
+            return Err(input(format!("{} {what}", there.display())));
         }
         for file in &self {
             let path = directory.join(&file.name);
@@ -250,6 +232,7 @@ fn device_addresses(view: &DeviceAddressesView) -> String {
     format!("'{}' uses the first address that answers of {}", view.name, view.gateway.addresses.join(", "))
 }
 
-fn not_written(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::new(ErrorKind::Input, format!("{} cannot be written: {error}", path.display()))
+/// A file that a verb writes cannot be written.
+pub fn not_written(path: &Path, error: &std::io::Error) -> Failure {
+    input(format!("{} cannot be written: {error}", path.display()))
 }

@@ -170,13 +170,11 @@ pub fn plan(verb: &AlertsVerb) -> Plan {
 /// Alerts that stand, for people.
 pub fn standing(view: &AlertsView) -> String {
     let row = |alert: &AlertView| {
-        vec![alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
+        [alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
     };
-    let mut lines = match view.alerts.is_empty() {
-        true => vec!["no active alerts".to_owned()],
-        false => {
-            vec![table(&["since", "severity", "alert", "what"], &view.alerts.iter().map(row).collect::<Vec<_>>())]
-        }
+    let mut lines = match view.alerts.as_slice() {
+        [] => vec!["no active alerts".to_owned()],
+        alerts => vec![table(&["since", "severity", "alert", "what"], alerts.iter().map(row))],
     };
     lines.extend(view.over.iter().map(over));
     lines.push(format!("sent to: {}; {} deliveries pending, {} dropped", view.told, view.waiting, view.dropped));

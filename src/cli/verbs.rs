@@ -12,10 +12,10 @@ use super::{check, follow, lists, parse, passphrase, playing, printed, reading, 
 use crate::model::ErrorKind;
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
-    ListShared, ListTopics, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic, ViewPath,
-    WatchTopic,
+    ListShared, ListTopics, ListUploads, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic,
+    ViewPath, WatchTopic,
 };
-use crate::service::{Command, Failure, Needs, accounts};
+use crate::service::{Client, Command, Failure, Needs, accounts};
 use authros_output::Output;
 
 /// Only the chain.
@@ -98,14 +98,11 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u
 /// # Errors
 /// Errors of the site or the passphrase.
 pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Failure> {
-    let connection = context.connect(NEITHER).await?;
-    let told = async {
+    let create = async |client: &Client| {
         let (passphrase, is_new) = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
-        Ok((Question::from(CreateIdentity { passphrase }).ask(&connection.client).await, is_new))
+        Ok((Question::from(CreateIdentity { passphrase }).ask(client).await, is_new))
     };
-    let told: Result<_, Failure> = told.await;
-    connection.close().await;
-    let (told, is_new) = told?;
+    let (told, is_new) = context.with(NEITHER, ProfileNeed::None, output, create).await?;
     let printed = told.print(None, output);
     printed.inspect_err(|_| passphrase::forget_unused(is_new, &context.home, &context.profile))
 }
@@ -170,7 +167,7 @@ pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
 pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         UploadsVerb::List(list) if list.follow => {
-            return follow::run(context, follow::Which::Uploads, parse::query(&list)?, output).await;
+            return follow::run(context, ListUploads, parse::query(&list)?, output).await;
         }
         UploadsVerb::List(list) => {
             // Tags are found by the profile's own key.
@@ -209,7 +206,7 @@ pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Resu
         SharedVerb::Export(export) => return recordings::export(context, export, output).await,
         SharedVerb::Play(play) => return playing::run(context, play, output).await,
         SharedVerb::List(list) if list.follow => {
-            return follow::run(context, follow::Which::Shared, parse::query(&list)?, output).await;
+            return follow::run(context, ListShared, parse::query(&list)?, output).await;
         }
         SharedVerb::List(list) => reading::plan(ListShared(parse::query(&list)?)),
         SharedVerb::Check { id } => reading::plan(CheckShared { id }),

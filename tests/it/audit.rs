@@ -266,7 +266,7 @@ struct Edit {
     sealed: bool,
 }
 
-const EDITS: [Edit; 21] = [
+const EDITS: [Edit; 23] = [
     edit("captured_at", "UPDATE records SET captured_at = captured_at - 86400000000000 WHERE n = {n}", "captured_at"),
     edit("epoch", "UPDATE records SET epoch = 7 WHERE n = {n}", "epoch"),
     edit("seq", "UPDATE records SET seq = 900 WHERE n = {n}", "seq"),
@@ -279,9 +279,23 @@ const EDITS: [Edit; 21] = [
         "UPDATE records SET stream = (SELECT max(key) FROM streams WHERE topic != {topic}) WHERE n = {n}",
         "topic",
     ),
-    edit("block", "UPDATE records SET block = block + 1 WHERE n = {n}", "block"),
+    edit(
+        "block",
+        "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block + 1, block_hash {its_batch}) WHERE n = {n}",
+        "block",
+    ),
+    edit("batches.block", "UPDATE batches SET block = block + 1 WHERE key = (SELECT batch {its_leaf})", "block"),
+    edit(
+        "batches.block_hash",
+        "UPDATE batches SET block_hash = zeroblob(32) WHERE key = (SELECT batch {its_leaf})",
+        "",
+    ),
     edit("tx", "UPDATE records SET tx = zeroblob(32) WHERE n = {n}", "transaction"),
-    edit("block_hash", "UPDATE records SET block_hash = zeroblob(32) WHERE n = {n}", ""),
+    edit(
+        "block_hash",
+        "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block, zeroblob(32) {its_batch}) WHERE n = {n}",
+        "",
+    ),
     edit("signature", "UPDATE records SET signature = zeroblob(64) WHERE n = {n}", ""),
     edit(
         "recorders.id",
@@ -304,7 +318,7 @@ const EDITS: [Edit; 21] = [
     edit("topics.owner", "UPDATE topics SET owner = zeroblob(20) WHERE key = {topic}", "owner"),
     edit(
         "filters",
-        "UPDATE filters SET filter = x'0102030405060708' WHERE record = {n} AND filter = (SELECT min(filter) FROM filters WHERE record = {n})",
+        "UPDATE filters SET filter = filter + 1000 WHERE record = {n} AND filter = (SELECT min(filter) FROM filters WHERE record = {n})",
         "",
     ),
 ];
@@ -352,6 +366,14 @@ const fn edit(column: &'static str, sql: &'static str, field: &'static str) -> E
     Edit { column, sql, field, sealed: false }
 }
 
+/// An edit's SQL for one record.
+fn statement(edit: &Edit, named: &[(&str, i64)]) -> String {
+    let its_leaf = "FROM leaves WHERE record = {n}";
+    let its_batch = "FROM leaves JOIN batches ON key = batch WHERE record = {n}";
+    let sql = edit.sql.replace("{its_leaf}", its_leaf).replace("{its_batch}", its_batch);
+    named.iter().fold(sql, |sql, (name, key)| sql.replace(name, &key.to_string()))
+}
+
 /// Whether a document shows the record as verified with another value of the field than the true one.
 fn shows_falsely(edit: &Edit, document: &Value, record: &Value) -> bool {
     let verified = is_verified(document) && (document["verdict"].is_null() || document["verdict"] == "verified");
@@ -391,8 +413,7 @@ fn no_edited_column_is_shown_as_verified() {
     for edit in &EDITS {
         let column = edit.column;
         let connection = rusqlite::Connection::open(&ledger).expect("opens");
-        let named = [("{n}", n), ("{stream}", stream), ("{topic}", topic)];
-        let sql = named.iter().fold(edit.sql.to_owned(), |sql, (name, key)| sql.replace(name, &key.to_string()));
+        let sql = statement(edit, &[("{n}", n), ("{stream}", stream), ("{topic}", topic)]);
         connection.execute_batch(&sql).expect(column);
         connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)").expect("one file");
         drop(connection);

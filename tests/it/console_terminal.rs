@@ -180,7 +180,7 @@ fn the_smallest_terminal_shows_every_screen_and_a_smaller_one_says_so() {
     let home = Home::new();
     let mut console = Console::open_in(&Terminal::of(60, 18), &one_robot(&home), &[]);
     console.wait_for("Overview", 30);
-    for screen in Screen::ALL {
+    for screen in Screen::all() {
         console.press(&(screen.index() + 1).to_string());
         console.wait_for(screen.title(), 30);
     }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use authros::model::Timestamp;
 use authros::ros::bag::BagWriter;
 use authros::ros::mcap::{McapReader, McapWriter};
-use authros::ros::recording::{BESIDE, Beside, Channel, ChunkCompression, Encoding};
+use authros::ros::recording::{BESIDE, Beside, Channel, ChunkCompression, Encoding, RecordingReader as _};
 use serde_json::{Value, json};
 use support::ros2::{beside_by_others, others_can_read};
 use support::{Authros, Home, count, list, skipped, text, two_profiles};

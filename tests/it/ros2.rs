@@ -10,7 +10,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use authros::ros::mcap::McapReader;
-use authros::ros::recording::RecordedMessage;
+use authros::ros::recording::{RecordedMessage, RecordingReader as _};
 use serde_json::{Value, json};
 use support::ros2::{others_can_read, read_by_others};
 use support::{Authros, Home, count, list, skipped, text};

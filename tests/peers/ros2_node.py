@@ -2,6 +2,7 @@
 
     ros2_node.py publish TOPIC [--rate HZ] [--number N] [--keep-all] [--depth N] [--best-effort] [--latched] [--size BYTES] [--name NODE]
                               [--topics N] (N of them, named TOPIC0 and so on)
+                              [--patient] (begins a second after somebody came; at its end tells what it sent once all is acknowledged)
     ros2_node.py subscribe TOPIC [--seconds S] (and the options of QoS)
 
 Messages are std_msgs/String. Prints one JSON object a line: {"ready": true}; {"sent": n, "at": seconds} ten times a second;
@@ -16,6 +17,7 @@ import threading
 import time
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
@@ -33,7 +35,7 @@ parser.add_argument("--seconds", type=float, default=FOR_EVER)
 parser.add_argument("--depth", type=int, default=10)
 parser.add_argument("--size", type=int, default=0)
 parser.add_argument("--topics", type=int, default=1)
-for flag in ("--keep-all", "--best-effort", "--latched"):
+for flag in ("--keep-all", "--best-effort", "--latched", "--patient"):
     parser.add_argument(flag, action="store_true")
 asked = parser.parse_args()
 printing = threading.Lock()
@@ -71,10 +73,16 @@ def publish(node):
     names = [asked.topic] if asked.topics == 1 else [f"{asked.topic}{number}" for number in range(asked.topics)]
     publishers = [node.create_publisher(String, name, quality()) for name in names]
     say(ready=True)
+    while asked.patient and not over.is_set() and publishers[0].get_subscription_count() == 0:
+        over.wait(TICK)
+    over.wait(1 if asked.patient else 0)
     begun, told = time.monotonic(), 0.0
     for number in range(asked.number):
         wait = begun + number / asked.rate - time.monotonic()
         if over.wait(max(wait, 0)) if wait > 0 else over.is_set():
+            if asked.patient:
+                publishers[0].wait_for_all_acked(Duration(seconds=30))
+                say(sent=number)
             return
         try:
             for publisher in publishers:
@@ -85,7 +93,7 @@ def publish(node):
         if time.monotonic() - told >= TICK:
             told = time.monotonic()
             say(sent=number + 1, at=time.time())
-    say(done=asked.number, seconds=time.monotonic() - begun)
+    say(done=asked.number, sent=asked.number, seconds=time.monotonic() - begun)
 
 
 def subscribe(node):

@@ -80,6 +80,13 @@ impl Node {
         found.unwrap_or_else(|| panic!("{what} within {seconds} s: {side} {:?}", self.others(side)))
     }
 
+    /// Ends it in order, if it is a patient one; what it sent, all of which is acknowledged.
+    pub fn ends_having_sent(self) -> u64 {
+        let said = self.0.stop("TERM", 60).expect_code(0).stdout;
+        let lines = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        lines.filter_map(|line| line["sent"].as_u64()).next_back().expect("it says what it sent")
+    }
+
     /// Ends it in order.
     pub fn end(self) {
         self.0.stop("TERM", 20).expect_code(0);

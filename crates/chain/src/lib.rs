@@ -20,7 +20,6 @@ mod state_proof;
 mod tests;
 mod transaction;
 mod transport;
-pub mod web;
 
 use std::fmt;
 use std::path::PathBuf;
@@ -32,7 +31,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use crate::connect::{DEFAULT_DELAY, Deployment, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
-pub use crate::crypto::merkle;
+pub use crate::crypto::{AnchorProof, merkle};
 pub use crate::embedded::check_embedded_chain;
 pub use crate::error::{ChainError, SEAL_ANEW, explain, passed_by};
 pub use crate::event::{AT_ONCE, BlockEvents, Completeness, Event, NEAR};
@@ -44,7 +43,6 @@ pub use crate::model::Consensus;
 pub use crate::reader::Nonces;
 pub use crate::relay::{Relay, RelayError, RelayLine};
 pub use crate::sealing::{MEASURED, SealedBy, SealerKind, Sealing};
-pub use crate::state_proof::AnchorProof;
 
 use crate::model::{Address, Digest, Domain, Hash, Identity, Timestamp, Token};
 

@@ -19,7 +19,7 @@ use self::socket::{Address, Http, Kept, Local, Place, Server, WebSocket};
 use crate::embedded::{Embedded, Fault};
 use crate::model::clean;
 use crate::relay::RelayLine;
-use crate::{ChainError, Endpoint, web};
+use crate::{ChainError, Endpoint};
 
 /// The most requests to a node at a time; further ones wait.
 const TOGETHER: usize = 8;
@@ -381,7 +381,7 @@ impl Refused<'_> {
     }
 
     fn redirect(&self, server: &Server) -> TransportError {
-        let place = web::redirected(&server.url, self.location);
+        let place = authros_tls::redirected(&server.url, self.location);
         let reason = format!("points at {place} (HTTP {}), which is not followed", self.status);
         TransportError::Unusable { reason, advice: "write that address into `chain.url`".to_owned() }
     }
@@ -395,9 +395,9 @@ impl Refused<'_> {
 
 /// A connection that broke: by TLS, or by something else.
 fn broken(error: &(dyn Error + 'static)) -> TransportError {
-    match web::tls_fault(error, ROOTS) {
+    match authros_tls::tls_fault(error, ROOTS) {
         Some(fault) => TransportError::Unusable { reason: fault.reason, advice: fault.advice },
-        None => TransportError::Broken(web::innermost(error)),
+        None => TransportError::Broken(authros_tls::innermost(error)),
     }
 }
 

@@ -3,6 +3,7 @@
 #![doc = include_str!("../README.md")]
 #![warn(missing_docs, clippy::missing_errors_doc)]
 
+mod anchor_proof;
 pub mod compression;
 pub mod der;
 #[cfg(test)]
@@ -42,6 +43,7 @@ mod vector_tests;
 
 use authros_model as model;
 
+pub use crate::anchor_proof::AnchorProof;
 pub use crate::der::{signature_der, signature_from_der};
 pub use crate::enrolment::{
     Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, LastNotice, Notice, SealedEnrolment, SealingKey,

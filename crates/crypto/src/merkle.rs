@@ -63,7 +63,8 @@ fn hashes(inputs: impl Iterator<Item = Vec<u8>>) -> Vec<Hash> {
     sm3_many(&inputs).into_iter().map(Hash).collect()
 }
 
-fn node(left: &Hash, right: &Hash) -> Hash {
+/// The node above two others.
+pub fn node(left: &Hash, right: &Hash) -> Hash {
     Hash(sm3(&[NODE, &left.0, &right.0]))
 }
 

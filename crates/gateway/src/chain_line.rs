@@ -7,12 +7,12 @@ use async_trait::async_trait;
 use serde_json::Value;
 use tokio::sync::Mutex;
 
-use crate::chain::{Relay, RelayError};
 use crate::client::{Client, Credentials, Endpoint};
 use crate::command::Relayed;
 use crate::error::{Code, GatewayError};
 use crate::hello::Agreed;
 use crate::model::ProfileName;
+use crate::model::relay::{Relay, RelayError};
 use crate::trust::KeptTrust;
 
 /// A client's own requests to the chain behind a gateway.

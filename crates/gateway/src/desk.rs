@@ -7,8 +7,8 @@ use async_trait::async_trait;
 use serde_json::Value;
 use tokio::sync::watch;
 
-use crate::chain::RelayError;
 use crate::crypto::{SealedRecord, TransportKey};
+use crate::model::relay::RelayError;
 use crate::model::{
     Address, Digest, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
@@ -148,7 +148,7 @@ pub trait Desk: Send + Sync + 'static {
     async fn network_name(&self) -> Result<NetworkName, Refusal>;
 
     /// Passes a JSON-RPC request on to the chain, for an authenticated caller or (`None`) for a visitor without a
-    /// transport key. What may pass is decided by [`crate::chain::relay::examine`].
+    /// transport key. What may pass is decided by the chain's client.
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
 
     /// Erases here what the caller had erased at home; returns what becomes of each record, in order. `NotAuthorised` if one

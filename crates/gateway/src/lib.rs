@@ -3,7 +3,6 @@
 //! the server with its `Desk` and the client over TCP.
 
 use crate as gateway;
-use authros_chain as chain;
 use authros_crypto as crypto;
 use authros_model as model;
 // Fixtures shared with other crates' tests refer to this crate by the name those use.

@@ -14,6 +14,7 @@ pub mod header;
 pub mod party;
 pub mod publisher;
 pub mod recorder_words;
+pub mod relay;
 pub mod retention;
 mod robot_policy;
 pub mod span;

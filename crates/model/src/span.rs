@@ -184,6 +184,12 @@ impl Timestamp {
         Self(self.0.saturating_add(length)).to_whole_second()
     }
 
+    /// With exactly three digits of its second, so that columns stand still: `2026-11-22T03:43:21.549Z`.
+    pub fn in_milliseconds(self) -> String {
+        let second = Self::from_seconds(self.seconds()).to_string();
+        format!("{}.{:03}Z", second.trim_end_matches('Z'), self.0 / 1_000_000 % 1_000)
+    }
+
     /// `HH:MM:SS`, UTC, for narrow columns.
     pub fn clock(self) -> String {
         let day = self.seconds() % 86_400;
@@ -218,6 +224,18 @@ impl<'de> Deserialize<'de> for Timestamp {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn moments_in_a_column_have_one_width() {
+        for (nanoseconds, text) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (1_700_000_000_123_456_789, "2023-11-14T22:13:20.123Z"),
+            (1_700_000_000_999_999_999, "2023-11-14T22:13:20.999Z"),
+            (1_700_000_000_040_000_000, "2023-11-14T22:13:20.040Z"),
+        ] {
+            assert_eq!(Timestamp(nanoseconds).in_milliseconds(), text);
+        }
+    }
 
     #[test]
     fn the_last_moment_of_the_ledger_has_none_after_it() {

@@ -115,15 +115,9 @@ fn to_stderr(line: &str) {
 
 /// One JSON object on one line, without anything that terminals interpret.
 pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> String {
-    let milliseconds = at.0 / 1_000_000 % 1_000;
-    let seconds = Timestamp::from_seconds(at.seconds()).to_string();
     let line = Line {
-        time: format!("{}.{milliseconds:03}Z", seconds.trim_end_matches('Z')),
-        level: match level {
-            NoticeLevel::Info => "info",
-            NoticeLevel::Warning => "warning",
-            NoticeLevel::Error => "error",
-        },
+        time: at.in_milliseconds(),
+        level: level.word(),
         source: clean(source, 200),
         message: &clean_lines(text, WIDEST),
     };
@@ -132,8 +126,9 @@ pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> 
 
 /// Columns of text, each as wide as its widest cell of at most [`WIDEST_CELL`] characters: a longer one moves what follows
 /// in its own line, and in no other. A cell stays on its line, whatever is in it.
-pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
-    let rows: Vec<Vec<String>> = rows.iter().map(|row| row.iter().map(|cell| clean(cell, WIDEST)).collect()).collect();
+pub fn table<R: AsRef<[String]>>(head: &[&str], rows: impl IntoIterator<Item = R>) -> String {
+    let cleaned = |row: R| row.as_ref().iter().map(|cell| clean(cell, WIDEST)).collect();
+    let rows: Vec<Vec<String>> = rows.into_iter().map(cleaned).collect();
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
         let cells = cells.filter(|width| *width <= WIDEST_CELL);

@@ -77,10 +77,10 @@ pub enum Told {
         /// Whether it can open no file and no local socket.
         confined: bool,
     },
-    /// The domain is joined; if the child is killed, its supervisor announces that this participant is gone.
+    /// Its participants in the domain, at each change; if the child is killed, its supervisor announces that they are gone.
     Joined {
-        /// The prefix of its ids, 12 bytes as hex.
-        participant: String,
+        /// The prefixes of their ids, 12 bytes as hex: one, and for a while the one that replaces it.
+        participants: Vec<String>,
     },
     /// A publisher appeared, or changed its offer.
     WriterHere(Writer),

@@ -141,7 +141,7 @@ impl Anchorer {
         owner: Address,
         look: bool,
     ) -> Result<Option<WaitingBatch>, PipelineError> {
-        let first = || block_in_place(|| plant.ledger.batches.waiting(owner, 1)).map(|found| found.first().copied());
+        let first = || plant.ledger.batches.waiting(owner, 1).map(|found| found.first().copied());
         let found = first()?;
         if found.is_none() || !look {
             return Ok(found);
@@ -242,7 +242,7 @@ async fn send(
 ) -> Result<Round, PipelineError> {
     // Held from checking what is open until the next one is signed, so that the chain of roots does not fork.
     let held = sender.lane(&network.chain, lane).await;
-    let open = block_in_place(|| plant.ledger.batches.open_roots(lane.address()))?;
+    let open = plant.ledger.batches.open_roots(lane.address())?;
     let previous = match open.last() {
         Some(root) => *root,
         None => network.chain.anchor_head(lane.address()).await?,
@@ -269,7 +269,7 @@ async fn one_by_one(
     if room == 0 {
         return Ok(Round::wait(IDLE));
     }
-    let rows = block_in_place(|| plant.ledger.records.in_state(Some(owner), RecordState::Stored, room))?;
+    let rows = plant.ledger.records.in_state(Some(owner), RecordState::Stored, room)?;
     let mut uploads = Vec::with_capacity(rows.len());
     for row in &rows {
         let token = block_in_place(|| kept::token(&plant.ledger.rights, &network.directory, row.owner, row.epoch))?;
@@ -306,9 +306,6 @@ pub fn extra(owner: &EoaSecret, domain: &Domain, lanes: u8) -> Result<Vec<EoaSec
 
 /// Makes an extra account ready to anchor: with ether if the chain requires it, and registered. Returns whether it is ready
 /// now; what is missing is done when this is called again.
-///
-/// # Errors
-/// Errors of chain and ledger, and `NoEther` if the owner cannot pay.
 pub async fn ensure_ready(
     plant: &Plant,
     network: &Network,
@@ -350,10 +347,7 @@ async fn provide(
 ) -> Result<(), PipelineError> {
     let (chain, account) = (&network.chain, key.address());
     // A transfer still waiting for its block is not in the balance yet.
-    if block_in_place(|| plant.ledger.lanes.open_lane(owner.address))?
-        .iter()
-        .any(|row| row.purpose == PROVISION_PURPOSE)
-    {
+    if plant.ledger.lanes.open_lane(owner.address)?.iter().any(|row| row.purpose == PROVISION_PURPOSE) {
         return Ok(());
     }
     let price = match sender.policy().fresh(&chain.market().await?) {

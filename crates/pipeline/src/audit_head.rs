@@ -18,9 +18,6 @@ pub(super) const TOPIC: &str = "authros/audit";
 const MOST_HEADS: usize = 100;
 
 /// The head (number of lines, hash) in an account's newest record, as noted in the ledger; needs no key.
-///
-/// # Errors
-/// Errors of the ledger, also if the note cannot be read.
 pub fn noted(notes: &Notes, owner: Address) -> Result<Option<(u64, Digest)>, StoreError> {
     Ok(notes.read(&StatedAuditHead { owner })?.map(|last| (last.line, last.hash)))
 }
@@ -89,7 +86,7 @@ pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
         newest_first: true,
         ..RecordQuery::default()
     };
-    let page = tokio::task::block_in_place(|| reader.plant.ledger.records.list(&query))?;
+    let page = reader.plant.ledger.records.list(&query)?;
     let mut heads = Heads::default();
     for row in &page.rows {
         match open(reader, row).await {

@@ -11,7 +11,6 @@ use super::epoch::EpochKeys;
 
 /// The owner of the records, with the keys in use.
 pub struct Author {
-    /// The owner's EOA.
     pub address: Address,
     sealing: RwLock<Sealing>,
 }

@@ -87,7 +87,6 @@ pub enum Policy {
 pub enum ReadingRight {
     /// The records are the reader's own.
     Own,
-    /// By this grant.
     Granted(Box<Granted>),
 }
 
@@ -125,9 +124,6 @@ pub enum ReadRefused {
 }
 
 /// Whether `reader` may read `owner`'s records of a topic (of any topic, if `topic` is `None`).
-///
-/// # Errors
-/// [`ReadRefused`] with the reason.
 pub fn may_read(
     directory: &Directory,
     reader: Address,
@@ -278,7 +274,6 @@ pub enum NoRight {
     /// The device's loan had ended.
     #[error("the signer is a device that {owner} had lent until {until}, but the anchoring block is dated {time}")]
     Ended { owner: Address, until: Timestamp, time: Timestamp },
-    /// None of these.
     #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
     Unknown { owner: Address, block: Option<u64> },
     /// The device was lent, but its public key is not known here.
@@ -302,9 +297,6 @@ pub fn is_lent(directory: &Directory, lending: &Lending) -> bool {
 }
 
 /// Whether the key with this id could sign for `owner` at a given moment.
-///
-/// # Errors
-/// [`NoRight`] with the reason.
 pub fn may_sign(directory: &Directory, owner: Address, signer: SignerId, at: Moment) -> Result<SigningRight, NoRight> {
     let right = directory.with_account(owner, |account| by_block(account, owner, signer, at.block))?;
     in_time(right, owner, at.time)
@@ -409,9 +401,6 @@ pub fn signer_of(
 }
 
 /// Like [`signer_of`], without the reason.
-///
-/// # Errors
-/// See [`signer_of`].
 pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>, PipelineError> {
     Ok(signer_of(plant, network, row)?.ok())
 }
@@ -428,9 +417,6 @@ fn ever(account: Option<&Account>, owner: Address, signer: SignerId) -> Result<S
 
 /// Holds back what `keeper` would anchor although its signer may not sign now, and releases what waited for a right
 /// that is back. To be called before anything is anchored.
-///
-/// # Errors
-/// Errors of the ledger; the next call does what is left.
 pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<(), PipelineError> {
     for waiting in plant.ledger.batches.waiting_signers(keeper)? {
         let now = Moment::newest(network.directory.now());

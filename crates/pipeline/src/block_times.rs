@@ -67,9 +67,6 @@ impl Network {
     }
 
     /// Like [`Network::time_of`], for tasks.
-    ///
-    /// # Errors
-    /// See [`Network::time_of`].
     pub async fn ask_time(&self, block: u64) -> Result<Timestamp, PipelineError> {
         if let Some(time) = self.times.of(block) {
             return Ok(time);

@@ -23,11 +23,9 @@ const ATTEMPTS: u32 = 3;
 pub struct Shown {
     /// The owner of the record.
     pub owner: Address,
-    /// Who signed it.
     pub signer: SignerId,
     /// The version of the owner's keys at the block; 0 if it was not registered then.
     pub keys: u64,
-    /// Its anchor.
     pub anchor: Anchor,
 }
 
@@ -40,7 +38,6 @@ pub enum Anchor {
     Root(Address, Hash),
 }
 
-/// A round's result.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Collected {
     /// Batches whose proofs are kept now.
@@ -98,7 +95,7 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
     let head = network.chain.head().await?.number;
     let confirmed = (head + 1).saturating_sub(network.confirmations);
     let mut blocks: BTreeMap<(u64, Hash), Vec<UnprovenBatch>> = BTreeMap::new();
-    for batch in block_in_place(|| plant.ledger.proofs.unproven_batches(confirmed, AT_ONCE))? {
+    for batch in plant.ledger.proofs.unproven_batches(confirmed, AT_ONCE)? {
         blocks.entry((batch.block, batch.block_hash)).or_default().push(batch);
     }
     rounds.attempts.retain(|block, _| blocks.keys().any(|(known, _)| known == block));
@@ -119,7 +116,7 @@ pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> R
                 let attempt = rounds.attempts.entry(at.0).or_default();
                 *attempt += 1;
                 if *attempt >= ATTEMPTS {
-                    block_in_place(|| plant.ledger.proofs.miss_chain_proof(keys))?;
+                    plant.ledger.proofs.miss_chain_proof(keys)?;
                     collected.missed += count;
                 }
                 collected.problem = Some(why);
@@ -144,14 +141,14 @@ impl Rounds {
 
     async fn keep_headers(&mut self, plant: &Plant, network: &Network, confirmed: u64) -> Result<(), PipelineError> {
         if self.further.is_none()
-            && let Some(newest) = block_in_place(|| plant.ledger.proofs.chain_proof_counts())?.newest
+            && let Some(newest) = plant.ledger.proofs.chain_proof_counts()?.newest
         {
             // A process that ended before may have left some.
             self.await_after(network, newest).await?;
         }
         while let Some(block) = self.awaited.first().copied().filter(|block| *block <= confirmed) {
             if let Ok(Some(header)) = refusal(network.chain.header_rlp(block).await)? {
-                block_in_place(|| plant.ledger.proofs.keep_chain_header(block, header))?;
+                plant.ledger.proofs.keep_chain_header(block, header)?;
             }
             self.awaited.remove(&block);
         }
@@ -228,27 +225,21 @@ fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, 
 }
 
 /// A block's header, RLP: from the chain, or as it was kept where that cannot be asked.
-///
-/// # Errors
-/// Errors of ledger and chain.
 pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Result<Option<Vec<u8>>, PipelineError> {
     match network.absent {
         None => Ok(network.chain.header_rlp(block).await?),
-        Some(_) => Ok(block_in_place(|| plant.ledger.proofs.chain_header(block))?),
+        Some(_) => Ok(plant.ledger.proofs.chain_header(block)?),
     }
 }
 
 /// The kept nodes that show these slots in the state after a block, as the chain has it now; `None` if not all are kept.
-///
-/// # Errors
-/// Errors of ledger and chain.
 pub(crate) async fn kept(
     plant: &Plant,
     network: &Network,
     block: u64,
     slots: &[Slot],
 ) -> Result<Option<Nodes>, PipelineError> {
-    let Some(kept) = block_in_place(|| plant.ledger.proofs.chain_proof(block))? else { return Ok(None) };
+    let Some(kept) = plant.ledger.proofs.chain_proof(block)? else { return Ok(None) };
     let header = header(plant, network, block).await?.and_then(|bytes| BlockHeader::parse(&bytes));
     let Some(header) = header.filter(|header| header.hash == kept.hash) else { return Ok(None) };
     let Some(pin) = network.chain.pin() else { return Ok(None) };
@@ -276,15 +267,12 @@ pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {
 
 /// Asks the chain whether the record's block has the root of its batch over the number of leaves its path was made for,
 /// and otherwise whether the owner uploaded the digest itself there.
-///
-/// # Errors
-/// Errors of chain and ledger.
 pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
     if fault::is_off("anchor") {
         return Ok(true);
     }
     let chain = &network.chain;
-    let placed = block_in_place(|| plant.ledger.records.placed(row.digest))?;
+    let placed = plant.ledger.records.placed(row.digest)?;
     // Its row may have moved since it was read: its block is the one of the place's own moment.
     let (anchored, place) = placed.map_or((row.block, None), |placed| (placed.row.block, placed.place));
     if let Some(place) = place
@@ -300,9 +288,6 @@ pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> R
 
 /// Whether an account anchored a root over this many leaves in this very block: for the first time, according to the
 /// contract's state, or again, according to the block's events.
-///
-/// # Errors
-/// Errors of the chain.
 pub async fn is_root_in(
     chain: &Chain,
     account: Address,
@@ -321,17 +306,11 @@ pub async fn is_root_in(
 }
 
 /// What the ledger itself knows: the watcher saw the record's anchor, and if that is a root the path leads to it.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError> {
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }
 
 /// Like [`was_sighted`], for many records in their order; the ledger is asked once.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, PipelineError> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
     let sighted = |(row, placed): (&&RecordRow, Option<PlacedRecord>)| {

@@ -164,11 +164,9 @@ impl Heads {
 
 /// What rows are compared with.
 pub struct Comparison<'a> {
-    /// The store.
     pub plant: &'a Plant,
     /// The keys for sealed heads.
     pub keys: &'a dyn Keys,
-    /// Heads opened before.
     pub heads: &'a Heads,
     /// The filters by which the rows were found: each header must have them.
     pub filters: &'a [FilterChoice],
@@ -177,9 +175,6 @@ pub struct Comparison<'a> {
 impl Comparison<'_> {
     /// Compares rows with the first bytes of their records. If these cannot be read, rows are shown as they are in the
     /// ledger alone.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn of(&self, rows: Vec<RecordRow>) -> Result<Vec<Shown>, StoreError> {
         let unknown: Vec<Digest> =
             rows.iter().map(|row| row.digest).filter(|digest| self.heads.of(*digest).is_none()).collect();
@@ -406,8 +401,14 @@ pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> O
     if !chain_proofs::is_included(place, row) {
         return Some("place in its batch");
     }
-    if row.block.is_none() || place.block.is_none() {
-        return None;
+    // While blocks are replaced, what is known of them is not of one moment.
+    if place.is_contradicted && row.state == RecordState::Verified {
+        return Some("block");
+    }
+    place.block?;
+    // A transaction of its own that is in no block stands before the batch's only until the batch is in one.
+    if row.block.is_none() {
+        return Some("transaction");
     }
     let (same_block, same_transaction) = (row.block == place.block, row.transaction == place.transaction);
     match (same_block, same_transaction) {

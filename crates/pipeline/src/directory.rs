@@ -27,9 +27,7 @@ use crate::model::{Address, Domain, GrantTerms, Hash, Identity, PublicKey, Signe
 pub struct IdentityAt {
     /// Block of the registration or key rotation.
     pub block: u64,
-    /// P_C.
     pub signing: PublicKey,
-    /// P_E.
     pub envelope: PublicKey,
     /// Whether the proof verifies.
     pub proven: bool,
@@ -62,15 +60,12 @@ pub struct Suspension {
 /// What the chain knows of one account.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Account {
-    /// Identities, oldest first.
     pub identities: Vec<IdentityAt>,
-    /// Current epoch.
     pub epoch: u64,
     /// Its token; for earlier ones see [`kept::token`].
     pub token: Option<Token>,
     /// Loans of devices that may sign, oldest first.
     pub devices: Vec<Lending>,
-    /// Suspensions, oldest first.
     pub suspensions: Vec<Suspension>,
     /// Who may stop a succession of it, as named by its owner; `None` = never anyone.
     pub recovery: Option<Recovery>,
@@ -129,7 +124,6 @@ pub struct Directory {
 }
 
 impl Directory {
-    /// An empty directory.
     pub fn new(domain: Domain, provider: &'static dyn Provider) -> Self {
         Self { domain, provider, state: RwLock::default(), head_time: AtomicU64::new(0) }
     }
@@ -222,9 +216,6 @@ impl Directory {
     }
 
     /// The account's current identity.
-    ///
-    /// # Errors
-    /// `Unregistered` if there is none, `BadIdentity` if its proof does not verify.
     pub fn identity(&self, owner: Address) -> Result<IdentityAt, PipelineError> {
         let account = self.account(owner).ok_or(PipelineError::Unregistered(owner))?;
         let identity = account.identities.last().cloned().ok_or(PipelineError::Unregistered(owner))?;
@@ -255,7 +246,6 @@ impl Directory {
         same.last().map_or(0, |identity| identity.block)
     }
 
-    /// The administrator's decisions.
     pub fn administration(&self) -> Administration {
         self.state.read().unwrap_or_else(PoisonError::into_inner).administration.clone()
     }
@@ -394,12 +384,10 @@ pub struct Extension {
     pub block: u64,
 }
 
-/// A grant.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Granted {
     /// The terms of the grant, as its envelopes repeat them; for its end see [`Granted::expiry`].
     pub terms: GrantTerms,
-    /// The last extension.
     pub extended: Option<Extension>,
     /// Block of the grant.
     pub block: u64,

@@ -38,9 +38,6 @@ pub fn ask(notes: &Notes, number: u64, span: &RingSpan) -> Result<(), PipelineEr
 }
 
 /// The spans asked for and not brought in yet, the oldest request first.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn waiting(notes: &Notes) -> Result<Vec<RingSpan>, StoreError> {
     Ok(notes.read(&AskedSpans {})?.unwrap_or_default().into_iter().map(|asked| asked.span).collect())
 }
@@ -50,7 +47,6 @@ pub fn waiting(notes: &Notes) -> Result<Vec<RingSpan>, StoreError> {
 pub struct Brought {
     /// Messages that are in the outbox now and were not before.
     pub messages: u64,
-    /// Their topics.
     pub topics: BTreeSet<String>,
 }
 
@@ -61,7 +57,6 @@ struct Work {
     brought: Brought,
 }
 
-/// One step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Step {
     /// Nothing is asked for.
@@ -91,9 +86,6 @@ impl Pulls {
     }
 
     /// Does a little, at most one file of the ring.
-    ///
-    /// # Errors
-    /// Errors of ring and store; the next step tries the same again.
     pub fn step(&mut self) -> Result<Step, PipelineError> {
         let Some(mut work) = self.take_work()? else { return Ok(Step::Idle) };
         let Some(part) = work.parts.front().copied() else {

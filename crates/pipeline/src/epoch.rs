@@ -15,7 +15,6 @@ use crate::store::FilterChoice;
 
 /// What sealing a topic's records requires.
 pub struct TopicKeys {
-    /// The topic's pseudonym.
     pub id: TopicId,
     /// Seals its records in this epoch.
     pub key: TopicKey,
@@ -41,15 +40,11 @@ impl Filters {
 
 /// Everything that seals records in one epoch.
 pub struct EpochKeys {
-    /// The network.
     pub domain: Domain,
-    /// The epoch's number.
     pub epoch: u64,
-    /// Its public commitment.
     pub token: Token,
     /// When sealing under it must end, if that is known; an owner has the next one ready by then.
     pub ends: Option<Timestamp>,
-    /// Signs records.
     pub signing: Arc<SmKeyPair>,
     /// SM3 of the signing key.
     pub signer: SignerId,

@@ -14,17 +14,12 @@ const MOST: usize = 16;
 /// A record that claims a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Claim {
-    /// Its owner.
     pub owner: Address,
     /// SM3 of the key that signed it.
     pub signer: SignerId,
-    /// The recorder.
     pub recorder: RecorderId,
-    /// Its topic.
     pub topic: TopicId,
-    /// Its number.
     pub number: u64,
-    /// Its digest.
     pub digest: Digest,
     /// That key's signature over the digest.
     pub signature: Signature,
@@ -41,9 +36,6 @@ impl Claim {
 
 /// Reports a refused record whose number belongs to another one; the caller must have checked both signatures. Returns
 /// whether this is such a case, reported before or not.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
     let held =
         plant.ledger.inspection.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;

@@ -14,10 +14,8 @@ pub enum PipelineError {
     /// A key, seal or signature.
     #[error(transparent)]
     Crypto(#[from] CryptoError),
-    /// The store.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Node or contract.
     #[error(transparent)]
     Chain(#[from] ChainError),
     /// The account has not registered an identity on the contract.
@@ -33,14 +31,7 @@ pub enum PipelineError {
     BadIdentity(Address),
     /// The owner, who would have to grant access.
     #[error("{owner} does not share {what} with {reader}; ask for `authros grant {reader}`")]
-    NotGranted {
-        /// The reader.
-        owner: Address,
-        /// What was requested.
-        reader: Address,
-        /// What was asked.
-        what: String,
-    },
+    NotGranted { owner: Address, reader: Address, what: String },
     /// There is no such record, or it is not shared.
     #[error("there is no record '{0}' here; `authros uploads list` and `authros shared list` show those there are")]
     NoRecord(String),
@@ -49,12 +40,7 @@ pub enum PipelineError {
         "the ledger was altered: record {id} differs from its row in its {field}, so it is not shown; `authros audit` \
          lists every such row; restore the ledger from a backup"
     )]
-    RowDiffers {
-        /// The record.
-        id: String,
-        /// The field.
-        field: &'static str,
-    },
+    RowDiffers { id: String, field: &'static str },
     /// The store no longer holds a record.
     #[error(
         "the ciphertext of record {0} is missing from the store; restore it from a backup (its digest is still on the \
@@ -73,7 +59,6 @@ pub enum PipelineError {
          its message does not"
     )]
     Erased {
-        /// The record.
         id: String,
         /// `erased`, when, by whom and why.
         erasure: String,
@@ -136,12 +121,7 @@ pub enum PipelineError {
     },
     /// A record whose signer had no right at the block that anchors it.
     #[error("record {id} is not verified: {why}; ask its owner whether it has been anchored again since")]
-    NoRight {
-        /// The record.
-        id: String,
-        /// The reason.
-        why: Box<NoRight>,
-    },
+    NoRight { id: String, why: Box<NoRight> },
     /// The contract's answer about a reader differs from what its events say.
     #[error(
         "the contract {claim}, and its events up to block {block} say otherwise; a grant or revoke may have just been \

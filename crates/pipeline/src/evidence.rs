@@ -36,7 +36,6 @@ const MOST_FURTHER: u64 = 16;
 /// A bundle being assembled, and what could not be included.
 #[derive(Debug, Default)]
 pub struct Gathered {
-    /// The parts.
     pub packing: Packing,
     /// The number of records.
     pub records: u64,
@@ -73,9 +72,6 @@ fn refused(error: PackingError) -> PipelineError {
 
 /// Collects these records, the reader's own, and discloses the named ones; the suggested trust file names these time
 /// stamp authorities.
-///
-/// # Errors
-/// Errors of store and chain; a record whose bytes are gone.
 pub async fn gather(
     reader: &Reader<'_>,
     rows: &[RecordRow],
@@ -344,9 +340,6 @@ fn suggest(
 }
 
 /// Adds the stamps over these roots; if batches are stamped here at all, it reports how many of these are not yet.
-///
-/// # Errors
-/// Errors of the ledger.
 pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<(), PipelineError> {
     if plant.ledger.proofs.stamp_counts()?.newest.is_none() {
         return Ok(());
@@ -394,9 +387,6 @@ pub(super) struct Shown {
 }
 
 /// What there is for these records.
-///
-/// # Errors
-/// Errors of the ledger; a statement that does not open is skipped.
 pub(super) async fn heights_shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
     let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
     // The recorder of a ring states nothing: its id says that its numbers may be missing.
@@ -459,7 +449,7 @@ fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Res
         newest_first: type_name == Heads::TYPE,
         ..RecordQuery::default()
     };
-    let mut rows = block_in_place(|| reader.plant.ledger.records.list(&query))?.rows;
+    let mut rows = reader.plant.ledger.records.list(&query)?.rows;
     rows.retain(is_confirmed);
     Ok(rows)
 }
@@ -476,7 +466,7 @@ async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
 /// The list of numbers under a head.
 async fn heights(reader: &Reader<'_>, row: &RecordRow) -> Option<Heights> {
     let heads = Heads::parse(&body(reader, row).await?).ok()?;
-    let listed = block_in_place(|| reader.plant.ledger.records.find(heads.heights)).ok()??;
+    let listed = reader.plant.ledger.records.find(heads.heights).ok()??;
     let heights = Heights::parse(&body(reader, &listed).await?).ok()?;
     (tree(&heights)?.root() == heads.root).then_some(heights)
 }

@@ -25,7 +25,6 @@ const LONGEST_HEADER: u64 = 1024;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file}: {why}; ask whoever gave you the folder for a new `authros uploads export`")]
 pub struct FolderError {
-    /// The file.
     pub file: String,
     /// What is wrong with it, cleaned.
     pub why: String,
@@ -41,7 +40,6 @@ impl FolderError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnchorWord {
-    /// Its digest, individually.
     Each,
     /// The root of its batch.
     Batch,
@@ -52,21 +50,15 @@ pub enum AnchorWord {
 pub struct ClaimedAnchor {
     /// The kind of anchor.
     pub mode: AnchorWord,
-    /// Its leaf's hash.
     pub leaf: Option<Hash>,
-    /// Its index.
     pub index: Option<u64>,
     /// Leaves of the batch.
     pub count: Option<u64>,
     /// Hashes from the leaf up.
     pub path: Option<Vec<Hash>>,
-    /// The batch's root.
     pub root: Option<Hash>,
-    /// The transaction.
     pub transaction: Option<Hash>,
-    /// Its block.
     pub block: Option<u64>,
-    /// That block's hash.
     pub block_hash: Option<Hash>,
     /// That block's time, if the exporter's chain gave it.
     pub block_time: Option<Timestamp>,
@@ -75,7 +67,6 @@ pub struct ClaimedAnchor {
 /// The claims in `proof.json`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClaimedProof {
-    /// Names this format.
     pub format: String,
     /// SM3 of the record.
     pub digest: Digest,
@@ -83,19 +74,14 @@ pub struct ClaimedProof {
     pub signer: SignerId,
     /// The epoch that seals it.
     pub epoch: u64,
-    /// The recorder.
     pub recorder: RecorderId,
-    /// Its topic's pseudonym.
     pub topic_id: TopicId,
-    /// Its seq.
     pub seq: u64,
     /// The network it is bound to.
     pub domain: Domain,
-    /// The chain's id.
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
-    /// The contract.
     pub contract: Option<Address>,
     /// Where it is anchored.
     pub anchor: ClaimedAnchor,
@@ -103,9 +89,6 @@ pub struct ClaimedProof {
 
 impl ClaimedProof {
     /// From the text of `proof.json`.
-    ///
-    /// # Errors
-    /// What is wrong with it, in words.
     pub fn parse(text: &[u8]) -> Result<Self, FolderError> {
         let wrong = |why: &str| FolderError::new("proof.json", why);
         let proof: Self = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
@@ -128,11 +111,9 @@ impl ClaimedProof {
 /// One step of a check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VerifyStep {
-    /// What was checked.
     pub name: String,
     /// The result; `None` = it could not be checked.
     pub ok: Option<bool>,
-    /// In words, cleaned.
     pub text: String,
 }
 
@@ -153,11 +134,9 @@ impl VerifyStep {
 pub struct ExportFolder {
     /// The record as stored.
     pub record: Vec<u8>,
-    /// Its header.
     pub header: Header,
     /// The signed bytes, as found in the folder.
     pub message: Vec<u8>,
-    /// The signature.
     pub signature: Signature,
     /// The key in `signer.pem`.
     pub signer: PublicKey,
@@ -167,9 +146,6 @@ pub struct ExportFolder {
 
 impl ExportFolder {
     /// Reads a folder; links and anything but plain files are refused.
-    ///
-    /// # Errors
-    /// [`FolderError`] with the file and what is wrong with it.
     pub fn read(folder: &Path) -> Result<Self, FolderError> {
         let record = read(folder, "record.bin", LARGEST_BODY + u64::from(LARGEST_HEAD) + LONGEST_HEADER)?;
         let small = |name: &str| read(folder, name, LONGEST_SMALL);
@@ -178,9 +154,6 @@ impl ExportFolder {
     }
 
     /// From the files' bytes.
-    ///
-    /// # Errors
-    /// See [`ExportFolder::read`].
     pub fn parse(
         record: Vec<u8>,
         message: Vec<u8>,

@@ -44,15 +44,10 @@ impl Observer for Notes {
 pub struct Process {
     /// The folder of the ledger, until the test ends.
     _home: TempDir,
-    /// Store, provider.
     pub plant: Plant,
-    /// The chain.
     pub network: Network,
-    /// The lanes.
     pub sender: Sender,
-    /// What was reported.
     pub notes: Arc<Notes>,
-    /// The account.
     pub eoa: EoaSecret,
 }
 

@@ -75,9 +75,7 @@ impl Default for Pace {
 /// The state of the connection to the gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Link {
-    /// Not reached yet.
     Connecting,
-    /// Connected.
     Up,
     /// Connected at an address that is not the first: which, and in place of which.
     InPlace(String),
@@ -139,11 +137,9 @@ struct Gate {
 /// A robot, as it presents itself to its gateway.
 #[derive(Clone)]
 pub struct Robot {
-    /// Its owner.
     pub owner: Address,
     /// The network, and the crypto provider.
     pub context: Context,
-    /// N.
     pub name: ProfileName,
     /// A token of its owner.
     pub token: Token,
@@ -245,9 +241,6 @@ impl Forwarder {
 
     /// Deletes ciphertext whose proof was checked and signed long enough ago; on a full disk the oldest of it early.
     /// Whatever the gateway has not signed for stays.
-    ///
-    /// # Errors
-    /// Errors of the store.
     pub fn tidy(&self) -> Result<(), PipelineError> {
         self.outbox().tidy()
     }
@@ -298,9 +291,6 @@ fn is_about_a_record(error: &GatewayError) -> bool {
 }
 
 /// What is known of the gateway from earlier runs, or only its fingerprint.
-///
-/// # Errors
-/// Errors of the file; [`CryptoError::NotAKey`] if it belongs to another gateway.
 fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, CryptoError> {
     if !file.exists() {
         return Ok(Trust::pinned(fingerprint));
@@ -429,10 +419,10 @@ impl Line<'_> {
     /// signed for. Returns whether it was asked anything.
     async fn check(&mut self, client: &mut Client) -> Result<bool, ForwardError> {
         let ledger = &self.outbox.plant.ledger;
-        if block_in_place(|| ledger.forwarding.undecided(None, 1))?.rows.is_empty() {
+        if ledger.forwarding.undecided(None, 1)?.rows.is_empty() {
             return Ok(false);
         }
-        let recorders = block_in_place(|| ledger.forwarding.recorders())?;
+        let recorders = ledger.forwarding.recorders()?;
         self.proofs.follow(&recorders, Instant::now());
         for group in self.proofs.groups() {
             for _ in 0..MOST_PAGES {
@@ -509,7 +499,7 @@ impl Line<'_> {
             }
         }
         let Some(after) = self.proofs.sweep else { return Ok(()) };
-        let page = block_in_place(|| self.outbox.plant.ledger.forwarding.undecided(Some(after), PAGE))?;
+        let page = self.outbox.plant.ledger.forwarding.undecided(Some(after), PAGE)?;
         self.proofs.sweep = page.next;
         let digests: Vec<Digest> = page.rows.iter().map(|row| row.digest).collect();
         if digests.is_empty() {

@@ -75,9 +75,7 @@ pub enum Reason {
 #[derive(Debug, thiserror::Error)]
 #[error("record {digest} from the gateway was rejected: {reason}; tell its owner and the gateway's operator")]
 pub struct Refused {
-    /// The record.
     pub digest: Digest,
-    /// Why.
     pub reason: Reason,
 }
 
@@ -136,11 +134,8 @@ fn outcome(digest: Digest, done: Result<bool, Stop>) -> Result<Accepted, Pipelin
     }
 }
 
-/// Takes records in.
 pub struct Intake<'a> {
-    /// Store, provider.
     pub plant: &'a Plant,
-    /// The chain.
     pub network: &'a Network,
     /// Anchors that the chain confirmed.
     pub anchors: &'a Anchors,
@@ -252,7 +247,7 @@ impl Intake<'_> {
         let (mut proof, mut right) = self.judge(header, digest, told.clone()).await?;
         if right.is_err() {
             // The directory may be of blocks that the chain replaced, until it is built anew; and so may what is cached of its anchor.
-            let read = block_in_place(|| self.plant.ledger.trail.cursor())?;
+            let read = self.plant.ledger.trail.cursor()?;
             if read.is_none_or(|(block, _)| block < self.network.directory.newest()) {
                 return Err(Stop::Later);
             }
@@ -260,7 +255,7 @@ impl Intake<'_> {
             (proof, right) = self.judge(header, digest, told).await?;
         }
         if let SigningRight::Device(_) = right.map_err(|why| Reason::NoRight(Box::new(why)))? {
-            block_in_place(|| self.plant.ledger.bindings.keep_signer(header.signer, *signer))?;
+            self.plant.ledger.bindings.keep_signer(header.signer, *signer)?;
         }
         Ok(proof)
     }
@@ -281,7 +276,7 @@ impl Intake<'_> {
     /// Waits until the watcher here has read a block's events: rights follow from them.
     async fn wait_for(&self, block: u64) -> Result<(), Stop> {
         let deadline = Instant::now() + self.patience;
-        while block_in_place(|| self.plant.ledger.trail.cursor())?.is_none_or(|(read, _)| read < block) {
+        while self.plant.ledger.trail.cursor()?.is_none_or(|(read, _)| read < block) {
             if Instant::now() >= deadline {
                 return Err(Stop::Later);
             }
@@ -292,9 +287,6 @@ impl Intake<'_> {
 
     /// Takes one record in for a reader who asked for this owner's. Its digest and its signature by the key that came with it have
     /// been checked already.
-    ///
-    /// # Errors
-    /// Errors of chain and store.
     pub async fn accept(
         &self,
         reader: &Owner,
@@ -310,7 +302,7 @@ impl Intake<'_> {
         if header.owner != owner {
             return Err(Reason::AnotherOwner.into());
         }
-        let is_new = || block_in_place(|| self.plant.ledger.records.find(digest)).map(|row| row.is_none());
+        let is_new = || self.plant.ledger.records.find(digest).map(|row| row.is_none());
         if owner != reader.address && self.plant.ledger.records.recorder().has(&header.recorder) && is_new()? {
             return Err(Reason::NumberedHere.into());
         }
@@ -363,9 +355,6 @@ impl Intake<'_> {
     }
 
     /// Takes in for a reader what is left of a record that its owner had erased.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger.
     pub async fn accept_erased(
         &self,
         reader: &Owner,
@@ -402,9 +391,6 @@ impl Intake<'_> {
 
     /// Judges what is left of an erased record by the chain: the record's signature, its owner's statement by the key of now, and all
     /// that any record has to show.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger.
     pub async fn judge_erased(
         &self,
         digest: Digest,
@@ -436,9 +422,6 @@ impl Intake<'_> {
 
 /// Takes an owner's uploads in, all or none: their signatures and their signers' rights were checked when they came, and `keeper`
 /// anchors them from here.
-///
-/// # Errors
-/// Errors of the store.
 pub fn accept_uploads(
     plant: &Plant,
     keeper: Address,
@@ -476,14 +459,11 @@ pub enum Wish {
 
 /// What to do about an entry. `newest` is the newest epoch of its owner that the reader has keys for: keys of a later one come
 /// after the records that are sealed under it.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn wish(reader: &Reader<'_>, entry: &FeedEntry, newest: u64) -> Result<Wish, PipelineError> {
     if entry.fact == Fact::Stored || entry.fact == Fact::Erased && !entry.kind.is_content() {
         return Ok(Wish::Pass);
     }
-    Ok(match block_in_place(|| reader.plant.ledger.records.find(entry.digest))? {
+    Ok(match reader.plant.ledger.records.find(entry.digest)? {
         Some(row) if is_wanted(Some(&row), entry.fact == Fact::Erased) => Wish::Ask,
         Some(_) => Wish::Pass,
         None if block_in_place(|| reader.topic_key(&row_of_entry(entry))).is_ok() => Wish::Ask,

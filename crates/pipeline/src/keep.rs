@@ -26,9 +26,6 @@ impl Plant {
 
     /// The stored bytes of a record, for a reader: the cache may have them. Deleted ones are gone, even where they lie in
     /// the store or the cache again.
-    ///
-    /// # Errors
-    /// Errors of the store.
     pub fn stored_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
         if row.deleted_at.is_some() {
             return Ok(None);

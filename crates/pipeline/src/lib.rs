@@ -111,9 +111,7 @@ pub struct Plant {
     pub ledger: Ledger,
     /// Their ciphertext, of the same store.
     pub ciphertext: Ciphertext,
-    /// SM2, SM3, SM4.
     pub provider: &'static dyn Provider,
-    /// Receives events.
     pub observer: Arc<dyn Observer>,
 }
 
@@ -135,17 +133,11 @@ pub struct Network {
 }
 
 /// The chain and contract that a home's ledger is bound to; `None` = none yet.
-///
-/// # Errors
-/// [`StoreError::Corrupt`] if it cannot be understood, or errors of the ledger.
 pub fn network_pin(rights: &Rights) -> Result<Option<Pin>, StoreError> {
     rights.contract_pin()?.map(|text| read_pin(&text, rights.path())).transpose()
 }
 
 /// The same of a home whose ledger is not open here.
-///
-/// # Errors
-/// See [`network_pin`].
 pub fn network_pin_in(path: &Path) -> Result<Option<Pin>, StoreError> {
     Rights::contract_pin_in(path)?.map(|text| read_pin(&text, path)).transpose()
 }
@@ -164,9 +156,6 @@ impl Network {
     }
 
     /// What a home kept of a chain that cannot be asked, for reading alone: accounts and rights as of the last block read.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn kept(plant: &Plant, pin: Pin, why: &str) -> Result<Self, StoreError> {
         let chain = Chain::absent(pin.clone(), why.to_owned());
         let network = Self { absent: Some(why.into()), ..Self::new(chain, &pin, plant.provider, 1) };

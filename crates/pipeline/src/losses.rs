@@ -30,18 +30,14 @@ const ROUND: usize = 256;
 /// The losses at one place.
 #[derive(Debug, Clone, Copy)]
 pub struct Lost<'a> {
-    /// Topic name.
     pub topic: &'a str,
-    /// The sending node.
     pub publisher: &'a str,
-    /// How many messages.
     pub count: u64,
     /// `header.seq` of the first and the last.
     pub numbers: Option<(u32, u32)>,
 }
 
 impl<'a> Lost<'a> {
-    /// One message.
     pub fn message(message: &'a Message) -> Self {
         let numbers = message.header_seq.map(|number| (number, number));
         Self { topic: &message.topic, publisher: &message.caller_id, count: 1, numbers }
@@ -51,9 +47,7 @@ impl<'a> Lost<'a> {
 /// Unacknowledged messages that the ledger has not counted yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Unwritten {
-    /// Never arrived.
     pub in_transport: u64,
-    /// Dropped here.
     pub in_recorder: u64,
 }
 
@@ -104,9 +98,6 @@ impl Losses {
 
     /// Notes in this file what is not in the ledger while the disk is full, and takes over what is left in it: it died with
     /// the process before. The first file counts. Returns the number of those messages.
-    ///
-    /// # Errors
-    /// Errors of file and ledger; then nothing is noted there.
     pub fn keep_in(&self, path: &Path, plant: &Plant) -> Result<u64, StoreError> {
         let mut file = lock(&self.file);
         if file.is_some() {
@@ -131,9 +122,6 @@ impl Losses {
     }
 
     /// Replaces what is noted in the file: losses that the ledger has not counted, and these messages, which wait.
-    ///
-    /// # Errors
-    /// Errors of the file; the note before then stays.
     pub fn note_waiting(&self, waiting: InMemory) -> Result<(), StoreError> {
         let _moving = lock(&self.moving);
         let mut file = lock(&self.file);
@@ -148,7 +136,6 @@ impl Losses {
         LossReason::from_code(self.cause.load(Ordering::Acquire)).unwrap_or(LossReason::Memory)
     }
 
-    /// Sets that reason.
     pub fn blame(&self, reason: LossReason) {
         self.cause.store(reason.code(), Ordering::Release);
     }
@@ -178,9 +165,6 @@ impl Losses {
     }
 
     /// Counts of ledger and memory together: consistent, each loss once.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn counts(&self, plant: &Plant, owner: Address) -> Result<StateCounts, StoreError> {
         let _still = lock(&self.moving);
         let mut counts = plant.ledger.counts.by_state(Some(owner))?;
@@ -199,9 +183,6 @@ impl Losses {
     }
 
     /// Counts the noted losses in the ledger; if that fails they stay noted.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn write(&self, plant: &Plant) -> Result<(), StoreError> {
         let _moving = lock(&self.moving);
         let taken = std::mem::take(&mut *lock(&self.noted));

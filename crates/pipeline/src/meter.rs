@@ -5,15 +5,12 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::model::Timestamp;
 
-/// The window, seconds.
 const WINDOW: u64 = 5;
 
 /// The activity of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rate {
-    /// Messages a second.
     pub hz: f64,
-    /// Bytes a second.
     pub bytes_per_second: f64,
     /// Messages since the start.
     pub messages: u64,

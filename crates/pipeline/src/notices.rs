@@ -34,9 +34,6 @@ const MOST_NEWER: usize = 1024;
 /// Takes the policies that an owner sets for a robot, after their signer was checked with the record.
 pub trait PolicyTaker: Send + Sync {
     /// Keeps a policy, or why it is refused; what was done, in words.
-    ///
-    /// # Errors
-    /// If that cannot be kept: the policy is heard again.
     fn take(&self, policy: &SignedPolicy) -> Result<String, PipelineError>;
 }
 

@@ -17,7 +17,6 @@ use super::{Author, PipelineError};
 pub struct Owner {
     /// Its name on this machine.
     pub profile: ProfileName,
-    /// Its EOA.
     pub address: Address,
     /// Seals in its name.
     pub author: Arc<Author>,
@@ -67,9 +66,6 @@ impl Owner {
 
     /// Wipes the keys that decrypt, grant and revoke from memory. Those that seal under the current epoch, sign records
     /// and pay for anchors stay, so that capture continues: d_C, IK, the epoch's key, the EOA.
-    ///
-    /// # Errors
-    /// Errors of the random source; nothing is wiped then.
     pub fn lock(&self, provider: &dyn Provider) -> Result<(), CryptoError> {
         let mut keyring = self.keyring();
         keyring.strip(provider)?;
@@ -87,22 +83,18 @@ impl Owner {
         }
     }
 
-    /// The keyring itself.
     pub fn keyring(&self) -> MutexGuard<'_, UnlockedKeyring> {
         self.keyring.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The EOA's key.
     pub fn eoa(&self) -> EoaSecret {
         self.keyring().keys().eoa.clone()
     }
 
-    /// P_C with d_C.
     pub fn signing(&self) -> SmKeyPair {
         self.keyring().keys().signing.clone()
     }
 
-    /// P_E with d_E.
     pub fn envelope(&self) -> SmKeyPair {
         self.keyring().keys().envelope.clone()
     }
@@ -121,7 +113,6 @@ impl Owner {
         keyring.keys().further.gateway.as_ref().unwrap_or(&keyring.keys().signing).clone()
     }
 
-    /// P_C and P_E.
     pub fn public_keys(&self) -> (PublicKey, PublicKey) {
         let keyring = self.keyring();
         (keyring.keys().signing.public, keyring.keys().envelope.public)
@@ -136,9 +127,6 @@ impl Owner {
     }
 
     /// Saves pairs as the next ones, in place of any others, and those between as former ones.
-    ///
-    /// # Errors
-    /// Errors of saving the keyring; nothing is changed then.
     pub fn note_pairs(
         &self,
         signing: SmKeyPair,
@@ -158,7 +146,6 @@ impl Owner {
         })
     }
 
-    /// IK.
     pub fn index(&self) -> IndexKey {
         self.keyring().keys().index.clone()
     }
@@ -201,9 +188,6 @@ impl Owner {
 
     /// Makes sure that `epoch` has a secret in the keyring, saved before it is used, and returns its token. An epoch
     /// already begun but not yet on the chain keeps its secret.
-    ///
-    /// # Errors
-    /// Errors of the random source and of saving the keyring.
     pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token, PipelineError> {
         {
             let mut keyring = self.keyring();
@@ -220,9 +204,6 @@ impl Owner {
     }
 
     /// From now on records are sealed under `epoch`, which is in the keyring.
-    ///
-    /// # Errors
-    /// If the keyring has no such epoch, or cannot be saved.
     pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
         self.author.seal_under(self.epoch_keys(domain, epoch)?);
         Ok(())
@@ -230,9 +211,6 @@ impl Owner {
 
     /// From `moment` on records are sealed under `epoch`, which is in the keyring; of two such moments
     /// the earlier counts.
-    ///
-    /// # Errors
-    /// If the keyring has no such epoch, or cannot be saved.
     pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
         self.author.seal_from(moment, self.epoch_keys(domain, epoch)?);
         Ok(())
@@ -265,9 +243,6 @@ impl Owner {
     }
 
     /// Saves keys of epochs that the chain returned, over any other of the same epochs, and IK if one came with them.
-    ///
-    /// # Errors
-    /// Errors of saving the keyring; nothing is changed then.
     pub fn adopt(
         &self,
         domain: Domain,
@@ -287,9 +262,6 @@ impl Owner {
     }
 
     /// The chain has this epoch: records that in the keyring.
-    ///
-    /// # Errors
-    /// Errors of saving the keyring.
     pub fn confirm_epoch(&self, domain: Domain, epoch: u64) -> Result<(), CryptoError> {
         let mut keyring = self.keyring();
         let Some(network) = keyring.keys().networks.get(&domain) else { return Ok(()) };

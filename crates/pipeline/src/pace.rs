@@ -105,7 +105,6 @@ impl Sampler {
 mod tests {
     use super::*;
 
-    /// One without credit.
     fn spent(now: Instant) -> Pace {
         Pace { saved: Duration::ZERO, closed: Some(now), ..Pace::default() }
     }

@@ -65,7 +65,6 @@ struct Known {
     undecided: HashSet<String>,
     /// When the operator last accepted a publisher, in this process.
     accepted: HashMap<Publisher, Instant>,
-    /// Publishers already reported.
     alarms: usize,
 }
 
@@ -384,9 +383,6 @@ impl Pins {
     }
 
     /// The operator accepts publishers of a topic.
-    ///
-    /// # Errors
-    /// Errors of the ledger; then nothing is pinned.
     pub fn pin(&self, owner: Address, topic: &str, publishers: &[Publisher]) -> Result<(), StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         self.kept.pin(owner, topic, publishers, "operator")?;
@@ -400,9 +396,6 @@ impl Pins {
     }
 
     /// The operator no longer accepts a caller id on a topic; returns how many pins that were.
-    ///
-    /// # Errors
-    /// Errors of the ledger; then nothing changes.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         let name = pinned_name(caller_id);

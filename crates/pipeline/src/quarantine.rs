@@ -86,9 +86,6 @@ fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool,
 
 /// Discards quarantined records and deletes their ciphertext; returns how many. Their quarantine records must be on the
 /// chain first.
-///
-/// # Errors
-/// Errors of the store; then repeat it, deleting again does no harm.
 pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64, PipelineError> {
     plant.ciphertext.discard(digests)?;
     let gone = plant.ledger.quarantine.discard(digests)?;

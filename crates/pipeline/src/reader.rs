@@ -18,16 +18,13 @@ use crate::crypto::{
 use crate::directory::{Granted, kept};
 use crate::model::{Address, Digest, GrantTerms, Header, PublicKey, RecordState, Scope, SignerId, TopicId, Verdict};
 use crate::retention::is_stated;
-use crate::store::{KeptEnvelope, RecordRow, Retained};
+use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 use crate::{Network, Owner, PipelineError, Plant, chain_proofs, columns};
 
 /// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
-    /// Store, provider.
     pub plant: &'a Plant,
-    /// The chain.
     pub network: &'a Network,
-    /// The reader.
     pub reader: &'a Owner,
 }
 
@@ -38,9 +35,6 @@ impl Reader<'_> {
     }
 
     /// Whether the chain's grants let this reader see the record at all.
-    ///
-    /// # Errors
-    /// `NotGranted`.
     pub fn authorise(&self, row: &RecordRow) -> Result<(), PipelineError> {
         let own = row.owner == self.reader.address;
         if !own && is_held(row) {
@@ -68,7 +62,7 @@ impl Reader<'_> {
             return Ok(checked);
         }
         // Its block may have been replaced since its row was read.
-        match block_in_place(|| self.plant.ledger.records.find(row.digest))? {
+        match self.plant.ledger.records.find(row.digest)? {
             Some(now) if now != *row => self.check_once(&now).await,
             _ => Ok(checked),
         }
@@ -112,7 +106,7 @@ impl Reader<'_> {
     }
 
     fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {
-        let retained = block_in_place(|| self.plant.ledger.retention.find(row.digest))?;
+        let retained = self.plant.ledger.retention.find(row.digest)?;
         let stated = |retained: &Retained| is_stated(self.plant, Some(self.network), row.digest, retained);
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
@@ -148,9 +142,6 @@ impl Reader<'_> {
     }
 
     /// Like [`Self::open`], for bytes that the store need not have.
-    ///
-    /// # Errors
-    /// See [`Self::open`].
     pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
         self.compare(row, blob)?;
@@ -170,7 +161,7 @@ impl Reader<'_> {
         let opened = open(self.plant.provider, blob, &row.signature, &signer, anchor, &key, &expected)?;
         let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
         // A record that is only about to be kept here has no place that it could contradict.
-        let placed = block_in_place(|| self.plant.ledger.records.placed(row.digest))?;
+        let placed = self.plant.ledger.records.placed(row.digest)?;
         let found = columns::difference(row, &opened, self.plant.ledger.records.recorder())
             .or_else(|| placed.as_ref().and_then(columns::anchor_difference));
         found.map_or(Ok(opened), |field| Err(differs(field)))
@@ -188,9 +179,6 @@ impl Reader<'_> {
     }
 
     /// The key of the record's topic in its epoch.
-    ///
-    /// # Errors
-    /// `CryptoError::WrongKey` if no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
         Ok(self.opening_of(row.owner, row.epoch, row.topic_id)?.0)
     }
@@ -213,9 +201,6 @@ impl Reader<'_> {
     }
 
     /// The epochs of an owner for which this reader has keys.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn epochs_of(&self, owner: Address) -> Result<BTreeSet<u64>, PipelineError> {
         if owner == self.reader.address {
             return Ok(self.reader.epochs(self.network.domain).into_iter().collect());
@@ -232,18 +217,12 @@ impl Reader<'_> {
     }
 
     /// The contents of a grant's envelopes that this reader can open, the newest epoch first.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
         let all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
     /// Opens a grant's envelope for an epoch: the newest that this reader has the key for.
-    ///
-    /// # Errors
-    /// If none opens, or none agrees with the chain's event.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
         let mut all = kept::envelopes(&self.plant.ledger.rights, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
@@ -331,26 +310,32 @@ impl Reader<'_> {
 
 impl Reader<'_> {
     /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for the store.
-    ///
-    /// # Errors
-    /// Errors of the store.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
         Ok(self.own_bytes(row)?.map(|blob| self.open_own(row, &blob)).transpose()?.flatten())
     }
 
-    /// The stored bytes of a record.
+    /// The reader's own records that a query finds, opened by what the home itself knows; without those that do not open.
     ///
     /// # Errors
-    /// Errors of the store.
+    /// Errors of the ledger.
+    pub fn own_opened(
+        &self,
+        query: RecordQuery,
+    ) -> impl Iterator<Item = Result<(RecordRow, OpenedRecord), PipelineError>> {
+        let query = RecordQuery { owner: Some(self.reader.address), ..query };
+        self.plant.ledger.records.all(query).filter_map(|row| match row {
+            Ok(row) => Some(self.own_contents(&row).transpose()?.map(|opened| (row, opened))),
+            Err(error) => Some(Err(error.into())),
+        })
+    }
+
+    /// The stored bytes of a record.
     pub fn own_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
         Ok(self.plant.stored_bytes(row)?)
     }
 
     /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open, or
     /// if its signer wrote a false name into it.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn open_own(&self, row: &RecordRow, blob: &[u8]) -> Result<Option<OpenedRecord>, PipelineError> {
         let Some(signer) = self.own_signer(row.signer)?.filter(|_| row.owner == self.reader.address) else {
             return Ok(None);

@@ -217,18 +217,13 @@ impl<'a> Compared<'a> {
 /// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Scrubbed {
-    /// Records re-hashed.
     pub records: u64,
-    /// Their bytes.
     pub bytes: u64,
     /// Records that are tampered or missing.
     pub bad: u64,
 }
 
 /// Re-hashes up to `most` verified records after the cursor, and moves it; at the end it starts over.
-///
-/// # Errors
-/// Errors of the store; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
     let after = plant.ledger.notes.read(&ScrubbedUpTo {})?.unwrap_or(0);
     let page = plant.ledger.inspection.audit_page(after, Timestamp(0), most)?;

@@ -18,9 +18,6 @@ pub struct RecordedNames {
 impl RecordedNames {
     /// The graph name for a recorded one: itself if it is valid, with `/` in front if it is relative, with `_` for
     /// every character not allowed in a graph name.
-    ///
-    /// # Errors
-    /// Why it has none.
     pub fn resolve(&mut self, recorded: &Arc<str>) -> Result<Arc<str>, &'static str> {
         if let Some(known) = self.resolved.get(recorded) {
             return known.clone();

@@ -18,7 +18,6 @@ use super::{Author, CaptureSession, Observer, Pins};
 pub struct CapturedMessage {
     /// The author that seals it.
     pub author: Arc<Author>,
-    /// The message.
     pub message: Arc<Message>,
     /// The kind of record it becomes: a captured message, what a recording holds beside its messages, or the message's
     /// definition alone.

@@ -26,9 +26,6 @@ pub fn tree(heights: &Heights) -> Option<Tree> {
 /// States the numbers of this ledger's recorder for `owner` if they have changed and were not stated or checked
 /// (`seen`, kept by the caller) for `every`; the first time also its birth. Returns the record of the head. One caller
 /// at a time.
-///
-/// # Errors
-/// Errors of the store.
 pub fn state(
     plant: &Plant,
     owner: Address,

@@ -18,9 +18,6 @@ fn terms(owner: &Owner, epoch: u64) -> GrantTerms {
 }
 
 /// Wraps the key of an epoch in the keyring, and IK, for its owner.
-///
-/// # Errors
-/// [`PipelineError::UnknownEpoch`], or errors of the encryption.
 pub fn own_envelope(plant: &Plant, network: &Network, owner: &Owner, epoch: u64) -> Result<Vec<u8>, PipelineError> {
     let key = owner.epoch_key(network.domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
     let keys = GrantedKeys::All { epochs: vec![(epoch, key)], index_key: owner.index() };
@@ -29,9 +26,6 @@ pub fn own_envelope(plant: &Plant, network: &Network, owner: &Owner, epoch: u64)
 }
 
 /// Wraps an owner's next pairs, (d_C, P_C) and (d_E, P_E), for those that the chain has now.
-///
-/// # Errors
-/// `Unregistered`, or errors of the encryption.
 pub fn handover(
     plant: &Plant,
     network: &Network,
@@ -44,9 +38,6 @@ pub fn handover(
 
 /// The epochs on the chain whose key the keyring lacks, oldest first: one that the chain's token does not commit to
 /// counts as missing.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn lacking(plant: &Plant, network: &Network, owner: &Owner) -> Result<Vec<u64>, PipelineError> {
     let mut lacking = Vec::new();
     for epoch in 1..=network.directory.epoch(owner.address) {
@@ -65,9 +56,6 @@ pub fn holds_current(network: &Network, owner: &Owner) -> bool {
 }
 
 /// Saves in the keyring what the chain returns of the keys of these epochs; returns those that are still missing.
-///
-/// # Errors
-/// Errors of the ledger and of saving the keyring.
 pub fn recover_epochs(
     plant: &Plant,
     network: &Network,
@@ -151,9 +139,6 @@ pub fn recover_pairs(plant: &Plant, network: &Network, owner: &Owner) -> Result<
 
 /// Whether the keyring went past the pairs that the chain has now: the chain is an older copy, or its node is behind.
 /// What leads from the registered pairs to newer ones must have been tried before ([`recover_pairs`]).
-///
-/// # Errors
-/// [`PipelineError::Unregistered`].
 pub fn is_ahead(network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
     let registered = network.directory.identity(owner.address)?;
     let holds = holds_pairs(owner, (registered.signing, registered.envelope));

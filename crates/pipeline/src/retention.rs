@@ -217,9 +217,6 @@ fn report(
 
 /// Overwrites records that their owners told this gateway to erase, and that are still here; returns how many. One caller at
 /// a time.
-///
-/// # Errors
-/// Errors of the store; called again, it does what is left.
 pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
     let digests = plant.ledger.erasures.told_to_delete(ROUND)?;
     if !digests.is_empty() {
@@ -232,9 +229,6 @@ pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
 }
 
 /// Deletes records named in anchored retention records; returns how many. One caller at a time.
-///
-/// # Errors
-/// Errors of the store; called again, it does what is left.
 pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
     let digests = plant.ledger.retention.to_delete(owner.address, ROUND)?;
     if digests.is_empty() {
@@ -336,9 +330,6 @@ fn state(
 }
 
 /// What an owner states of one erased record, signed by d_C and by the account.
-///
-/// # Errors
-/// [`PipelineError::Crypto`].
 pub fn stated(
     plant: &Plant,
     (signing, account): (&SmKeyPair, &EoaSecret),
@@ -353,9 +344,6 @@ pub fn stated(
 
 /// States again what an owner had erased under an earlier key. Returns whether nothing is left to state; as long as there is,
 /// it is to be called again.
-///
-/// # Errors
-/// Errors of signing and the ledger; what was stated so far stays.
 pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool, PipelineError> {
     let unstated = plant.ledger.erasures.unstated(owner.address, &signing.public, ROUND)?;
     let (keys, count) = ((signing, &owner.eoa()), unstated.len());
@@ -407,9 +395,6 @@ impl Held {
     }
 
     /// The bytes in the spans that retention has not deleted. What was captured a while ago is summed up only once.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn bytes(&mut self, plant: &Plant, topic: &KeptTopic, now: Timestamp) -> Result<u64, PipelineError> {
         let settled = Timestamp(now.0.saturating_sub(UNSETTLED)).max(self.counted);
         self.bytes += self.between_moments(plant, topic, (self.counted, settled))?;
@@ -457,9 +442,6 @@ fn merged(mut spans: Vec<Span>) -> Vec<Span> {
 }
 
 /// A record without its message: the header in place of its bytes. `None` if its signer is unknown.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn left_of(
     plant: &Plant,
     network: &Network,
@@ -474,9 +456,6 @@ pub fn left_of(
 
 /// The notice of an erased record, with the statement and the account's signature that the ledger has. `None` if nobody would
 /// accept it now: its owner has another key, its anchor is in no batch of a block, or its signer is unknown.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn notice_of(
     plant: &Plant,
     network: &Network,

@@ -9,7 +9,6 @@ use std::time::Duration;
 
 /// Something with a size in memory.
 pub trait Weighted {
-    /// Bytes it holds.
     fn weight(&self) -> usize;
 }
 
@@ -116,9 +115,6 @@ impl<T: Weighted> Rings<T> {
     }
 
     /// Appends `item` to its topic's ring, or gives it back where there is no room for it, or all is closed.
-    ///
-    /// # Errors
-    /// The item itself.
     pub fn push(&self, topic: &Arc<str>, item: T) -> Result<(), T> {
         let mut guard = self.lock();
         let inner = &mut *guard;

@@ -23,13 +23,11 @@ struct TopicTally {
 /// Figures of one topic, as counted so far.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicFigures {
-    /// Topic name.
     pub topic: String,
     /// Type of the first message, if one came.
     pub type_name: Option<String>,
     /// Messages taken, including quarantined ones.
     pub captured: u64,
-    /// Of these verified.
     pub verified: u64,
     /// Of these tampered or missing.
     pub tampered: u64,
@@ -184,7 +182,6 @@ impl CaptureSession {
         self.figures().iter().all(|topic| topic.verified + topic.tampered + topic.quarantined >= topic.captured)
     }
 
-    /// Figures per topic.
     pub fn figures(&self) -> Vec<TopicFigures> {
         let figures = |(topic, tally): (&String, &TopicTally)| TopicFigures {
             topic: topic.clone(),

@@ -18,19 +18,15 @@ const BUCKETS: usize = 16 * 37;
 /// A milestone of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Milestone {
-    /// On disk: acknowledged.
     Durable,
     /// Its anchor has enough confirmations.
     Confirmed,
-    /// Re-read and checked.
     Verified,
 }
 
 impl Milestone {
-    /// All, in order.
     pub const ALL: [Self; 3] = [Self::Durable, Self::Confirmed, Self::Verified];
 
-    /// In one word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Durable => "durable",
@@ -49,7 +45,6 @@ pub enum Stage {
     Commit,
     /// Closing batches, signing and sending transactions.
     Anchor,
-    /// Reading the chain.
     Watch,
     /// Re-reading the store: SM3, SM2 verification, proof.
     Verify,
@@ -59,7 +54,6 @@ impl Stage {
     /// All, in the order of the line.
     pub const ALL: [Self; 5] = [Self::Seal, Self::Commit, Self::Anchor, Self::Watch, Self::Verify];
 
-    /// In one word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Seal => "seal",

@@ -24,9 +24,6 @@ pub struct Statement<'a> {
 
 /// Seals and stores a statement of `owner`; durable when this returns. `None` if the keys do not cover its name. One
 /// caller at a time per owner and topic.
-///
-/// # Errors
-/// Errors of the store; nothing is acknowledged then.
 pub fn state(
     plant: &Plant,
     owner: Address,
@@ -42,9 +39,6 @@ pub fn state(
 }
 
 /// The same with the id of its type in the header, by which it is found without its key.
-///
-/// # Errors
-/// Errors of the store; nothing is acknowledged then.
 pub fn state_to_be_found(
     plant: &Plant,
     owner: Address,
@@ -62,17 +56,13 @@ pub fn state_to_be_found(
 
 /// The owner and keys of a statement.
 pub struct Speaker<'a> {
-    /// The network.
     pub domain: Domain,
-    /// The owner.
     pub owner: Address,
-    /// Signs it.
     pub signing: &'a SmKeyPair,
     /// The epoch stated in its header.
     pub epoch: u64,
     /// Pseudonym of the name it is filed under.
     pub topic_id: TopicId,
-    /// Seals it.
     pub topic_key: &'a TopicKey,
 }
 
@@ -91,9 +81,6 @@ impl<'a> Speaker<'a> {
 }
 
 /// Seals a statement and stores it, acknowledged by what `acknowledge` does with its row.
-///
-/// # Errors
-/// Errors of sealing and of the store; nothing is acknowledged then.
 pub fn put<T>(
     plant: &Plant,
     speaker: &Speaker<'_>,

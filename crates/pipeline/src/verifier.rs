@@ -26,9 +26,6 @@ struct Outcome<'a> {
 }
 
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
-///
-/// # Errors
-/// Errors of the store; then nothing is decided.
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
     let state = Some(RecordState::Confirmed);
     let page = plant.ledger.records.list(&RecordQuery { state, limit: ROUND, ..RecordQuery::default() })?;

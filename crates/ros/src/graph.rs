@@ -5,6 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
+
 use crate::model::clean;
 use crate::ros::RosError;
 use crate::ros::address::{Endpoint, connect, own_host, resolve};
@@ -196,15 +198,21 @@ const MOST_NODES: usize = 20;
 /// How long each attempt may take.
 const EACH: Duration = Duration::from_millis(800);
 
-/// A publisher that cannot be reached at its stated address.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A publisher that is listed and cannot be reached at its stated address.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Unreached {
     /// The node's name, cleaned.
     pub node: String,
     /// The host and port it stated, cleaned.
     pub place: String,
-    /// The reason, cleaned.
+    /// The reason, and what to do if that is known; cleaned.
     pub reason: String,
+}
+
+impl std::fmt::Display for Unreached {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} at {}: {}", self.node, self.place, self.reason)
+    }
 }
 
 impl Graph {

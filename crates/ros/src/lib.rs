@@ -33,7 +33,7 @@ pub use error::RosError;
 pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
-pub use publisher::{Advertised, GraphPublisher, Publisher, Publishing, RosrustPublisher};
+pub use publisher::{Advertised, GraphPublisher, Publisher, RosrustPublisher};
 pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS};
 
 #[cfg(test)]

@@ -119,7 +119,7 @@ impl Drop for Work {
 /// Running robots of ROS 1. They leave the graph on drop; what is queued for subscribers is sent first.
 pub struct Fleet {
     work: Work,
-    nodes: Vec<Arc<Mutex<GraphPublisher>>>,
+    nodes: Vec<Arc<Mutex<Box<dyn GraphPublisher>>>>,
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -154,7 +154,7 @@ impl Fleet {
     fn of(
         robots: u16,
         options: FleetOptions,
-        start: impl Fn(&str) -> Result<GraphPublisher, RosError>,
+        start: impl Fn(&str) -> Result<Box<dyn GraphPublisher>, RosError>,
     ) -> Result<Self, RosError> {
         let periods = options.periods(robots)?;
         let mut fleet = Self { work: Work::default(), nodes: Vec::new() };
@@ -180,7 +180,7 @@ impl Fleet {
 
 /// Announces a topic of a node.
 fn sink(
-    node: &Arc<Mutex<GraphPublisher>>,
+    node: &Arc<Mutex<Box<dyn GraphPublisher>>>,
     topic: String,
     (type_name, definition): (&str, String),
 ) -> Result<Sink, RosError> {

@@ -85,6 +85,16 @@ impl Describing {
         }
     }
 
+    /// The questions that nobody was asked yet, for others to ask.
+    pub fn hand_on(&mut self) -> Self {
+        Self { waiting: std::mem::take(&mut self.waiting), ..Self::default() }
+    }
+
+    /// Whether nothing is under way or leaving.
+    pub fn is_idle(&self) -> bool {
+        self.asked.is_empty() && self.leaving.is_empty()
+    }
+
     /// Goes on with all of them; returns what is to be told to the site, with its payload.
     pub fn go_on(&mut self, parts: Parts<'_>, graph: &Graph, departures: &mut Departures) -> Vec<(Told, Vec<u8>)> {
         let mut told = Vec::new();

@@ -30,11 +30,13 @@ pub struct Found {
     pub told: Option<Writer>,
 }
 
-/// The present writers and participants.
+/// The most participants of this program that are told apart from others: the last ones.
+const MOST_OWN: usize = 4;
+
+/// The present writers.
 #[derive(Default)]
 pub struct Graph {
-    own: Prefix,
-    participants: BTreeSet<Prefix>,
+    own: Vec<Prefix>,
     writers: BTreeMap<Id, Found>,
     /// Ids known to the site, including those of writers that are gone.
     known: HashSet<Id>,
@@ -50,34 +52,20 @@ pub fn prefix(id: &Id) -> Prefix {
 }
 
 impl Graph {
-    /// Nobody is known yet; `own` is this process's participant.
-    pub fn new(own: &Id) -> Self {
-        Self { own: prefix(own), ..Self::default() }
+    /// This program joined with a participant.
+    pub fn joined(&mut self, own: Prefix) {
+        self.own.insert(0, own);
+        self.own.truncate(MOST_OWN);
     }
 
-    /// A participant appeared.
-    pub fn came(&mut self, participant: &[u8]) {
-        if let Ok(found) = Prefix::try_from(participant)
-            && found.get(..PROGRAM) != self.own.get(..PROGRAM)
-            && self.participants.len() < MOST_WRITERS
-        {
-            self.participants.insert(found);
-        }
+    /// Whether a participant is one of this program's.
+    pub fn is_own(&self, participant: &Prefix) -> bool {
+        self.own.iter().any(|own| own.get(..PROGRAM) == participant.get(..PROGRAM))
     }
 
-    /// A participant is gone.
-    pub fn left(&mut self, participant: &[u8]) {
-        self.participants.retain(|known| known[..] != *participant);
-    }
-
-    /// The present participants.
-    pub fn participants(&self) -> impl Iterator<Item = Prefix> {
-        self.participants.iter().copied()
-    }
-
-    /// Whether a participant is present, by the prefix of its ids.
-    pub fn is_there(&self, participant: &[u8]) -> bool {
-        self.participants.iter().any(|known| known[..] == *participant)
+    /// Whether a writer is present and of one of these topics, by their DDS names.
+    pub fn is_of_any(&self, writer: &Id, topics: &BTreeSet<String>) -> bool {
+        self.writers.get(writer).is_some_and(|found| topics.contains(&found.dds_topic))
     }
 
     /// Writers of a topic, by its DDS name.
@@ -96,7 +84,7 @@ impl Graph {
         self.known.contains(id)
     }
 
-    /// Takes the present writers; returns what to report.
+    /// Takes the present writers of others; returns what to report.
     pub fn look(&mut self, now: &[DiscoveredWriterData], nodes: &Nodes) -> Vec<Told> {
         let mut told = Vec::new();
         let mut there = BTreeMap::new();
@@ -106,9 +94,6 @@ impl Graph {
             naming.map(|writer| prefix(&writer.publication_topic_data.key.to_bytes())).collect();
         for writer in now.iter().take(MOST_WRITERS) {
             let id = writer.publication_topic_data.key.to_bytes();
-            if prefix(&id) == self.own {
-                continue;
-            }
             let mut found = found(id, writer, nodes);
             if let Some(told) = &mut found.told {
                 told.naming = naming.contains(&prefix(&id));
@@ -123,8 +108,6 @@ impl Graph {
         }
         let gone = self.writers.iter().filter(|(id, found)| found.told.is_some() && !there.contains_key(*id));
         told.extend(gone.map(|(id, _)| Told::WriterGone { id: hex(id) }));
-        let seen: BTreeSet<Prefix> = there.keys().map(prefix).collect();
-        seen.iter().for_each(|participant| self.came(participant));
         self.writers = there;
         told
     }
@@ -145,13 +128,18 @@ impl Graph {
         self.known.insert(id);
     }
 
-    /// Their counts.
-    pub fn counts(&self) -> Counts {
+    /// How many writers are present, also of what is not of ROS 2.
+    pub fn size(&self) -> usize {
+        self.writers.len()
+    }
+
+    /// Their counts, where so many participants are present.
+    pub fn counts(&self, participants: usize) -> Counts {
         let count = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);
         let own = self.writers.values().filter(|found| found.told.is_some()).count();
         let foreign =
             self.writers.values().filter(|found| found.told.is_none() && is_foreign(&found.dds_topic)).count();
-        Counts { participants: count(self.participants.len()), writers: count(own), foreign: count(foreign) }
+        Counts { participants: count(participants), writers: count(own), foreign: count(foreign) }
     }
 }
 

@@ -10,8 +10,11 @@ mod describing;
 mod error;
 mod farewell;
 mod graph;
+mod handover;
+mod member;
 mod publish;
 mod quality;
+mod reading;
 mod threads;
 
 pub use capture::run;

@@ -1,6 +1,6 @@
-//! `authros-ros2 --domain N [--publish | --bury PARTICIPANT]`: started by a site of AuthROS, with a pipe as its input and
-//! output. It reads the domain, publishes in it, or says there that one of its kind was killed.
-//! It has no keys, and is of no use alone.
+//! `authros-ros2 --domain N [--publish | --bury PARTICIPANT | --renew-after N]`: started by a site of AuthROS, with a pipe as
+//! its input and output. It reads the domain, publishes in it, or says there that one of its kind was killed. Tests have it
+//! replace its participant sooner. It has no keys, and is of no use alone.
 
 use std::process::ExitCode;
 
@@ -28,7 +28,7 @@ fn main() -> ExitCode {
     };
     let done = match purpose {
         Purpose::Attempt(paths) => attempt_all(paths, begun).map_err(str::to_owned),
-        Purpose::Read(domain) => read(domain, begun),
+        Purpose::Read(domain, renew_after) => read(domain, renew_after, begun),
         Purpose::Publish(domain) => publish(domain, begun),
         Purpose::Bury(domain, participant) => {
             authros_ros2::bury(domain, &participant);
@@ -41,9 +41,9 @@ fn main() -> ExitCode {
     }
 }
 
-fn read(domain: u16, begun: Begun) -> Result<(), String> {
+fn read(domain: u16, renew_after: Option<usize>, begun: Begun) -> Result<(), String> {
     let Begun { from, to, stop, confined } = begun;
-    authros_ros2::run((domain, confined), from, to, &stop).map_err(|error| error.to_string())
+    authros_ros2::run((domain, confined), renew_after, from, to, &stop).map_err(|error| error.to_string())
 }
 
 fn publish(domain: u16, begun: Begun) -> Result<(), String> {
@@ -53,8 +53,8 @@ fn publish(domain: u16, begun: Begun) -> Result<(), String> {
 
 /// What it was started for.
 enum Purpose<'a> {
-    /// To read a domain.
-    Read(u16),
+    /// To read a domain, and to replace its participant after meeting so many endpoints.
+    Read(u16, Option<usize>),
     Publish(u16),
     /// To say in a domain that a participant, by the prefix of its ids, is gone.
     Bury(u16, [u8; 12]),
@@ -66,7 +66,10 @@ fn purpose(arguments: &[String]) -> Option<Purpose<'_>> {
     let domain = |value: &str| value.parse::<u16>().ok().filter(|domain| *domain <= HIGHEST_DOMAIN);
     match arguments {
         [first, paths @ ..] if first == ATTEMPT => Some(Purpose::Attempt(paths)),
-        [first, value] if first == "--domain" => Some(Purpose::Read(domain(value)?)),
+        [first, value] if first == "--domain" => Some(Purpose::Read(domain(value)?, None)),
+        [first, value, last, number] if first == "--domain" && last == "--renew-after" => {
+            Some(Purpose::Read(domain(value)?, Some(number.parse().ok()?)))
+        }
         [first, value, last] if first == "--domain" && last == "--publish" => Some(Purpose::Publish(domain(value)?)),
         [first, value, last, whom] if first == "--domain" && last == "--bury" => {
             Some(Purpose::Bury(domain(value)?, prefix(whom)?))

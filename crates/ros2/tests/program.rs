@@ -14,6 +14,7 @@ fn it_says_that_it_is_not_started_by_hand() {
         &["--publish"],
         &["--help"],
         &["--domain", "1", "--bury", "0112"],
+        &["--domain", "1", "--renew-after", "few"],
     ] {
         let output = Command::new(env!("CARGO_BIN_EXE_authros-ros2")).args(arguments).output().expect("it starts");
         let said = String::from_utf8_lossy(&output.stderr);

@@ -34,6 +34,17 @@ pub enum NoticeLevel {
     Error,
 }
 
+impl NoticeLevel {
+    /// Its word in logs.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Info => "info",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        }
+    }
+}
+
 /// Sent to every console and follower of the site.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event")]

@@ -80,6 +80,21 @@ impl Hub {
         self.feed.send_modify(|count| *count += 1);
     }
 
+    /// Sends a notice that only informs.
+    pub fn inform(&self, text: &str) {
+        self.notice(NoticeLevel::Info, text);
+    }
+
+    /// Sends a warning.
+    pub fn warn(&self, text: &str) {
+        self.notice(NoticeLevel::Warning, text);
+    }
+
+    /// Tells that something does not work.
+    pub fn alarm(&self, text: &str) {
+        self.notice(NoticeLevel::Error, text);
+    }
+
     /// Sends a notice, unless the same text was sent a moment ago.
     pub fn notice(&self, level: NoticeLevel, text: &str) {
         let text = clean(text, 400);

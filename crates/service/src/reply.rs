@@ -9,9 +9,9 @@ mod site;
 mod topics;
 
 pub use self::chain::{
-    AlarmView, BackupView, ChainView, CheckStatus, DecidedView, DeployedView, DoctorCheck, DoctorView, ErasureView,
-    FindingKind, GasView, GatewayView, HeldView, PinView, PinsView, PricesView, QuarantineView, RecordAudit,
-    RecordFinding, ServedView, WaitingView,
+    BackupView, ChainView, CheckStatus, DecidedView, DeployedView, DoctorCheck, DoctorView, ErasureView, FindingKind,
+    GasView, GatewayView, HeldView, PinView, PinsView, PricesView, QuarantineView, RecordAudit, RecordFinding,
+    ServedView, WaitingView,
 };
 pub use self::identity::{
     AdministrationView, CompareView, ContactRow, DeviceAddressesView, DeviceRow, DeviceTopicsView, Direction,
@@ -20,7 +20,7 @@ pub use self::identity::{
 };
 pub use self::playing::{PlayEnd, PlayedView};
 pub use self::recordings::{
-    ExportView, ExportedTopic, FollowView, FollowedFile, ImportView, ImportedTopic, LeftOut, PolicyRow, PolicyView,
+    ExportView, ExportedTopic, FollowView, FollowedFile, ImportView, ImportedTopic, PolicyRow, PolicyView,
     ProgressView, RecordingReply, Refused,
 };
 pub use self::records::{
@@ -28,8 +28,12 @@ pub use self::records::{
     Refusal, ShownState, StampView, StampedView,
 };
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
-pub use self::topics::{CaptureSummary, CoverageView, HeldUp, TopicRow, TopicSummary, UnreachedView};
-pub use crate::store::CoveragePart;
+pub use self::topics::{CaptureSummary, CoverageView, HeldUp, TopicRow, TopicSummary};
+pub use crate::ros::graph::Unreached as UnreachedView;
+pub use crate::ros::recording::Unusable as LeftOut;
+pub use crate::store::{
+    AlarmRow as AlarmView, CoveragePart, IncidentNote as IncidentNoteView, SpanCoverage as SpanCoverageView,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -323,36 +327,6 @@ pub struct AuditCheck {
     pub text: Option<String>,
     /// Records of heads that fail their own checks, with the reasons.
     pub unusable: Vec<String>,
-}
-
-/// A note about an incident.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct IncidentNoteView {
-    /// When it was written.
-    pub at: Timestamp,
-    /// Its text. Cleaned.
-    pub text: String,
-}
-
-/// An incident's records of one topic.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct SpanCoverageView {
-    /// The topic. Cleaned.
-    pub topic: String,
-    /// Captured messages that are records, without quarantined ones.
-    pub records: u64,
-    /// Bytes of these messages.
-    pub bytes: u64,
-    /// When the first of them was captured.
-    pub first: Option<Timestamp>,
-    /// When the last was.
-    pub last: Option<Timestamp>,
-    /// How many of them retention had already deleted.
-    pub deleted: u64,
-    /// Messages in quarantine.
-    pub quarantined: u64,
-    /// Messages lost in stretches of time that overlap the span.
-    pub lost: u64,
 }
 
 /// An incident and its records.

@@ -9,7 +9,6 @@ use std::path::Path;
 
 /// The longest name, bytes.
 const LONGEST_NAME: usize = 512;
-/// The most files.
 const MOST_FILES: usize = 100_000;
 const FILE: u8 = 1;
 const END: u8 = 0;
@@ -38,9 +37,6 @@ pub fn put(archive: &mut impl Write, name: &str, length: u64, bytes: &mut impl R
 }
 
 /// Writes the end marker.
-///
-/// # Errors
-/// Errors from writing.
 pub fn end(archive: &mut impl Write) -> io::Result<()> {
     archive.write_all(&[END])
 }
@@ -52,7 +48,6 @@ fn damaged(what: &str) -> io::Error {
 /// The contents of an archive.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Unpacked {
-    /// Names in order.
     pub names: Vec<String>,
     /// Bytes of all files.
     pub bytes: u64,
@@ -105,9 +100,6 @@ fn array<const N: usize>(archive: &mut impl Read) -> io::Result<[u8; N]> {
 }
 
 /// Unpacks an archive below a directory: directories 0700, files 0600, each fsynced, none overwriting another.
-///
-/// # Errors
-/// See [`read`]; also if a file cannot be created.
 pub fn unpack(archive: &mut impl Read, directory: &Path) -> io::Result<Unpacked> {
     read(archive, |name, _, bytes| {
         let path = directory.join(name);

@@ -19,15 +19,12 @@ const COLUMNS: &str = "line, at, profile, action, subject, outcome, hash";
 /// An entry to be logged.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditEntry {
-    /// When it happened.
     pub at: Timestamp,
     /// Who did it: a profile, or `profile/operator`, which no profile's name can be; for refusals, a peer.
     pub profile: String,
     /// The action, in a word: `grant`, `open`, ….
     pub action: String,
-    /// Its object.
     pub subject: String,
-    /// Its outcome.
     pub outcome: String,
 }
 
@@ -36,7 +33,6 @@ pub struct AuditEntry {
 pub struct AuditLine {
     /// Its number, from 1.
     pub line: u64,
-    /// The entry.
     #[serde(flatten)]
     pub entry: AuditEntry,
     /// SM3 over the label, the hash of the line before, and the entry.
@@ -67,15 +63,11 @@ pub struct AuditQuery {
 pub struct AuditFault {
     /// The first line that is wrong.
     pub line: u64,
-    /// What is wrong.
     pub what: String,
 }
 
 impl AuditLog {
     /// Adds a line; it is durable when this returns. No grant and no decryption may proceed without it.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then the line was not added.
     pub fn append(&self, entry: AuditEntry) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let (count, head) = head(session.connection)?;
@@ -98,17 +90,11 @@ impl AuditLog {
     }
 
     /// The number of lines and the hash of the last one (zeros if there is none): the head that is anchored.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn head(&self) -> Result<(u64, Digest), StoreError> {
         self.0.read(head)
     }
 
     /// The hash stored with a line, to compare with a head that was anchored when the log was that long.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
         let line = whole("line", line)?;
         self.0.read(|connection| {
@@ -153,9 +139,6 @@ impl AuditLog {
     }
 
     /// When the line after `line` was written; `None` if there is none.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
         let next = whole("line", line.saturating_add(1))?;
         self.0.read(|connection| {
@@ -165,9 +148,6 @@ impl AuditLog {
     }
 
     /// The newest lines that match, oldest first.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn list(&self, query: &AuditQuery) -> Result<Vec<AuditLine>, StoreError> {
         let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;

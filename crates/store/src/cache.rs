@@ -71,9 +71,7 @@ pub struct CacheState {
 /// A server, or a part of a cluster, that does not answer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Away {
-    /// Since when.
     pub since: Timestamp,
-    /// Why.
     pub why: String,
 }
 
@@ -93,9 +91,6 @@ impl CacheState {
 }
 
 /// Asks a cache whether it answers, and returns its URL without secrets.
-///
-/// # Errors
-/// [`StoreError::CacheUrl`], [`StoreError::CacheAway`].
 pub fn examine(settings: &CacheSettings) -> Result<String, StoreError> {
     let servers = Servers::new(settings)?;
     servers.probe();
@@ -140,9 +135,6 @@ impl Shared {
 
 impl Cache {
     /// The cache at a URL, written by a thread that reads from `store`. It is not waited for, nor need it answer.
-    ///
-    /// # Errors
-    /// [`StoreError::CacheUrl`]; [`StoreError::Home`] if its thread cannot begin.
     pub(crate) fn begin(settings: &CacheSettings, store: Ciphertext) -> Result<Self, StoreError> {
         let zero = AtomicU64::default;
         let (hits, misses, wrong, skipped) = (zero(), zero(), zero(), zero());
@@ -196,7 +188,6 @@ impl Cache {
         self.shared.woken.notify_one();
     }
 
-    /// How it does.
     pub(crate) fn state(&self) -> CacheState {
         let shared = &self.shared;
         let of = |counter: &AtomicU64| counter.load(Ordering::Relaxed);

@@ -18,9 +18,7 @@ const DELETE: &str = "DELETE FROM ciphertext WHERE record = (SELECT n FROM recor
 /// How much ciphertext there is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Usage {
-    /// Number of records.
     pub entries: u64,
-    /// Their stored bytes.
     pub bytes: u64,
 }
 
@@ -38,9 +36,6 @@ impl Ciphertext {
     }
 
     /// That of a ledger, with a cache in front of it, which is not waited for.
-    ///
-    /// # Errors
-    /// [`StoreError::CacheUrl`]; [`StoreError::Home`] if the cache's thread cannot begin.
     pub fn cached(ledger: &Ledger, settings: &CacheSettings) -> Result<Self, StoreError> {
         let store = Self::of(ledger);
         let cache = Cache::begin(settings, store.clone())?;
@@ -53,17 +48,11 @@ impl Ciphertext {
     }
 
     /// The stored bytes under a digest. They may have been altered since: check them.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`], [`StoreError::Corrupt`] and the like.
     pub fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         self.database.find(GET, [digest.0], |row| row.get(0))
     }
 
     /// The stored bytes under several digests, in order.
-    ///
-    /// # Errors
-    /// See [`Self::get`].
     pub fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         self.database.read(|connection| {
             let mut statement = connection.prepare_cached(GET)?;
@@ -72,18 +61,12 @@ impl Ciphertext {
     }
 
     /// The first `length` bytes, at most, under several digests, in order: enough to read headers cheaply.
-    ///
-    /// # Errors
-    /// See [`Self::get`].
     pub fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         self.database.read(|connection| digests.iter().map(|digest| front(connection, *digest, length)).collect())
     }
 
     /// The bytes under a digest for a reader: from the cache where it has them right, and from the store otherwise. For
     /// opening and serving alone; a proof of what lies on the disk needs [`Self::get`].
-    ///
-    /// # Errors
-    /// See [`Self::get`]; a cache has none.
     pub fn through_cache(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         let Some(cache) = &self.cache else { return self.get(digest) };
         if let Some(bytes) = cache.get(digest) {
@@ -104,9 +87,6 @@ impl Ciphertext {
     }
 
     /// Deletes the bytes of these records, in the cache too.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is deleted.
     pub fn discard(&self, digests: &[Digest]) -> Result<(), StoreError> {
         if digests.is_empty() {
             return Ok(());
@@ -142,9 +122,6 @@ impl Ciphertext {
     }
 
     /// How much ciphertext there is; reads through all of it.
-    ///
-    /// # Errors
-    /// See [`Self::get`].
     pub fn usage(&self) -> Result<Usage, StoreError> {
         let sql = "SELECT count(*), coalesce(sum(length(bytes)), 0) FROM ciphertext";
         self.database.one(sql, [], |row| {
@@ -167,9 +144,6 @@ impl Ciphertext {
 
     /// Plays the attacker, for the demo and tests: overwrites the bytes under a digest; returns whether there was
     /// anything to overwrite. Nothing else may call this.
-    ///
-    /// # Errors
-    /// See [`Self::discard`].
     pub fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError> {
         let bytes = bytes.to_vec();
         let sql = "UPDATE ciphertext SET bytes = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)";

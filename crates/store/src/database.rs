@@ -39,9 +39,6 @@ pub(super) struct Schema {
 }
 
 /// Opens (or creates) the file for its only writer.
-///
-/// # Errors
-/// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
 pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     files::private_directory(directory)?;
@@ -57,9 +54,6 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
 
 /// Refuses a file written by another version of this program, and leaves file and log as they are: closing must not
 /// merge the log. Other problems are reported when it is opened.
-///
-/// # Errors
-/// [`StoreError::Newer`], [`StoreError::Corrupt`].
 pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreError> {
     if !path.exists() {
         return Ok(());
@@ -97,9 +91,6 @@ pub(super) fn settle(connection: &Connection) {
 }
 
 /// Does `work` so that what it deletes is overwritten with zeros, not only freed.
-///
-/// # Errors
-/// Those of `work`.
 pub(super) fn overwriting<T>(
     connection: &Connection,
     work: impl FnOnce(&Connection) -> Result<T, StoreError>,
@@ -111,9 +102,6 @@ pub(super) fn overwriting<T>(
 }
 
 /// Works the log of a file into it and empties the log, so that nothing deleted stays in there.
-///
-/// # Errors
-/// [`StoreError::Database`] while somebody reads an earlier state; it can be tried again.
 pub(super) fn empty_log(path: &Path) -> Result<(), StoreError> {
     let busy = || StoreError::Database {
         file: path.to_owned(),
@@ -161,9 +149,6 @@ fn log_pages(free: u64) -> i64 {
 }
 
 /// Opens the file for reading only.
-///
-/// # Errors
-/// [`StoreError::Home`], [`StoreError::Corrupt`].
 pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
     let connection = connect(path)?;
     connection
@@ -219,17 +204,11 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
 }
 
 /// SQLite's `quick_check`: pages, records and indices are well-formed.
-///
-/// # Errors
-/// [`StoreError::Corrupt`] with the first fault.
 pub(super) fn quick_check(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     check(connection, "PRAGMA quick_check(1)", path)
 }
 
 /// The same for all tables but one.
-///
-/// # Errors
-/// See [`quick_check`].
 pub(super) fn quick_check_but(connection: &Connection, table: &str, path: &Path) -> Result<(), StoreError> {
     let others = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> ?1 AND name NOT LIKE 'sqlite_%'";
     let others: Vec<String> = connection.list(others, [table], |row| row.get(0))?;
@@ -246,9 +225,6 @@ fn check(connection: &Connection, sql: &str, path: &Path) -> Result<(), StoreErr
 }
 
 /// A number as SQLite keeps it.
-///
-/// # Errors
-/// [`StoreError::TooBig`] above 2^63 - 1.
 pub(super) fn whole(field: &'static str, value: u64) -> Result<i64, StoreError> {
     i64::try_from(value).map_err(|_| StoreError::TooBig { field, value })
 }
@@ -265,7 +241,6 @@ pub(super) fn count(rows: usize) -> u64 {
 
 /// Statements by their text, prepared once for each connection.
 pub(super) trait Statements {
-    /// The prepared statement.
     fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'_>>;
 
     /// Executes it, and says how many rows it changed.

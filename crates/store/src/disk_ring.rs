@@ -36,9 +36,7 @@ pub struct RingRecord {
     pub digest: Digest,
     /// The raw signature, r || s.
     pub signature: Signature,
-    /// Topic name.
     pub topic: String,
-    /// Message type.
     pub type_name: String,
     /// When it was captured.
     pub captured_at: Timestamp,
@@ -55,7 +53,6 @@ pub struct RingRecord {
 /// What a ring holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RingFigures {
-    /// Messages.
     pub messages: u64,
     /// Bytes on the disk.
     pub bytes: u64,
@@ -91,9 +88,6 @@ pub struct DiskRing {
 impl DiskRing {
     /// Opens the ring of a folder, or begins one. What is in it stays; new records are of `recorder`, which is new for
     /// each start: so no number is given twice, whatever was lost with the power.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if the folder cannot be used.
     pub fn open(folder: &Path, limits: RingLimits, recorder: RecorderPrefix) -> Result<Self, StoreError> {
         files::private_directory(folder)?;
         let mut ring = Self {
@@ -123,9 +117,6 @@ impl DiskRing {
     }
 
     /// How much it keeps from now on; what is too much falls out.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if a file cannot be removed.
     pub fn set_limits(&mut self, limits: RingLimits) -> Result<(), StoreError> {
         self.limits = limits;
         let now = self.now();
@@ -186,9 +177,6 @@ impl DiskRing {
     }
 
     /// What falls out by its age falls out.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if a file cannot be removed.
     pub fn tend(&mut self, now: Timestamp) -> Result<(), StoreError> {
         let time = u64::try_from(self.limits.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(now.0.saturating_sub(time));
@@ -204,9 +192,6 @@ impl DiskRing {
 
     /// Prepares for a round of about this many bytes: a full file is closed, and room is made. Only then is it known
     /// which definitions have to go with the round.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`], [`StoreError::DiskFull`].
     pub fn begin_round(&mut self, incoming: u64, now: Timestamp) -> Result<(), StoreError> {
         self.tend(now)?;
         let part = u64::try_from(self.limits.time.as_nanos() / u128::from(PARTS)).unwrap_or(u64::MAX);
@@ -226,9 +211,6 @@ impl DiskRing {
     }
 
     /// Adds records. Their numbers are used up in any case.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`], [`StoreError::DiskFull`]: then none of them is in the ring.
     pub fn append(
         &mut self,
         records: &[(RingRecord, u64, Option<KnownDefinition>, TopicId)],
@@ -265,9 +247,6 @@ impl DiskRing {
     }
 
     /// Drops the oldest file although nothing is due: the disk is nearly full. Returns whether there was one.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if it cannot be removed.
     pub fn shrink(&mut self) -> Result<bool, StoreError> {
         let is_some = !self.segments.is_empty();
         self.drop_oldest()?;
@@ -280,9 +259,6 @@ impl DiskRing {
     }
 
     /// What one file has of a span, with the definitions needed; nothing if it has fallen out meanwhile.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if it cannot be read.
     pub fn select(&self, part: u64, span: &RingSpan) -> Result<Vec<RingRecord>, StoreError> {
         self.segments.get(&part).map_or(Ok(Vec::new()), |segment| segment.select(span))
     }
@@ -382,7 +358,6 @@ const SIMULATED: u8 = 2;
 #[derive(Debug)]
 struct Segment {
     pub path: PathBuf,
-    /// Its length.
     pub bytes: u64,
     /// Capture of its first and last record.
     pub first: Timestamp,
@@ -414,16 +389,12 @@ impl Beginning {
 }
 
 impl Segment {
-    /// An empty one.
     pub fn new(path: PathBuf) -> Self {
         let (first, last) = (Timestamp(u64::MAX), Timestamp(0));
         Self { path, bytes: MAGIC.len() as u64, first, last, moved: None, messages: BTreeMap::new() }
     }
 
     /// What is in a file; what was not written to its end is cut off.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if it cannot be read or cut.
     pub fn open(path: PathBuf) -> Result<Self, StoreError> {
         let file = files::open_private(&path)?;
         let failed = |error: std::io::Error| StoreError::home(&path, &error);
@@ -470,9 +441,6 @@ impl Segment {
     }
 
     /// The records of a span, in the order written; a topic's definitions go before them.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if it cannot be read.
     pub fn select(&self, span: &RingSpan) -> Result<Vec<RingRecord>, StoreError> {
         let file = files::read_private(&self.path)?;
         let failed = |error: std::io::Error| StoreError::home(&self.path, &error);
@@ -564,9 +532,6 @@ fn put(out: &mut Vec<u8>, record: &RingRecord) {
 }
 
 /// The files of a folder with their numbers, the oldest first.
-///
-/// # Errors
-/// [`StoreError::Home`] if it cannot be listed.
 fn list(folder: &Path) -> Result<Vec<(u64, PathBuf)>, StoreError> {
     let failed = |error: std::io::Error| StoreError::home(folder, &error);
     let mut found = Vec::new();
@@ -588,9 +553,6 @@ fn list(folder: &Path) -> Result<Vec<(u64, PathBuf)>, StoreError> {
 const RESTORED: &str = "restored";
 
 /// Notes that all files of a ring come out of a backup; returns whether there is one.
-///
-/// # Errors
-/// [`StoreError::Home`] if its folder cannot be read or written.
 pub fn note_restored(folder: &Path) -> Result<bool, StoreError> {
     if !folder.exists() {
         return Ok(false);

@@ -16,9 +16,6 @@ const PRIVATE_FILE: u32 = 0o600;
 const OTHERS: u32 = 0o077;
 
 /// Bytes that this user may still write to the file system of `path`.
-///
-/// # Errors
-/// [`StoreError::Home`] if it cannot be determined.
 pub fn free_bytes(path: &Path) -> Result<u64, StoreError> {
     let about = rustix::fs::statvfs(path).map_err(|error| StoreError::home(path, &error.into()))?;
     Ok(about.f_bavail.saturating_mul(about.f_frsize))
@@ -39,9 +36,6 @@ pub fn private_directory(path: &Path) -> Result<(), StoreError> {
 
 /// Checks that nobody but this user and root could put a keyring or a socket of his own into a home, or another home in
 /// its place. The door of every home: before a passphrase is sent into it, or a secret written.
-///
-/// # Errors
-/// [`StoreError::Foreign`] or [`StoreError::Open`] with the remedy, [`StoreError::Home`] if it cannot be examined.
 pub fn check_hands(path: &Path) -> Result<(), StoreError> {
     let user = rustix::process::geteuid().as_raw();
     match hands::fault_of_home(path, user).map_err(|error| StoreError::home(path, &error))? {
@@ -55,9 +49,6 @@ pub fn check_hands(path: &Path) -> Result<(), StoreError> {
 }
 
 /// Advice about a file or directory that others can access; `None` if all is well.
-///
-/// # Errors
-/// [`StoreError::Home`] if it cannot be examined.
 pub fn mode_advice(path: &Path) -> Result<Option<String>, StoreError> {
     let about = fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
     let advised = if about.is_dir() { PRIVATE_DIRECTORY } else { PRIVATE_FILE };
@@ -65,9 +56,6 @@ pub fn mode_advice(path: &Path) -> Result<Option<String>, StoreError> {
 }
 
 /// Creates a file (mode 0600) if missing, and refuses one that others can access.
-///
-/// # Errors
-/// [`StoreError::Home`] if it cannot be opened, [`StoreError::Mode`] with the `chmod` to run.
 pub fn open_private(path: &Path) -> Result<File, StoreError> {
     let file = OpenOptions::new()
         .read(true)
@@ -82,9 +70,6 @@ pub fn open_private(path: &Path) -> Result<File, StoreError> {
 }
 
 /// Reads a private file (a keyring, a key, a passphrase), which others must not be able to access.
-///
-/// # Errors
-/// [`StoreError::Home`] if it cannot be read, [`StoreError::Mode`] with the `chmod` to run.
 pub fn read_private(path: &Path) -> Result<File, StoreError> {
     let file = File::open(path).map_err(|error| StoreError::home(path, &error))?;
     check_mode(path, &file)?;
@@ -101,9 +86,6 @@ fn too_open(path: &Path, mode: u32, advised: u32) -> Option<StoreError> {
 }
 
 /// Replaces a file (mode 0600) with `bytes`: after a crash it holds the old content or the new, never a mixture.
-///
-/// # Errors
-/// [`StoreError::Home`] or [`StoreError::DiskFull`]; the old content is then still there.
 pub fn atomic_write(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     replace(directory, path, bytes).map_err(|error| StoreError::home(path, &error))
@@ -139,9 +121,6 @@ pub struct SiteLock {
 
 impl SiteLock {
     /// Takes the lock file at `path`; `None` if another process (or another lock in this one) holds it.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if the file cannot be created or locked.
     pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
         Ok(lock(path)?.map(|file| Self { _file: file }))
     }
@@ -155,9 +134,6 @@ pub struct ConsoleLock {
 
 impl ConsoleLock {
     /// Takes the lock file at `path`; `None` if another console of the profile holds it.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if the file cannot be created or locked.
     pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
         Ok(lock(path)?.map(|file| Self { _file: file }))
     }

@@ -30,6 +30,8 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rusqlite::{Connection, OptionalExtension as _, Params, Row};
+use tokio::runtime::{Handle, RuntimeFlavor};
+use tokio::task::block_in_place;
 
 pub use self::batches::{Anchors, BatchPlace, NewBatch, PlacedRecord, RootSighting, SignerTopic, WaitingBatch};
 pub use self::chain_proofs::{HashedNode, KeptProof, KeptStamp, ProofCounts, StampCounts, UnprovenBatch};
@@ -112,7 +114,6 @@ stores! {
     bindings: Bindings;
     /// What readers may be given, in the order in which it came to be so.
     feed: Feed;
-    /// Who did what.
     audit: AuditLog;
     /// What an audit compares.
     inspection: Inspection;
@@ -143,18 +144,12 @@ struct Shared {
 
 impl Ledger {
     /// Refuses a ledger written by a later version of this program, without touching it.
-    ///
-    /// # Errors
-    /// [`StoreError::Newer`].
     pub fn check_version(path: &Path) -> Result<(), StoreError> {
         database::check_version(path, &SCHEMA)
     }
 
     /// Opens the ledger file, or makes it with a random prefix for its recorders. After an unclean end its contents
     /// are checked first, but for the ciphertext (`quick_check`: about a second per million records).
-    ///
-    /// # Errors
-    /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let connection = database::open_writer(path, &SCHEMA)?;
         let (recorder, clean, is_new) = begin(&connection, path).map_err(|error| error.in_file(path))?;
@@ -172,16 +167,12 @@ impl Ledger {
         Ok(Self::from(Database { shared: Arc::new(shared) }))
     }
 
-    /// The file's path.
     pub fn path(&self) -> &Path {
         self.database.path()
     }
 
     /// Ends the writer thread after all waiting work, and marks the file as cleanly closed. From then on, writes
     /// through other clones fail with [`StoreError::Closed`].
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] or [`StoreError::Database`]; the next open then checks the contents.
     pub fn close(self) -> Result<(), StoreError> {
         self.database.shared.writer.close()
     }
@@ -200,16 +191,12 @@ impl Records {
     }
 
     /// Whether new records are accepted now.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] while they are held back.
     pub fn takes_records(&self) -> Result<(), StoreError> {
         self.0.takes_records()
     }
 }
 
 impl Database {
-    /// The file's path.
     pub fn path(&self) -> &Path {
         &self.shared.path
     }
@@ -242,17 +229,17 @@ impl Database {
         records: usize,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
-        self.shared.writer.write(records, work).map_err(|error| error.in_file(&self.shared.path))
+        relieved(|| self.shared.writer.write(records, work)).map_err(|error| error.in_file(&self.shared.path))
     }
 
     /// Does `work` on one snapshot of the file.
     pub fn read<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
+        relieved(|| self.read_here(work)).map_err(|error| error.in_file(&self.shared.path))
+    }
+
+    fn read_here<T>(&self, work: impl FnOnce(&Connection) -> Result<T, StoreError>) -> Result<T, StoreError> {
         let connection = self.reader()?;
-        let result = connection
-            .unchecked_transaction()
-            .map_err(StoreError::from)
-            .and_then(|snapshot| work(&snapshot))
-            .map_err(|error| error.in_file(&self.shared.path));
+        let result = connection.unchecked_transaction().map_err(StoreError::from).and_then(|snapshot| work(&snapshot));
         let mut readers = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner);
         if readers.len() < READERS_KEPT {
             readers.push(connection);
@@ -305,7 +292,6 @@ impl Database {
         self.run_each(sql, vec![values])
     }
 
-    /// Executes a statement.
     pub fn run(&self, sql: &'static str, values: impl Params + Send + 'static) -> Result<(), StoreError> {
         self.changed(sql, values).map(drop)
     }
@@ -313,6 +299,15 @@ impl Database {
     fn reader(&self) -> Result<Connection, StoreError> {
         let kept = self.shared.readers.lock().unwrap_or_else(PoisonError::into_inner).pop();
         kept.map_or_else(|| database::open_reader(&self.shared.path), Ok)
+    }
+}
+
+/// Does what waits for the disk. A worker thread of a runtime gives its other tasks to another one first: this is the only
+/// door to the file, so that nobody's reading keeps anybody else's task from running.
+fn relieved<T>(work: impl FnOnce() -> T) -> T {
+    match Handle::try_current().map(|runtime| runtime.runtime_flavor()) {
+        Ok(RuntimeFlavor::MultiThread) => block_in_place(work),
+        _ => work(),
     }
 }
 

@@ -16,7 +16,6 @@ pub mod notes;
 mod reserve;
 pub mod snapshot;
 
-use authros_chain as chain;
 use authros_crypto as crypto;
 use authros_model as model;
 

@@ -19,7 +19,6 @@ use crate::model::{
 
 /// A note: its key, and the type of what is kept there.
 pub trait Note {
-    /// What is kept.
     type Value: Serialize + DeserializeOwned;
     /// Its name in the file.
     const NAME: &'static str;
@@ -139,7 +138,6 @@ notes! {
 
     // Granting and revoking.
 
-    /// The address book.
     AddressBook {} = "contacts": Vec<Contact>, "the address book";
     /// The fingerprint of the key for which a reader's keys were wrapped.
     WrappedFor { owner: Address, reader: Address } = "wrapped for": String,
@@ -199,7 +197,6 @@ pub struct ForeignAnchors {
     pub count: u64,
     /// The block of the last one.
     pub block: u64,
-    /// Its transaction.
     pub transaction: Hash,
     /// When it was seen here.
     pub seen: Timestamp,
@@ -211,9 +208,7 @@ pub struct ForeignAnchors {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnsureBlock {
-    /// Its number.
     pub block: u64,
-    /// Its hash.
     pub hash: Hash,
     /// How many events were read of it.
     pub events: usize,
@@ -227,7 +222,6 @@ pub struct UnsureBlock {
 pub struct AwaitedBlock {
     /// Its number and hash.
     pub block: (u64, Hash),
-    /// Since when.
     pub since: Timestamp,
 }
 
@@ -237,7 +231,6 @@ pub struct AwaitedBlock {
 pub struct AskedSpan {
     /// The number of the notice.
     pub number: u64,
-    /// The span.
     pub span: RingSpan,
 }
 
@@ -265,7 +258,6 @@ pub struct Standings {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FileStanding {
-    /// More may come.
     #[default]
     Open,
     /// All of it is sealed, and the statement of its digests.
@@ -288,7 +280,6 @@ pub struct FilePlace {
     pub at: u64,
     /// SM3 of these bytes.
     pub digest: Option<Digest>,
-    /// Chunks among them.
     pub chunks: u64,
     /// Whether its recorder closed it.
     pub closed: bool,
@@ -330,9 +321,7 @@ pub struct StatedRoot {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Contact {
-    /// N.
     pub name: ContactName,
-    /// The account.
     pub address: Address,
     /// As a person reads it.
     pub fingerprint: Option<String>,
@@ -344,11 +333,8 @@ pub struct Contact {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdmittedOwner {
-    /// The owner.
     pub owner: Address,
-    /// Since when.
     pub since: Timestamp,
-    /// Who admitted it.
     pub by: String,
 }
 
@@ -360,7 +346,6 @@ pub struct FeedTaken {
     pub feed: [u8; 16],
     /// When it was last begun to be read from the beginning.
     pub begun: Timestamp,
-    /// The owners.
     pub owners: BTreeMap<Address, TakenOfOwner>,
 }
 
@@ -401,7 +386,6 @@ pub struct FollowedOwner {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Enrolled {
-    /// N.
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
@@ -409,7 +393,6 @@ pub struct Enrolled {
     pub topics: Vec<String>,
     /// Whether it was recalled.
     pub ended: bool,
-    /// Its public key.
     pub key: PublicKey,
     /// Its gateway, and where it finds it.
     pub gateway: Option<EnrolledGateway>,
@@ -443,7 +426,6 @@ pub struct PolicyWanted {
 pub struct PolicyKept {
     /// The version taken up last; 0 = none yet.
     pub version: u64,
-    /// Its text.
     pub text: String,
     /// The newest version heard of.
     pub heard: u64,
@@ -453,17 +435,11 @@ pub struct PolicyKept {
 
 impl Notes {
     /// What is noted; `None` if nothing is.
-    ///
-    /// # Errors
-    /// [`StoreError::Note`] if it cannot be read, [`StoreError::Database`] and the like.
     pub fn read<N: Note>(&self, note: &N) -> Result<Option<N::Value>, StoreError> {
         self.0.read(|connection| read_in(connection, note))
     }
 
     /// Notes a value in place of the one before.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; the value before is then unchanged.
     pub fn write<N: Note>(&self, note: &N, value: &N::Value) -> Result<(), StoreError> {
         let row = row(note, value)?;
         self.0.write(move |session| put(session.connection, row))
@@ -491,9 +467,6 @@ impl Notes {
     }
 
     /// Drops a note if it still says this.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; the note is then unchanged.
     pub fn forget<N: Note>(&self, note: &N, value: &N::Value) -> Result<(), StoreError> {
         let row = row(note, value)?;
         let sql = "DELETE FROM notes WHERE kind = ?1 AND about = ?2 AND value = ?3";

@@ -50,9 +50,6 @@ impl Reserve {
     }
 
     /// Releases the space; returns whether there was any.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`] if the file cannot be removed.
     pub fn release(&self) -> Result<bool, StoreError> {
         let mut held = self.held();
         if !*held {
@@ -64,9 +61,6 @@ impl Reserve {
     }
 
     /// Reserves the space again, if it is not.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Home`]; nothing is reserved then.
     pub fn refill(&self) -> Result<(), StoreError> {
         let mut held = self.held();
         if *held {
@@ -164,9 +158,6 @@ impl Line {
 impl WaitingFile {
     /// Opens the file, or allocates it, and returns what is left in it. Of what the process before had lost, only that
     /// is returned which the ledger has not counted: `counted` is the number of the last text of which it has.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Home`], [`StoreError::Mode`].
     pub fn open(path: &Path, counted: u64) -> Result<(Self, Waiting), StoreError> {
         let file = files::open_private(path)?;
         let about = file.metadata().map_err(|error| StoreError::home(path, &error))?;
@@ -195,9 +186,6 @@ impl WaitingFile {
     }
 
     /// Replaces the text; durable, and takes no space. What does not fit is left out, the last first.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`]; the text before is then still there.
     pub fn write(&mut self, now: &Waiting) -> Result<(), StoreError> {
         let number = self.number + 1;
         let text = text_of(now);

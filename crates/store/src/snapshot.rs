@@ -17,9 +17,6 @@ pub struct Snapshot {
 
 impl Snapshot {
     /// From now on; the file must exist.
-    ///
-    /// # Errors
-    /// [`StoreError::Home`], [`StoreError::Corrupt`] and the like.
     pub fn begin(path: &Path) -> Result<Self, StoreError> {
         let connection = database::open_reader(path)?;
         connection
@@ -31,9 +28,6 @@ impl Snapshot {
     /// A moment of the ledger, and the result of `also`, run while nothing is written to the ledger: so a moment of
     /// another file that is written before the ledger (the chain) holds everything this moment of the ledger
     /// names.
-    ///
-    /// # Errors
-    /// Errors of the ledger, or of `also`.
     pub fn of<T: Send + 'static>(
         ledger: &Ledger,
         also: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
@@ -43,18 +37,12 @@ impl Snapshot {
     }
 
     /// Writes the file as of that moment to a new private file.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
     pub fn copy_to(&self, file: &Path) -> Result<(), StoreError> {
         copy(&self.connection, file).map_err(|error| error.in_file(&self.path))
     }
 }
 
 /// Copies what a connection sees to a new private file.
-///
-/// # Errors
-/// [`StoreError::DiskFull`] and the like.
 pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
     drop(files::open_private(file)?);
     let mut to = Connection::open(file)?;
@@ -72,9 +60,6 @@ pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
 }
 
 /// Whether a database file is well-formed (SQLite's `quick_check`), and its size in bytes.
-///
-/// # Errors
-/// [`StoreError::Corrupt`] with the first fault, [`StoreError::Home`] and the like.
 pub fn examine(path: &Path) -> Result<u64, StoreError> {
     database::quick_check(&database::open_reader(path)?, path)?;
     let about = std::fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
@@ -83,9 +68,6 @@ pub fn examine(path: &Path) -> Result<u64, StoreError> {
 
 /// Makes a copied ledger a separate one: a new recorder, so that no number is used twice, and a note of how far the
 /// chain was known.
-///
-/// # Errors
-/// [`StoreError::Corrupt`] and the like.
 pub fn renew_ledger(path: &Path) -> Result<(), StoreError> {
     super::ledger::renew(path)
 }

@@ -245,7 +245,7 @@ fn targets_of_sm4(rows: &[Row]) -> Vec<Target> {
 
 fn text(rows: &[Row]) -> String {
     let head = ["work", "bytes", "by", "runs", "min", "p5", "p50", "p95", "max", "p5-p95", "outliers", "paper"];
-    table(&head, &rows.iter().map(cells).collect::<Vec<_>>())
+    table(&head, rows.iter().map(cells))
 }
 
 fn cells(row: &Row) -> Vec<String> {

@@ -215,7 +215,7 @@ fn tables(rows: &[Row], presets: &[String]) -> Vec<String> {
         "period",
     ];
     let cells = |cells: fn(&Row) -> Vec<String>| rows.iter().map(cells).collect::<Vec<_>>();
-    vec![table(&responses, &cells(response_cells)), table(&totals, &cells(total_cells)), presets.join("\n")]
+    vec![table(&responses, cells(response_cells)), table(&totals, cells(total_cells)), presets.join("\n")]
 }
 
 fn names(row: &Row) -> Vec<String> {

@@ -351,7 +351,7 @@ fn text(rows: &[Row]) -> String {
             ratio,
         ]
     };
-    table(&head, &rows.iter().map(cells).collect::<Vec<_>>())
+    table(&head, rows.iter().map(cells))
 }
 
 /// Records a second for each way of uploading, beside the most one core could do.

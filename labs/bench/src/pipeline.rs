@@ -110,7 +110,7 @@ fn tables(rows: &[Row], summaries: &[Summary]) -> Vec<String> {
     let latencies: Vec<Vec<String>> = rows.iter().map(latency_cells).collect();
     let busy: Vec<Vec<String>> = summaries.iter().flat_map(Summary::busy_cells).collect();
     let mut tables = vec![
-        table(&Summary::COLUMNS, &summaries.iter().map(Summary::cells).collect::<Vec<_>>()),
+        table(&Summary::COLUMNS, summaries.iter().map(Summary::cells)),
         format!(
             "from capture, ms\n{}",
             table(&["load", "to", "messages", "min", "p50", "p95", "p99", "max"], &latencies)

@@ -173,7 +173,7 @@ fn beside(rows: &[Row]) -> String {
         cells.extend([times[0], times[1]].map(|ours| decimal(times[2] / ours)));
         Some(cells)
     };
-    format!("milliseconds per upload\n{}", table(&head, &rows.chunks(3).filter_map(line).collect::<Vec<_>>()))
+    format!("milliseconds per upload\n{}", table(&head, rows.chunks(3).filter_map(line)))
 }
 
 fn cells(row: &Row) -> Vec<String> {

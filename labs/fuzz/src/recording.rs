@@ -6,7 +6,9 @@ use std::sync::Arc;
 use authros::model::Timestamp;
 use authros::ros::bag::{BagReader, BagWriter};
 use authros::ros::mcap::{McapReader, McapWriter};
-use authros::ros::recording::{Beside, Channel, ChunkCompression, Encoding, RecordedMessage, Sent};
+use authros::ros::recording::{
+    Beside, Channel, ChunkCompression, Encoding, RecordedMessage, RecordingReader as _, Sent,
+};
 
 use crate::Sample;
 

@@ -10,7 +10,7 @@ use crate::cli::connect::{Context, ProfileNeed};
 use crate::cli::demo;
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, Names, open, topic_key};
 use crate::model::head::SIMULATED;
-use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
+use crate::model::{Address, ErrorKind, ProfileName, RecordKind, Timestamp, TopicName, Verdict};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, authority, chain_proofs};
 use crate::ros::{DomainFleet, FleetOptions};
@@ -18,6 +18,7 @@ use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShare
 use crate::service::failure::internal;
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
 use crate::service::{Client, Epochs, Failure, Needs, Site, UploadQuery};
+use crate::store::RecordQuery;
 use authros_output::Output;
 
 /// How often a capture is repeated while nothing that the story needs was published.
@@ -55,13 +56,8 @@ impl Mission {
     /// If the home is in use, or a part does not start.
     pub async fn start(context: &Context, robots: Robots, seconds: u64, output: Output) -> Result<Self, Failure> {
         let root = context.home.root().display();
-        let in_use = || {
-            Failure::new(
-                ErrorKind::Home,
-                format!("a site of {root} is already running; stop it, or give the demo another --home"),
-            )
-        };
-        let lock = context.lock()?.ok_or_else(in_use)?;
+        let in_use = format!("a site of {root} is already running; stop it, or give the demo another --home");
+        let lock = context.lock()?.ok_or_else(|| Failure::new(ErrorKind::Home, in_use))?;
         let program = context.config.ros2_program.clone();
         let fleet = |domain| DomainFleet::start(domain, program.as_deref(), robots.number, FleetOptions::default());
         let fleet = robots.domain.map(|domain| block_in_place(|| fleet(domain))).transpose()?;
@@ -73,9 +69,7 @@ impl Mission {
         let number = robots.number;
         let names =
             (1..=number).flat_map(|robot| [format!("/robot{robot}/odom"), format!("/robot{robot}/camera/compressed")]);
-        let topics: Result<Vec<TopicName>, _> = names.map(|name| name.parse()).collect();
-        let topics = topics
-            .map_err(|error: crate::model::topic::NameError| crate::service::failure::internal(error.to_string()))?;
+        let topics: Vec<TopicName> = crate::cli::parse::values(&names.collect::<Vec<_>>())?;
         let watched: Vec<String> =
             topics.iter().map(ToString::to_string).filter(|topic| topic.contains("camera")).collect();
         let listener = match robots.domain {
@@ -186,14 +180,8 @@ impl Mission {
     }
 
     async fn capture_once(&self, milliseconds: u64) -> Result<CaptureSummary, Failure> {
-        let ask = Capture {
-            topics: self.topics.clone(),
-            type_name: None,
-            count: None,
-            milliseconds: Some(milliseconds),
-            tags: self.tags.clone(),
-        };
-        self.cura_a.client.ask(ask).await
+        let (topics, tags, milliseconds) = (self.topics.clone(), self.tags.clone(), Some(milliseconds));
+        self.cura_a.client.ask(Capture { topics, type_name: None, count: None, milliseconds, tags }).await
     }
 
     async fn grant(&self) -> Result<(), Failure> {
@@ -238,12 +226,9 @@ impl Mission {
     }
 
     fn is_restored(&self, opened: &OpenedView) -> bool {
-        let picture = opened
-            .picture
-            .as_ref()
-            .is_some_and(|bytes| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]));
+        let is_jpeg = |bytes: &Vec<u8>| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]);
         // Only pictures are awaited.
-        picture && opened.body.as_ref().is_some_and(|body| self.listener.saw(body))
+        opened.picture.as_ref().is_some_and(is_jpeg) && opened.body.as_ref().is_some_and(|body| self.listener.saw(body))
     }
 
     async fn stranger_is_refused(&self, records: &[RecordView]) -> Result<bool, Failure> {
@@ -321,35 +306,30 @@ impl Mission {
     /// Every epoch key that B ever received.
     fn kept_keys(&self) -> Result<Vec<(u64, EpochKey)>, Failure> {
         let reader = Reader { plant: &self.site.plant, network: &self.network, reader: &self.cura_b.owner };
-        let mut kept = Vec::new();
-        if let Some(grant) =
-            authority::standing_grant(&self.network.directory, self.cura_a.address, reader.reader.address)
-        {
-            for envelope in block_in_place(|| reader.envelopes(&grant))? {
-                if let GrantedKeys::All { epochs, .. } = &envelope.keys {
-                    kept.extend(epochs.iter().cloned());
-                }
+        let (directory, mut kept) = (&self.network.directory, Vec::new());
+        let Some(grant) = authority::standing_grant(directory, self.cura_a.address, reader.reader.address) else {
+            return Ok(kept);
+        };
+        for envelope in block_in_place(|| reader.envelopes(&grant))? {
+            if let GrantedKeys::All { epochs, .. } = &envelope.keys {
+                kept.extend(epochs.iter().cloned());
             }
         }
         Ok(kept)
     }
 
     async fn open_after_revoke(&self, revoked_at: Timestamp, kept: &[(u64, EpochKey)]) -> Result<u64, Failure> {
-        let query = crate::store::RecordQuery {
-            owner: Some(self.cura_a.address),
-            since: Some(revoked_at),
-            limit: 10_000,
-            ..crate::store::RecordQuery::default()
-        };
+        let (owner, since) = (Some(self.cura_a.address), Some(revoked_at));
+        let query = RecordQuery { owner, since, limit: 10_000, ..RecordQuery::default() };
         let rows = block_in_place(|| self.site.plant.ledger.records.list(&query))?.rows;
         let provider = self.site.plant.provider;
         let mut opened = 0;
+        let signer = self.cura_a.owner.signing();
         for row in rows {
             let asked = self.cura_b.client.ask(OpenShared { id: row.id.clone() }).await.is_ok();
             let blob = block_in_place(|| self.site.plant.ciphertext.get(row.digest))?.ok_or_else(gone)?;
             let names = Names::Derived(self.cura_a.owner.index());
             let expected = Expected::any_of(self.network.domain, self.cura_a.address, names);
-            let signer = self.cura_a.owner.signing();
             let by_key = kept.iter().any(|(_, key)| {
                 let key = topic_key(key, &row.topic_id);
                 open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected)
@@ -361,15 +341,9 @@ impl Mission {
     }
 
     async fn anchored(&self) -> Result<u64, Failure> {
-        let query = crate::store::RecordQuery {
-            owner: Some(self.cura_a.address),
-            kind: Some(crate::model::RecordKind::Data),
-            limit: 10_000,
-            newest_first: true,
-            ..crate::store::RecordQuery::default()
-        };
+        let (owner, kind) = (Some(self.cura_a.address), Some(RecordKind::Data));
+        let mut query = RecordQuery { owner, kind, limit: 10_000, newest_first: true, ..RecordQuery::default() };
         let mut anchored = 0;
-        let mut query = query;
         loop {
             let page = block_in_place(|| self.site.plant.ledger.records.list(&query))?;
             for row in &page.rows {
@@ -405,13 +379,8 @@ fn gone() -> Failure {
 async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output) -> Result<Person, Failure> {
     let profile: ProfileName = crate::cli::parse::value(name)?;
     let client = site.client(profile.clone());
-    let own = Context {
-        global: context.global.clone(),
-        home: context.home.clone(),
-        profile: profile.clone(),
-        config: context.config.clone(),
-        operator: None,
-    };
+    let (global, home, config) = (context.global.clone(), context.home.clone(), context.config.clone());
+    let own = Context { global, home, profile: profile.clone(), config, operator: None };
     own.prepare(&client, ProfileNeed::Made, &output).await?;
     client.ask(Register).await?;
     let owner = site.unlocked(&profile)?;

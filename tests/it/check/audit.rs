@@ -171,7 +171,11 @@ fn in_rows(home: &Home, authros: &Authros) {
         ("seq = seq + 1000000", true),
         ("digest = zeroblob(32)", true),
         ("tx = zeroblob(32)", true),
-        ("block = block + 1", true),
+        (
+            "(tx, block, block_hash) = (SELECT tx, block + 1, block_hash FROM leaves JOIN batches ON key = batch
+             WHERE record = n)",
+            true,
+        ),
         ("state = 1", true),
         ("epoch = epoch + 1", false),
         ("signature = zeroblob(64)", false),

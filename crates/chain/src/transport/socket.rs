@@ -27,7 +27,6 @@ use zeroize::Zeroizing;
 
 use super::{CONNECTING, ChainError, IDLE, Limits, Refused, TOGETHER, TransportError, broken, is_one, read};
 use crate::model::{address_without_secrets, clean};
-use crate::web;
 
 /// A node's address.
 pub(super) struct Address {
@@ -83,7 +82,7 @@ impl Server {
         let credentials = basic(&url).map_err(|_| refused())?;
         url.set_username("").and_then(|()| url.set_password(None)).map_err(|()| refused())?;
         let is_secured = matches!(url.scheme(), "https" | "wss");
-        let tls = is_secured.then(|| web::tls(roots).map(Arc::new).map_err(ChainError::Roots)).transpose()?;
+        let tls = is_secured.then(|| authros_tls::tls(roots).map(Arc::new).map_err(ChainError::Roots)).transpose()?;
         Ok(Self { url, credentials, tls })
     }
 }

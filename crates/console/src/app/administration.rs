@@ -3,7 +3,7 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::State;
-use super::form::{Field, Form, Line};
+use super::form::{Field, Form, Line, Wrong};
 use super::popup::{self, Confirm, Popup, Purpose};
 use super::verb::{Errand, Tag};
 use crate::model::Party;
@@ -84,18 +84,12 @@ impl Act {
 
     /// Whether it needs an account.
     fn names(self) -> bool {
-        matches!(self, Self::Admit | Self::Dismiss | Self::Suspend | Self::Restore | Self::HandOver)
-            || self.is_succession()
-    }
-
-    /// Whether it is about a lost account and its successor.
-    fn is_succession(self) -> bool {
-        self == Self::Propose
+        matches!(self, Self::Admit | Self::Dismiss | Self::Suspend | Self::Restore | Self::HandOver | Self::Propose)
     }
 
     /// Whether its name must be typed, because it cannot simply be undone.
     fn is_grave(self) -> bool {
-        matches!(self, Self::Suspend | Self::HandOver | Self::Pause) || self.is_succession()
+        matches!(self, Self::Suspend | Self::HandOver | Self::Pause | Self::Propose)
     }
 
     fn word(self) -> &'static str {
@@ -146,24 +140,14 @@ fn administer(act: Act, administration: Administration) -> Errand {
 
 fn form(act: Act) -> Form {
     let hint = "0x and 40 hex, or a contact's name";
-    let mut lines = vec![Line::text(if act.is_succession() { "Lost" } else { "Account" }, hint, Field::default())];
-    if act.is_succession() {
-        lines.push(Line::text("Successor", hint, Field::default()));
-    }
+    let names: &[&str] = if act == Act::Propose { &["Lost", "Successor"] } else { &["Account"] };
+    let lines = names.iter().map(|name| Line::text(name, hint, Field::default())).collect();
     Form::new(act.title(), act.meaning().iter().map(|line| (*line).to_owned()).collect(), lines)
 }
 
 /// The question after a completed form.
-pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
-    let party = |line: usize| -> Result<Party, (usize, String)> {
-        form.text(line).trim().parse().map_err(|error| (line, format!("{error}")))
-    };
-    let account = party(0)?;
-    let successor = |lines: &mut Vec<String>| -> Result<Party, (usize, String)> {
-        let successor = party(1)?;
-        lines.push(format!("Successor  {successor}"));
-        Ok(successor)
-    };
+pub fn read(act: Act, form: &Form) -> Result<Confirm, Wrong> {
+    let account: Party = form.parsed(0)?;
     let mut lines = vec![format!("Account  {account}")];
     let administration = match act {
         Act::Admit => Administration::Admit { account },
@@ -171,7 +155,11 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
         Act::Suspend => Administration::Suspend { account },
         Act::Restore => Administration::Restore { account },
         Act::HandOver => Administration::HandOver { account },
-        Act::Propose => Administration::Propose { lost: account, successor: successor(&mut lines)? },
+        Act::Propose => {
+            let successor: Party = form.parsed(1)?;
+            lines.push(format!("Successor  {successor}"));
+            Administration::Propose { lost: account, successor }
+        }
         Act::Open | Act::Close | Act::Pause | Act::Continue | Act::Accept | Act::Deploy => {
             return Err((0, "this command takes no account; press esc".to_owned()));
         }

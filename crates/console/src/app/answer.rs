@@ -7,13 +7,13 @@ use std::path::PathBuf;
 use zeroize::Zeroizing;
 
 use super::incidents::{self, Deed};
-use super::popup::Popup;
+use super::popup::{Popup, Purpose, tell};
 use super::update::Feed;
 use super::verb::{Contents, Effect, Tag};
 use super::{Screen, State, identity_path, opening, palette, perform, policies};
 use crate::model::{ErrorKind, Verdict};
 use crate::service::command::{self as ask, Ask, SecretBytes};
-use crate::service::reply::{CheckView, ExportedFile, IdentityView, PinsView, Provenance, TransactionView};
+use crate::service::reply::{CheckView, ExportedFile, IdentityView};
 use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
 type Answer = Result<Reply, Failure>;
@@ -29,16 +29,25 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     match tag {
         Tag::Feed(..) => {}
         Tag::OpenConsole => return opened_console(state, ask::OpenConsole::heard(result)),
-        Tag::CreateIdentity => return identity_path::made(state, ask::CreateIdentity::heard(result)),
-        Tag::Unlock => return identity_path::unlocked(state, ask::Unlock::heard(result)),
+        Tag::CreateIdentity => {
+            let made = ask::CreateIdentity::heard(result);
+            return identity_path::opened(state, made, Purpose::CreateIdentity, "identity created");
+        }
+        Tag::Unlock => {
+            return identity_path::opened(state, ask::Unlock::heard(result), Purpose::Unlock, "keyring unlocked");
+        }
         Tag::Register => return identity_path::registered(state, ask::Register::heard(result)),
         Tag::Open(id) => return opening::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Path(id) => opening::path_found(state, id, ask::ViewPath::heard(result)),
         Tag::Beside(Screen::Uploads, id) => opening::looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Beside(Screen::Topics, topic) => opening::covered(state, topic, ask::TopicCoverage::heard(result)),
         Tag::Beside(_, id) => opening::opened_beside(state, id, ask::OpenShared::heard(result)),
-        Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
-        Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
+        Tag::Show(id) => tell(state, id, ask::ShowUpload::heard(result), |popup| {
+            if let Popup::Provenance(lookup) = popup { Some(lookup) } else { None }
+        }),
+        Tag::Publishers(topic) => tell(state, topic, ask::ListPins::heard(result), |popup| {
+            if let Popup::Publishers(lookup) = popup { Some(lookup) } else { None }
+        }),
         // What the site knew before says nothing about what is still in flight now.
         Tag::HoldCapture => {
             done(state, tag, ask::HoldCapture::heard(result), |state, ()| state.feeds.renew(Feed::Site))
@@ -52,13 +61,17 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
                 secret(base, key_file(state, *kind), &key)
             });
         }
-        Tag::BackUp => return named(state, tag, ask::BackUpKeys::heard(result), "keyring", |keys| keys),
+        Tag::BackUp => {
+            return written(state, tag, ask::BackUpKeys::heard(result), |state, base, keys| {
+                secret(base, format!("{}.keyring", state.settings.profile), &keys)
+            });
+        }
         Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| perform::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
         Tag::Contact(_) => done(state, tag, ask::ListContacts::heard(result), |state, rows| {
             state.contacts = rows;
-            say_done(state, tag);
+            state.inform(is_done(tag));
         }),
         Tag::Incident(Deed::Remove, _) => incident_removed(state, tag, result),
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
@@ -66,33 +79,27 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         }),
         Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
         Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
-        Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
-            state.inform(format!("now watching {topic}"));
+        Tag::Watch(topic) => said(state, tag, ask::WatchTopic::heard(result), |()| format!("now watching {topic}")),
+        Tag::Unwatch(topic) => {
+            said(state, tag, ask::UnwatchTopic::heard(result), |()| format!("no longer watching {topic} (U: undo)"))
+        }
+        Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
+        Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
+        Tag::Revoke(_) => said(state, tag, ask::Revoke::heard(result), |view| view.text),
+        Tag::Rotate => said(state, tag, ask::RotateKeys::heard(result), |view| view.text),
+        Tag::Administer(_) => said(state, tag, ask::Administer::heard(result), |view| view.text),
+        Tag::Deploy => said(state, tag, ask::DeployContract::heard(result), |deployed| {
+            format!("contract {} deployed", deployed.pin.contract)
         }),
-        Tag::Unwatch(topic) => done(state, tag, ask::UnwatchTopic::heard(result), |state, ()| {
-            state.inform(format!("no longer watching {topic} (U: undo)"));
-        }),
-        Tag::Grant(_) => told(state, tag, ask::Grant::heard(result)),
-        Tag::Extend(_) => told(state, tag, ask::ExtendGrant::heard(result)),
-        Tag::Revoke(_) => told(state, tag, ask::Revoke::heard(result)),
-        Tag::Rotate => told(state, tag, ask::RotateKeys::heard(result)),
-        Tag::Administer(_) => told(state, tag, ask::Administer::heard(result)),
-        Tag::Deploy => done(state, tag, ask::DeployContract::heard(result), |state, deployed| {
-            state.inform(format!("contract {} deployed", deployed.pin.contract));
-        }),
+        Tag::Pin(_) => said(state, tag, ask::PinTopic::heard(result), |_| is_done(tag)),
+        Tag::Unpin(_) => said(state, tag, ask::UnpinTopic::heard(result), |_| is_done(tag)),
+        Tag::Release(_) => said(state, tag, ask::ReleaseHeld::heard(result), |decided| decided.text),
+        Tag::Discard(_) => said(state, tag, ask::DiscardHeld::heard(result), |decided| decided.text),
         Tag::LoadKey(kind) => done(state, tag, ask::LoadKey::heard(result), |state, keys| {
             state.keys = Some(keys);
             state.feeds.renew(Feed::Identity);
             state.inform(loaded(kind));
         }),
-        Tag::Pin(_) => done(state, tag, ask::PinTopic::heard(result), |state, _| say_done(state, tag)),
-        Tag::Unpin(_) => done(state, tag, ask::UnpinTopic::heard(result), |state, _| say_done(state, tag)),
-        Tag::Release(_) => {
-            done(state, tag, ask::ReleaseHeld::heard(result), |state, decided| state.inform(decided.text))
-        }
-        Tag::Discard(_) => {
-            done(state, tag, ask::DiscardHeld::heard(result), |state, decided| state.inform(decided.text))
-        }
     }
     follow_up(state, tag)
 }
@@ -104,7 +111,7 @@ fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
 fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
     done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
         state.incidents.set(rows, state.now);
-        say_done(state, tag);
+        state.inform(is_done(tag));
     });
 }
 
@@ -190,26 +197,6 @@ fn opened_console(state: &mut State, result: Result<(), Failure>) -> Vec<Effect>
     Vec::new()
 }
 
-fn looked_up(state: &mut State, id: &str, result: Result<Provenance, Failure>) {
-    for popup in &mut state.popups {
-        if let Popup::Provenance(lookup) = popup
-            && lookup.id == id
-        {
-            return lookup.answer = Some(result.map(Box::new));
-        }
-    }
-}
-
-fn publishers(state: &mut State, topic: &str, result: Result<PinsView, Failure>) {
-    for popup in &mut state.popups {
-        if let Popup::Publishers(lookup) = popup
-            && lookup.id == topic
-        {
-            return lookup.answer = Some(result.map(Box::new));
-        }
-    }
-}
-
 fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     state.feeds.renew(Feed::Identity);
     for feed in [Feed::Keys, Feed::Grants, Feed::Shared] {
@@ -224,18 +211,22 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     }
 }
 
-/// An act's answer: reported, noted for undoing, and what it made out of date is requested again.
-/// Says what a transaction did.
-fn told(state: &mut State, tag: &Tag, result: Result<TransactionView, Failure>) {
-    done(state, tag, result, |state, view| state.inform(view.text));
+/// What came of an act, in words made from its answer.
+fn said<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, text: impl FnOnce(T) -> String) {
+    done(state, tag, result, |state, answer| state.inform(text(answer)));
 }
 
+fn is_done(tag: &Tag) -> String {
+    format!("{}: done", tag.words())
+}
+
+/// An act's answer: reported, noted for undoing, and what it made out of date is requested again.
 fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
     match result {
         Ok(answer) => {
             // An earlier failure of the same act no longer holds.
             state.toasts.supersede(&tag.words());
-            state.log.notice(state.now, NoticeLevel::Info, &format!("{}: done", tag.words()));
+            state.log.notice(state.now, NoticeLevel::Info, &is_done(tag));
             take(state, answer);
             // The form returns if what follows fails.
             let next = state.follow_up.as_ref().filter(|(after, _)| after == tag).map(|(_, errand)| errand.tag.clone());
@@ -278,10 +269,6 @@ fn loaded(kind: &KeyKind) -> &'static str {
     }
 }
 
-fn say_done(state: &mut State, tag: &Tag) {
-    state.inform(format!("{}: done", tag.words()));
-}
-
 /// Answers that contain files are written.
 fn written<T>(
     state: &mut State,
@@ -297,18 +284,6 @@ fn written<T>(
             Vec::new()
         }
     }
-}
-
-/// A secret in a file named after the profile.
-fn named<T>(
-    state: &mut State,
-    tag: &Tag,
-    result: Result<T, Failure>,
-    ending: &str,
-    bytes: impl FnOnce(&T) -> &SecretBytes,
-) -> Vec<Effect> {
-    let name = format!("{}.{ending}", state.settings.profile);
-    written(state, tag, result, |_, base, answer| secret(base, name, bytes(&answer)))
 }
 
 fn exported(id: &str, base: Option<PathBuf>, files: Vec<ExportedFile>) -> Effect {

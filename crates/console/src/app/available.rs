@@ -18,6 +18,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     if asks_passphrase && state.settings.operator.is_some() {
         return Err("only for the owner");
     }
+    given(!is_bound(verb) || entry.works_on(state.screen), "other screen")?;
     match verb {
         Verb::Watch if state.screen == Screen::Overview => Ok(()),
         Verb::CreateIdentity => create(state),
@@ -33,28 +34,19 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         }
         Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
-            given(entry.works_on(state.screen), "other screen")?;
             given(state.has_rows(), "nothing selected")
         }
-        Verb::Publishers | Verb::Pin | Verb::Unpin => {
-            given(entry.works_on(state.screen), "other screen")?;
-            one_topic(state)
-        }
+        // Without any grant the answer is: nobody else.
+        Verb::Readers if state.screen == Screen::Grants => Ok(()),
+        Verb::Read | Verb::Readers | Verb::Play => given(state.has_rows(), "nothing selected"),
+        Verb::Publishers | Verb::Pin | Verb::Unpin => one_topic(state),
         Verb::Fold => {
-            given(entry.works_on(state.screen), "other screen")?;
             let row = state.topics.selected().ok_or("nothing selected")?;
             given(robot_of(&row.topic).is_some(), "not a robot's topic")
-        }
-        Verb::Readers | Verb::Browse | Verb::Play => {
-            given(entry.works_on(state.screen), "other screen")?;
-            // Without any grant the answer is: nobody else.
-            let whole = matches!(verb, Verb::Browse) || state.screen == Screen::Grants;
-            given(whole || state.has_rows(), "nothing selected")
         }
         Verb::Inspect => inspect(state),
         Verb::SetPolicy => policy(state),
         Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
-        Verb::Period | Verb::FoldAll | Verb::Columns => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state),
         Verb::Lock => lock(state),
@@ -62,15 +54,22 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),
         Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing here to copy"),
-        Verb::Level | Verb::Source => given(state.screen == Screen::Log, "other screen"),
-        Verb::Read => {
-            given(entry.works_on(state.screen), "other screen")?;
-            given(state.has_rows(), "nothing selected")
-        }
         Verb::Go(_) | Verb::NextScreen | Verb::PreviousScreen | Verb::Grant | Verb::Tasks | Verb::LocalTime => Ok(()),
         Verb::Freeze | Verb::Palette | Verb::Help | Verb::Dismiss | Verb::ChooseTheme | Verb::Ascii => Ok(()),
         Verb::Mouse | Verb::Redraw | Verb::Suspend | Verb::Quit | Verb::Contacts | Verb::Profile => Ok(()),
+        Verb::Browse | Verb::Period | Verb::FoldAll | Verb::Columns | Verb::Level | Verb::Source => Ok(()),
     }
+}
+
+/// Whether a verb is about what is on its screens, and can be done nowhere else.
+fn is_bound(verb: Verb) -> bool {
+    use Verb::{
+        Browse, Check, Columns, Details, Discard, Export, Extend, Fold, FoldAll, Inspect, Level, Mark, MarkAll,
+    };
+    use Verb::{Open, Period, Pin, Play, Publishers, Read, Readers, Release, Revoke, Source, Unpin, Watch};
+    let of_rows = matches!(verb, Mark | MarkAll | Watch | Details | Open | Check | Export | Readers | Browse | Play);
+    let of_topics = matches!(verb, Publishers | Pin | Unpin | Release | Discard | Fold | FoldAll | Columns);
+    of_rows || of_topics || matches!(verb, Inspect | Period | Level | Source | Read | Revoke | Extend)
 }
 
 fn given(condition: bool, reason: &'static str) -> Result<(), &'static str> {
@@ -112,7 +111,6 @@ fn register(state: &State) -> Result<(), &'static str> {
 
 /// The profile's own robots have a window.
 fn inspect(state: &State) -> Result<(), &'static str> {
-    given(state.screen == Screen::Gateway, "other screen")?;
     let member = state.gateway.selected().ok_or("nothing selected")?;
     if member.robot.is_some() {
         return Ok(());
@@ -134,7 +132,6 @@ fn one_topic(state: &State) -> Result<(), &'static str> {
 }
 
 fn held(state: &State) -> Result<(), &'static str> {
-    given(state.screen == Screen::Topics, "other screen")?;
     one_topic(state)?;
     let row = state.topics.selected().ok_or("nothing selected")?;
     given(row.quarantined > 0, "nothing quarantined")
@@ -149,26 +146,16 @@ fn lock(state: &State) -> Result<(), &'static str> {
 fn administer(state: &State, act: Act) -> Result<(), &'static str> {
     let chain = state.chain.as_ref().ok_or("open the Chain screen first (7)")?;
     let own = state.address();
-    match act {
-        Act::Deploy => given(chain.contract.is_none(), "already deployed"),
-        Act::Accept => given(own.is_some() && chain.administration.nominee == own, "you are not nominated"),
-        Act::Admit
-        | Act::Suspend
-        | Act::Restore
-        | Act::Open
-        | Act::Close
-        | Act::Pause
-        | Act::Continue
-        | Act::Propose
-        | Act::Dismiss
-        | Act::HandOver => {
-            given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
-        }
+    if act == Act::Deploy {
+        return given(chain.contract.is_none(), "already deployed");
     }
+    if act == Act::Accept {
+        return given(own.is_some() && chain.administration.nominee == own, "you are not nominated");
+    }
+    given(own.is_some() && chain.administration.administrator == own, "you are not the administrator")
 }
 
 fn revoke(state: &State) -> Result<(), &'static str> {
-    given(state.screen == Screen::Grants, "other screen")?;
     let row = state.grants.selected().ok_or("no grant selected")?;
     given(is_given(row), "not given by you")?;
     given(is_active(row), "not active")

@@ -3,7 +3,7 @@
 
 use super::form::Field;
 use super::keymap::Key;
-use super::popup::Popup;
+use super::popup::{Popup, moved};
 use super::screens::{end, is_active, is_given, scope};
 use super::table::{self, Table};
 use super::verb::Effect;
@@ -19,13 +19,6 @@ pub struct Choice {
     pub note: String,
     /// The filter that it sets.
     pub filter: String,
-}
-
-/// A list to choose from.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Browse {
-    /// The selected line.
-    pub selected: usize,
 }
 
 /// All present choices: everything, each owner who shares, topics, types, times.
@@ -80,27 +73,18 @@ fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
 }
 
 /// A key while the list is open.
-pub fn browse_key(state: &mut State, mut browse: Browse, key: Key) -> Vec<Effect> {
+pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
     let choices = choices(state);
-    let last = choices.len().saturating_sub(1);
     match key {
-        Key::Escape | Key::Char('q') => return Vec::new(),
+        Key::Escape | Key::Char('q') => {}
         Key::Enter => {
-            if let Some(choice) = choices.get(browse.selected.min(last)) {
-                if let Some(table) = state.table_mut() {
-                    table.filter = Field::with(&choice.filter);
-                }
-                table::restart_records(state);
+            if let (Some(choice), Some(table)) = (choices.get(moved(selected, choices.len(), key)), state.table_mut()) {
+                table.filter = Field::with(&choice.filter);
             }
-            return Vec::new();
+            table::restart_records(state);
         }
-        Key::Up | Key::Char('k') => browse.selected = browse.selected.min(last).saturating_sub(1),
-        Key::Down | Key::Char('j') => browse.selected = (browse.selected + 1).min(last),
-        Key::Home => browse.selected = 0,
-        Key::End => browse.selected = last,
-        _ => {}
+        _ => state.popups.push(Popup::Browse(moved(selected, choices.len(), key))),
     }
-    state.popups.push(Popup::Browse(browse));
     Vec::new()
 }
 
@@ -123,21 +107,18 @@ pub fn choose(state: &mut State) -> Vec<Effect> {
 
 /// A key while a theme is chosen.
 pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Effect> {
-    let last = state.settings.themes.len().saturating_sub(1);
+    let themes = &state.settings.themes;
     match key {
         Key::Escape | Key::Char('q') => return vec![Effect::ShowTheme(choice.before)],
         Key::Enter => {
-            let kept = state.settings.themes.get(choice.selected).cloned().unwrap_or(choice.before);
+            let kept = themes.get(choice.selected).cloned().unwrap_or(choice.before);
             state.inform(format!("theme: {kept}; to make it permanent, set console.theme in config.toml"));
             return Vec::new();
         }
-        Key::Up | Key::BackTab | Key::Char('k') => choice.selected = choice.selected.saturating_sub(1),
-        Key::Down | Key::Tab | Key::Char('j' | 'T') => choice.selected = (choice.selected + 1).min(last),
-        Key::Home => choice.selected = 0,
-        Key::End => choice.selected = last,
-        _ => {}
+        Key::Char('T') => choice.selected = moved(choice.selected, themes.len(), Key::Down),
+        _ => choice.selected = moved(choice.selected, themes.len(), key),
     }
-    let seen = state.settings.themes.get(choice.selected).cloned().map(Effect::ShowTheme);
+    let seen = themes.get(choice.selected).cloned().map(Effect::ShowTheme);
     state.popups.push(Popup::Themes(choice));
     seen.into_iter().collect()
 }
@@ -284,17 +265,12 @@ fn set(state: &mut State, chosen: Vec<&'static str>) {
 /// A key while columns are chosen; each is shown or hidden at once.
 pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<Effect> {
     let offered = offered(state.screen);
-    let last = offered.len().saturating_sub(1);
     match key {
         Key::Escape => {
             set(state, choice.before);
             return Vec::new();
         }
         Key::Enter | Key::Char('q') => return Vec::new(),
-        Key::Up | Key::BackTab | Key::Char('k') => choice.selected = choice.selected.saturating_sub(1),
-        Key::Down | Key::Tab | Key::Char('j') => choice.selected = (choice.selected + 1).min(last),
-        Key::Home => choice.selected = 0,
-        Key::End => choice.selected = last,
         Key::Char('r') => set(state, Vec::new()),
         Key::Char(' ' | '<' | '>') => {
             let name = offered.get(choice.selected).map(|column| column.name);
@@ -303,12 +279,12 @@ pub fn column_key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<
                 let changed = if key == Key::Char(' ') {
                     toggled(state.screen, now, name)
                 } else {
-                    moved(now, name, key == Key::Char('>'))
+                    swapped(now, name, key == Key::Char('>'))
                 };
                 set(state, changed);
             }
         }
-        _ => {}
+        _ => choice.selected = moved(choice.selected, offered.len(), key),
     }
     state.popups.push(Popup::Columns(choice));
     Vec::new()
@@ -333,7 +309,7 @@ fn toggled(screen: Screen, mut now: Vec<&'static str>, name: &'static str) -> Ve
 }
 
 /// Moves the column by one place.
-fn moved(mut now: Vec<&'static str>, name: &str, right: bool) -> Vec<&'static str> {
+fn swapped(mut now: Vec<&'static str>, name: &str, right: bool) -> Vec<&'static str> {
     if let Some(place) = now.iter().position(|other| *other == name) {
         let wanted = if right { (place + 1).min(now.len() - 1) } else { place.saturating_sub(1) };
         now.swap(place, wanted);

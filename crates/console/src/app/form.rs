@@ -1,7 +1,9 @@
 //! A form of a few lines: text or a choice, focus, an error, submit and cancel; the one line that is edited; and the
 //! forms that the console asks with.
 
+use std::fmt::Display;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use zeroize::Zeroizing;
 
@@ -10,6 +12,7 @@ use super::palette::{self, PathKind};
 use super::verb::{Errand, Tag};
 use super::{Settings, when};
 use crate::model::grant::MOST_TOPICS;
+use crate::model::topic::NameError;
 use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
 
@@ -21,6 +24,9 @@ pub enum Input {
     /// One of a few words.
     Choice { options: Vec<String>, chosen: usize },
 }
+
+/// Which line is wrong, and why.
+pub type Wrong = (usize, String);
 
 /// One line of a form.
 #[derive(Debug)]
@@ -90,6 +96,24 @@ impl Form {
     /// The text of a field; empty for a choice.
     pub fn text(&self, line: usize) -> &str {
         self.field(line).map_or("", Field::text)
+    }
+
+    /// What is typed in a line, without the spaces around it; `None` = nothing.
+    pub fn typed(&self, line: usize) -> Option<&str> {
+        Some(self.text(line).trim()).filter(|text| !text.is_empty())
+    }
+
+    /// What a line says.
+    pub fn parsed<T: FromStr<Err: Display>>(&self, line: usize) -> Result<T, Wrong> {
+        self.text(line).trim().parse().map_err(|error: T::Err| (line, error.to_string()))
+    }
+
+    /// The topics that a line names, and whether it says all of them.
+    pub fn topics(&self, line: usize) -> Result<(Vec<TopicName>, bool), Wrong> {
+        let written = || self.text(line).split([' ', ',']).filter(|name| !name.is_empty());
+        let names = written().filter(|name| *name != ALL_TOPICS).map(str::parse);
+        let topics = names.collect::<Result<_, _>>().map_err(|error: NameError| (line, error.to_string()))?;
+        Ok((topics, written().any(|name| name == ALL_TOPICS)))
     }
 
     /// The field of a line, if it is one.
@@ -298,7 +322,7 @@ pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
 }
 
 /// The command of a completed [`create_identity`].
-pub fn read_create(form: &Form) -> Result<Errand, (usize, String)> {
+pub fn read_create(form: &Form) -> Result<Errand, Wrong> {
     if form.text(0).chars().count() < SHORTEST_PASSPHRASE {
         return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
     }
@@ -315,7 +339,7 @@ pub fn unlock(profile: &str, notes: Vec<String>) -> Form {
 }
 
 /// The command of a completed [`unlock`].
-pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
+pub fn read_unlock(form: &Form) -> Result<Errand, Wrong> {
     if form.text(0).is_empty() {
         return Err((0, "type the passphrase, or leave with esc".to_owned()));
     }
@@ -373,22 +397,19 @@ impl GrantWish {
 }
 
 /// The terms of a completed [`grant`].
-pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, (usize, String)> {
-    let grantee: Party = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
+pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, Wrong> {
+    let grantee: Party = form.parsed(0)?;
     if grantee.address().is_some_and(|address| Some(address) == own) {
         return Err((0, "that is your own address; enter the reader's".to_owned()));
     }
-    let written: Vec<&str> = form.text(1).split([' ', ',']).filter(|name| !name.is_empty()).collect();
-    if written.is_empty() {
+    let (topics, all) = form.topics(1)?;
+    if topics.is_empty() && !all {
         return Err((1, format!("enter topics, or '{ALL_TOPICS}' for every topic")));
     }
-    let names = written.into_iter().filter(|name| *name != ALL_TOPICS);
-    let topics: Vec<TopicName> =
-        names.map(str::parse).collect::<Result<_, _>>().map_err(|error| (1, format!("{error}")))?;
     if topics.len() > MOST_TOPICS {
         return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
     }
-    if !topics.is_empty() && form.text(1).split([' ', ',']).any(|name| name == ALL_TOPICS) {
+    if !topics.is_empty() && all {
         return Err((1, format!("use either '{ALL_TOPICS}' or topic names, not both")));
     }
     let expires = when::expiry(form.text(2), now).map_err(|error| (2, error))?;
@@ -406,12 +427,10 @@ pub fn unpin(topic: &str, publisher: &str) -> Form {
 }
 
 /// The command of a completed [`unpin`].
-pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
-    let topic: TopicName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
-    let caller_id = form.text(1).trim().to_owned();
-    if caller_id.is_empty() {
-        return Err((1, "enter the node's name; enter on the topic lists pinned publishers".to_owned()));
-    }
+pub fn read_unpin(form: &Form) -> Result<Errand, Wrong> {
+    let topic: TopicName = form.parsed(0)?;
+    let missing = || (1, "enter the node's name; enter on the topic lists pinned publishers".to_owned());
+    let caller_id = form.typed(1).ok_or_else(missing)?.to_owned();
     let tag = Tag::Unpin(topic.to_string());
     Ok(Errand { command: Command::UnpinTopic { topic, caller_id }, tag })
 }
@@ -438,7 +457,7 @@ pub struct KeyWish {
 }
 
 /// The key file of a completed [`load_key`].
-pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, (usize, String)> {
+pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, Wrong> {
     let path = palette::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
     Ok(KeyWish { kind: kind(form), path, passphrase })
@@ -457,7 +476,7 @@ pub fn export_key(folder: Line) -> Form {
 }
 
 /// The command of a completed [`export_key`].
-pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
+pub fn read_export(form: &Form) -> Result<Errand, Wrong> {
     let kind = kind(form);
     if kind == KeyKind::Eoa && form.text(1).chars().count() < SHORTEST_PASSPHRASE {
         return Err((1, format!("an EOA is exported as a keystore; use at least {SHORTEST_PASSPHRASE} characters")));

@@ -2,10 +2,11 @@
 //! the row under the cursor, names completed, everything that can be checked checked before the question, the terms of a
 //! grant changed.
 
-use super::form::{self, Field, Form, GrantWish, Line};
+use super::form::{self, Field, Form, GrantWish, Line, Wrong};
 use super::keymap::Key;
+use super::palette::common;
 use super::perform::copy;
-use super::popup::{self, Confirm, Popup, Purpose};
+use super::popup::{self, Confirm, Popup, Purpose, moved};
 use super::screens::{day, end, is_active, is_given, other_side, scope};
 use super::update::Feed;
 use super::verb::{Effect, Errand, Tag};
@@ -28,26 +29,20 @@ pub fn begin(state: &mut State) {
     open(state, &grantee, &topics, "");
 }
 
-/// Opens it for a contact.
-pub fn begin_for(state: &mut State, name: &str) {
-    open(state, name, &[], "");
-}
-
 fn terms(row: &GrantRow) -> (String, Vec<String>) {
     let grantee = row.name.clone().unwrap_or_else(|| other_side(row).to_string());
-    let all = || vec![form::ALL_TOPICS.to_owned()];
-    let topics = match (is_given(row), row.topics.is_empty()) {
-        (false, _) => Vec::new(),
-        (true, true) => all(),
-        (true, false) => row.topics.clone(),
+    let topics = match is_given(row) {
+        true if row.topics.is_empty() => vec![form::ALL_TOPICS.to_owned()],
+        true => row.topics.clone(),
+        false => Vec::new(),
     };
     (grantee, topics)
 }
 
 fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
-    state.feeds.slot_mut(super::update::Feed::Contacts).stale = true;
+    state.feeds.slot_mut(Feed::Contacts).stale = true;
     // How many records the grant opens is told as of now.
-    state.feeds.slot_mut(super::update::Feed::Identity).stale = true;
+    state.feeds.slot_mut(Feed::Identity).stale = true;
     state.popups.push(Popup::Form(Purpose::Grant, form::grant(grantee, topics, ends, &opens(state))));
 }
 
@@ -75,18 +70,18 @@ pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
 ///
 /// # Errors
 /// A name that nobody has, or an account that has an active grant already.
-pub fn check(state: &State, wish: &GrantWish) -> Result<(), (usize, String)> {
-    let known = state.feeds.slot(super::update::Feed::Contacts).loaded;
+pub fn check(state: &State, wish: &GrantWish) -> Result<(), Wrong> {
+    let known = state.feeds.slot(Feed::Contacts).loaded;
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name);
     if known && wish.grantee.address().is_none() && contact.is_none() {
         return Err((GRANTEE, format!("no contact is named '{name}'; tab completes names")));
     }
     let address = wish.grantee.address().or(contact.map(|row| row.address));
-    match active(state, address, &name).filter(|row| same_terms(row, wish)) {
-        Some(_) => Err((GRANTEE, "already has an active grant on these terms".to_owned())),
-        None => Ok(()),
+    if active(state, address, &name).is_some_and(|row| same_terms(row, wish)) {
+        return Err((GRANTEE, "already has an active grant on these terms".to_owned()));
     }
+    Ok(())
 }
 
 fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
@@ -102,10 +97,9 @@ fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
 pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
-    let Some(row) = active(state, wish.grantee.address().or(contact), &name).cloned() else {
-        return popup::grant(state, wish);
-    };
+    let standing = active(state, wish.grantee.address().or(contact), &name).cloned();
     let mut question = popup::grant(state, wish);
+    let Some(row) = standing else { return question };
     let tag = Tag::Revoke(row.grantee);
     let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
     let before = [
@@ -140,7 +134,7 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
     }
     let known = |topic: &TopicName| state.topics.rows.iter().any(|row| row.topic == topic.as_str());
     let unknown: Vec<&str> = topics.iter().filter(|topic| !known(topic)).map(TopicName::as_str).collect();
-    let loaded = state.feeds.slot(super::update::Feed::Topics).loaded;
+    let loaded = state.feeds.slot(Feed::Topics).loaded;
     (loaded && !unknown.is_empty()).then(|| format!("No topic of this name is known here: {}", unknown.join(" ")))
 }
 
@@ -158,22 +152,11 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
     let text = form.text(form.focus).to_owned();
     let (before, begun) = text.rsplit_once([' ', ',']).map_or(("", text.as_str()), |(before, begun)| (before, begun));
-    let Some(whole) = common_beginning(begun, names).filter(|whole| !begun.is_empty() && whole != begun) else {
-        return false;
-    };
+    let fitting = names.iter().map(String::as_str).filter(|name| name.starts_with(begun));
+    let Some(whole) = common(fitting).filter(|whole| !begun.is_empty() && whole != begun) else { return false };
     let line = if before.is_empty() { whole } else { format!("{before} {whole}") };
     form.set(form.focus, Field::with(&line));
     true
-}
-
-/// The longest common beginning of all names with this prefix.
-fn common_beginning(begun: &str, names: &[String]) -> Option<String> {
-    let mut fitting = names.iter().filter(|name| name.starts_with(begun));
-    let first = fitting.next()?.clone();
-    Some(fitting.fold(first, |common, name| {
-        let same = common.chars().zip(name.chars()).take_while(|(one, other)| one == other);
-        same.map(|(character, _)| character).collect()
-    }))
 }
 
 /// A new end for a grant.
@@ -194,7 +177,7 @@ pub fn begin_extension(state: &mut State) {
 }
 
 /// The command of a completed form of [`begin_extension`].
-pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, String)> {
+pub fn read_extension(state: &State, form: &Form) -> Result<Extension, Wrong> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
     let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
@@ -209,31 +192,22 @@ pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, S
 }
 
 /// The same grant with an earlier end.
-fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, (usize, String)> {
+fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, Wrong> {
     let topics: Result<Vec<TopicName>, _> = row.topics.iter().map(|topic| topic.parse()).collect();
     let topics =
         topics.map_err(|_| (0, "one of its topics is unknown here by name; revoke it and grant again".to_owned()))?;
     Ok(GrantWish { grantee: row.grantee.into(), topics, epochs: Epochs::Current, expires })
 }
 
-/// The list, with its cursor.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Book {
-    /// The selected line.
-    pub selected: usize,
-}
-
-impl Book {
-    /// The contact under the cursor.
-    pub fn chosen<'a>(&self, state: &'a State) -> Option<&'a ContactRow> {
-        state.contacts.get(self.selected.min(state.contacts.len().saturating_sub(1)))
-    }
+/// The contact under the cursor.
+pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {
+    state.contacts.get(selected.min(state.contacts.len().saturating_sub(1)))
 }
 
 /// Opens the list.
 pub fn open_contacts(state: &mut State) {
     state.feeds.slot_mut(Feed::Contacts).stale = true;
-    state.popups.push(Popup::Contacts(Book::default()));
+    state.popups.push(Popup::Contacts(0));
 }
 
 /// The actions here, by key.
@@ -249,24 +223,19 @@ fn any(state: &State) -> bool {
 }
 
 /// A key while the list is open.
-pub fn key(state: &mut State, mut book: Book, key: Key) -> Vec<Effect> {
-    let last = state.contacts.len().saturating_sub(1);
-    match key {
-        Key::Escape | Key::Char('q') => return Vec::new(),
-        Key::Up | Key::Char('k') => book.selected = book.selected.min(last).saturating_sub(1),
-        Key::Down | Key::Char('j') => book.selected = (book.selected + 1).min(last),
-        Key::Home => book.selected = 0,
-        Key::End | Key::Char('G') => book.selected = last,
-        _ => {}
+pub fn key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
+    if matches!(key, Key::Escape | Key::Char('q')) {
+        return Vec::new();
     }
-    let chosen = book.chosen(state).cloned();
-    state.popups.push(Popup::Contacts(book));
+    let selected = moved(selected, state.contacts.len(), key);
+    let chosen = chosen(state, selected).cloned();
+    state.popups.push(Popup::Contacts(selected));
     let changes = !state.settings.read_only;
     match (key, chosen) {
         (Key::Char('n'), _) if changes => state.popups.push(Popup::Form(Purpose::AddContact, form())),
         (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
         (Key::Char('c'), Some(row)) if changes => state.popups.push(Popup::Confirm(confirmation(&row))),
-        (Key::Char('g'), Some(row)) if changes => begin_for(state, &row.name.to_string()),
+        (Key::Char('g'), Some(row)) if changes => open(state, &row.name.to_string(), &[], ""),
         (Key::Char('y'), Some(row)) => return vec![copy(state, row.address.to_string())],
         _ => {}
     }
@@ -288,10 +257,9 @@ pub fn form() -> Form {
 }
 
 /// The command of a completed [`form`].
-pub fn read(form: &Form) -> Result<Errand, (usize, String)> {
-    let name: ContactName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
-    let address: Address = form.text(1).trim().parse().map_err(|error| (1, format!("{error}")))?;
-    let fingerprint = Some(form.text(2).trim().to_owned()).filter(|text| !text.is_empty());
+pub fn read(form: &Form) -> Result<Errand, Wrong> {
+    let (name, address): (ContactName, Address) = (form.parsed(0)?, form.parsed(1)?);
+    let fingerprint = form.typed(2).map(str::to_owned);
     let tag = Tag::Contact(name.to_string());
     Ok(Errand { command: Command::AddContact { name, address, fingerprint }, tag })
 }

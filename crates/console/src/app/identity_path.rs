@@ -84,16 +84,6 @@ pub fn abandon(state: &mut State) {
     }
 }
 
-/// The keys were created, or not.
-pub fn made(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
-    opened(state, result, Purpose::CreateIdentity, "identity created")
-}
-
-/// The keyring was opened, or not.
-pub fn unlocked(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
-    opened(state, result, Purpose::Unlock, "keyring unlocked")
-}
-
 /// The identity is on the chain, or not.
 pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
     out_of_date(state);
@@ -114,7 +104,8 @@ pub fn registered(state: &mut State, result: Result<IdentityView, Failure>) -> V
     }
 }
 
-fn opened(
+/// The keyring of the form is open, newly made or unlocked, or it is not.
+pub fn opened(
     state: &mut State,
     result: Result<IdentityView, Failure>,
     purpose: Purpose,

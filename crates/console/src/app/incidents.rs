@@ -1,14 +1,14 @@
 //! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
 
-use super::form::{ALL_TOPICS, Field, Form, Line};
+use super::form::{Field, Form, Line, Wrong};
 use super::keymap::Key;
 use super::perform::{copy, go};
-use super::popup::{Confirm, Popup, Purpose};
+use super::popup::{Confirm, Popup, Purpose, moved};
 use super::screens::day;
 use super::update::Feed;
 use super::verb::{Effect, Errand, Tag};
 use super::{Screen, State, granting, palette, table};
-use crate::model::{IncidentName, Timestamp, TopicName};
+use crate::model::{IncidentName, Timestamp};
 use crate::service::command::filter::past;
 use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
@@ -151,20 +151,15 @@ pub fn explained(state: &State, list: &IncidentList) -> Vec<(&'static str, &'sta
 
 /// A key while the list is open.
 pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
-    let last = state.incidents.rows.len().saturating_sub(1);
-    let before = list.selected.min(last);
+    let before = list.selected;
     match key {
         Key::Escape | Key::Char('q') => return Vec::new(),
-        Key::Up | Key::Char('k') => list.selected = before.saturating_sub(1),
-        Key::Down | Key::Char('j') => list.selected = (before + 1).min(last),
-        Key::Home => list.selected = 0,
-        Key::End | Key::Char('G') => list.selected = last,
         Key::PageUp => list.scroll = list.scroll.saturating_sub(state.page_rows() / 2),
         Key::PageDown | Key::Char(' ') => {
             let most = list.chosen(state).map_or(0, |row| row.coverage.len() * 3 + row.notes.len() * 4);
             list.scroll = (list.scroll + state.page_rows() / 2).min(most);
         }
-        _ => {}
+        _ => list.selected = moved(before, state.incidents.rows.len(), key),
     }
     if list.selected != before {
         list.scroll = 0;
@@ -238,13 +233,7 @@ fn around(state: &State) -> Around {
                 at: first,
             }
         }
-        Screen::Overview
-        | Screen::Shared
-        | Screen::Grants
-        | Screen::Keys
-        | Screen::Chain
-        | Screen::Gateway
-        | Screen::Log => now,
+        _ => now,
     }
 }
 
@@ -304,8 +293,8 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 }
 
 /// The command of a filled form.
-pub fn read(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
-    let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
+pub fn read(state: &State, form: &Form) -> Result<Errand, Wrong> {
+    let name: IncidentName = form.parsed(0)?;
     if state.incidents.rows.iter().any(|row| row.name == name) {
         return Err((0, format!("an incident {name} already exists; choose another name")));
     }
@@ -313,15 +302,11 @@ pub fn read(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
     if since > state.now {
         return Err((1, "that is in the future; enter a past time".to_owned()));
     }
-    let until = Some(form.text(2)).filter(|text| !text.trim().is_empty());
-    let until = until.map(|text| moment(text, state.now)).transpose().map_err(|error| (2, error))?;
+    let until = form.typed(2).map(|text| moment(text, state.now)).transpose().map_err(|error| (2, error))?;
     if until.is_some_and(|until| until <= since) {
         return Err((2, "it would end before it begins; enter a later time".to_owned()));
     }
-    let written = form.text(TOPICS).split([' ', ',']).filter(|topic| !topic.is_empty() && *topic != ALL_TOPICS);
-    let topics: Vec<TopicName> =
-        written.map(str::parse).collect::<Result<_, _>>().map_err(|error| (TOPICS, format!("{error}")))?;
-    let note = Some(form.text(4).trim().to_owned()).filter(|note| !note.is_empty());
+    let ((topics, _), note) = (form.topics(TOPICS)?, form.typed(4).map(str::to_owned));
     let tag = Tag::Incident(Deed::Open, name.clone());
     Ok(Errand { command: OpenIncident { name, since, until, topics, note, robots: Vec::new() }.into(), tag })
 }
@@ -344,12 +329,9 @@ fn note_form(name: &IncidentName) -> Form {
 }
 
 /// The command of a filled form for a note.
-pub fn read_note(form: &Form) -> Result<Errand, (usize, String)> {
-    let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
-    let text = form.text(1).trim().to_owned();
-    if text.is_empty() {
-        return Err((1, "type the note, or press esc".to_owned()));
-    }
+pub fn read_note(form: &Form) -> Result<Errand, Wrong> {
+    let name: IncidentName = form.parsed(0)?;
+    let text = form.typed(1).ok_or_else(|| (1, "type the note, or press esc".to_owned()))?.to_owned();
     let tag = Tag::Incident(Deed::Note, name.clone());
     Ok(Errand { command: NoteIncident { name, text }.into(), tag })
 }

@@ -9,9 +9,8 @@ use super::Screen;
 use super::verb::{Entry, VERBS, Verb};
 use crate::model::clean;
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use toml::Spanned;
-
-pub use text as preset_text;
 
 /// The most keys of one chord.
 pub const LONGEST_CHORD: usize = 3;
@@ -60,7 +59,7 @@ pub enum Place {
 impl Place {
     /// All, most general first.
     pub fn all() -> impl Iterator<Item = Self> {
-        [Self::Everywhere, Self::Lists].into_iter().chain(Screen::ALL.map(Self::On))
+        [Self::Everywhere, Self::Lists].into_iter().chain(Screen::all().map(Self::On))
     }
 
     /// Its name in `keymap.toml`.
@@ -82,7 +81,7 @@ impl Place {
 
     /// Where the preset binds an entry.
     fn of(entry: &Entry) -> Vec<Self> {
-        let lists = || Screen::ALL.into_iter().all(|screen| screen.has_table() == entry.on.contains(&screen));
+        let lists = || Screen::all().all(|screen| screen.has_table() == entry.on.contains(&screen));
         match entry.on {
             [] => vec![Self::Everywhere],
             _ if lists() => vec![Self::Lists],
@@ -94,7 +93,7 @@ impl Place {
 /// The bindings of every screen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Keymap {
-    screens: [Vec<Binding>; Screen::ALL.len()],
+    screens: Vec<Vec<Binding>>,
 }
 
 impl Default for Keymap {
@@ -115,9 +114,16 @@ impl Keymap {
     /// The preset, overridden by an operator's file.
     ///
     /// # Errors
-    /// [`KeymapError`] naming `file`, the line, and what is wrong with it.
-    pub fn with_file(file: &str, text: &str) -> Result<Self, KeymapError> {
-        read(file, text)
+    /// [`FileError`] naming `file`, the line, and what is wrong with it.
+    pub fn with_file(file: &str, text: &str) -> Result<Self, FileError> {
+        let source = Source { file, text };
+        let lines = lines(&source)?;
+        let of = |place: Place| -> Vec<Change> {
+            lines.iter().filter(|line| line.place == place).map(|line| line.change.clone()).collect()
+        };
+        let keymap = Self::built(&of);
+        Screen::all().try_for_each(|screen| reachable(&source, &keymap, &lines, screen))?;
+        Ok(keymap)
     }
 
     fn built(changes: &dyn Fn(Place) -> Vec<Change>) -> Self {
@@ -128,7 +134,7 @@ impl Keymap {
             }
             bindings
         };
-        Self { screens: Screen::ALL.map(of_screen) }
+        Self { screens: Screen::all().map(of_screen).collect() }
     }
 
     pub fn bindings(&self, screen: Screen) -> &[Binding] {
@@ -191,7 +197,7 @@ home end,
 ";
 
 /// The preset, in the format of the operator's file.
-pub fn text() -> String {
+pub fn preset_text() -> String {
     let mut text = OPENING.to_owned();
     for place in Place::all() {
         let lines: Vec<[String; 3]> = VERBS
@@ -230,10 +236,10 @@ const NONE: &str = "none";
 /// The most characters of a description.
 const LONGEST_DESC: usize = 100;
 
-/// What is wrong with a keymap file.
+/// What is wrong with a file of the operator: a keymap or a theme.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file} line {line}: {what}")]
-pub struct KeymapError {
+pub struct FileError {
     pub file: String,
     /// The line, from 1.
     pub line: usize,
@@ -269,50 +275,36 @@ struct Read {
     at: Range<usize>,
 }
 
-struct Source<'a> {
-    file: &'a str,
-    text: &'a str,
+/// The text of such a file, and its name.
+pub(crate) struct Source<'a> {
+    pub file: &'a str,
+    pub text: &'a str,
 }
 
 impl Source<'_> {
-    fn wrong(&self, at: usize, what: impl Into<String>) -> KeymapError {
+    /// What is wrong at that byte.
+    pub fn wrong(&self, at: usize, what: impl Into<String>) -> FileError {
         let line = self.text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
-        KeymapError { file: clean(self.file, 200), line, what: clean(&what.into(), 300) }
+        FileError { file: clean(self.file, 200), line, what: clean(&what.into(), 300) }
+    }
+
+    /// What the text says.
+    pub fn parsed<T: DeserializeOwned>(&self) -> Result<T, FileError> {
+        toml::from_str(self.text).map_err(|error| {
+            let at = error.span().map_or(0, |span| span.start);
+            self.wrong(at, error.message().trim().replace('\n', "; "))
+        })
     }
 }
 
-/// The preset, overridden by the file.
-pub fn read(file: &str, text: &str) -> Result<Keymap, KeymapError> {
-    let source = Source { file, text };
-    let lines = lines(&source)?;
-    let changes = |place: Place| -> Vec<Change> {
-        lines.iter().filter(|line| line.place == place).map(|line| line.change.clone()).collect()
-    };
-    let keymap = Keymap::built(&changes);
-    for screen in Screen::ALL {
-        reachable(&source, &keymap, &lines, screen)?;
-    }
-    Ok(keymap)
-}
-
-fn lines(source: &Source) -> Result<Vec<Read>, KeymapError> {
-    let parts: BTreeMap<Spanned<String>, Part> = toml::from_str(source.text).map_err(|error| {
-        let at = error.span().map_or(0, |span| span.start);
-        source.wrong(at, error.message().trim().replace('\n', "; "))
-    })?;
+fn lines(source: &Source) -> Result<Vec<Read>, FileError> {
+    let parts: BTreeMap<Spanned<String>, Part> = source.parsed()?;
     let mut read: Vec<Read> = Vec::new();
     for (name, part) in parts {
         let place = Place::all().find(|place| place.name() == *name.get_ref()).ok_or_else(|| {
             let known: Vec<String> = Place::all().map(Place::name).collect();
-            source.wrong(
-                name.span().start,
-                format!(
-                    "there is no section '{}'; choose \
-                                                   {}",
-                    name.get_ref(),
-                    known.join(", ")
-                ),
-            )
+            let what = format!("there is no section '{}'; choose {}", name.get_ref(), known.join(", "));
+            source.wrong(name.span().start, what)
         })?;
         for line in part.keys {
             let one = one(source, place, line)?;
@@ -326,7 +318,7 @@ fn lines(source: &Source) -> Result<Vec<Read>, KeymapError> {
     Ok(read)
 }
 
-fn one(source: &Source, place: Place, line: Line) -> Result<Read, KeymapError> {
+fn one(source: &Source, place: Place, line: Line) -> Result<Read, FileError> {
     let at = line.on.span();
     let on = read_keys(source, at.start, line.on.into_inner())?;
     let (run, run_at) = (line.run.get_ref().as_str(), line.run.span().start);
@@ -339,7 +331,7 @@ fn one(source: &Source, place: Place, line: Line) -> Result<Read, KeymapError> {
     Ok(Read { place, change: Change { on, entry, desc }, at })
 }
 
-fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, KeymapError> {
+fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, FileError> {
     let labels = match on {
         On::One(label) => vec![label],
         On::Chord(labels) => labels,
@@ -349,18 +341,15 @@ fn read_keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, KeymapError
     }
     let key = |label: &String| {
         Key::from_label(label).ok_or_else(|| {
-            let what = format!(
-                "'{label}' is not a key that every terminal sends; use one like q, G, space, enter, \
-                                pgup, ^x"
-            );
-            source.wrong(at, what)
+            let what = "is not a key that every terminal sends; use one like q, G, space, enter, pgup, ^x";
+            source.wrong(at, format!("'{label}' {what}"))
         })
     };
     labels.iter().map(key).collect()
 }
 
 /// No chord hides behind a shorter one, and there is a way to the palette and out.
-fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -> Result<(), KeymapError> {
+fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -> Result<(), FileError> {
     let bindings = keymap.bindings(screen);
     let hidden = |long: &&Binding| bindings.iter().any(|short| long.begins_with(&short.on));
     if let Some(long) = bindings.iter().find(hidden) {
@@ -426,30 +415,17 @@ pub enum Key {
 impl Key {
     /// As written in help and bottom bar.
     pub fn label(self) -> String {
-        match self {
-            Self::Char(' ') => "space".to_owned(),
-            Self::Char(character) => character.to_string(),
+        let named = NAMED.iter().find(|(key, _)| *key == self).map(|(_, label)| (*label).to_owned());
+        named.unwrap_or_else(|| match self {
             Self::Control(letter) => format!("^{letter}"),
-            Self::Enter => "enter".to_owned(),
-            Self::Escape => "esc".to_owned(),
-            Self::Tab => "tab".to_owned(),
-            Self::BackTab => "shift-tab".to_owned(),
-            Self::Backspace => "backspace".to_owned(),
-            Self::Delete => "del".to_owned(),
-            Self::Up => "up".to_owned(),
-            Self::Down => "down".to_owned(),
-            Self::Left => "left".to_owned(),
-            Self::Right => "right".to_owned(),
-            Self::PageUp => "pgup".to_owned(),
-            Self::PageDown => "pgdn".to_owned(),
-            Self::Home => "home".to_owned(),
-            Self::End => "end".to_owned(),
-        }
+            Self::Char(character) => character.to_string(),
+            _ => String::new(),
+        })
     }
 
     /// Parses what [`Key::label`] writes; `None` = not a key that every terminal can send.
     pub fn from_label(label: &str) -> Option<Self> {
-        let named = NAMED.iter().find(|key| key.label() == label).copied();
+        let named = NAMED.iter().find(|(_, name)| *name == label).map(|(key, _)| *key);
         named.or_else(|| Self::letter(label))
     }
 
@@ -469,22 +445,22 @@ impl Key {
 }
 
 /// The keys with a name.
-const NAMED: [Key; 15] = [
-    Key::Char(' '),
-    Key::Enter,
-    Key::Escape,
-    Key::Tab,
-    Key::BackTab,
-    Key::Backspace,
-    Key::Delete,
-    Key::Up,
-    Key::Down,
-    Key::Left,
-    Key::Right,
-    Key::PageUp,
-    Key::PageDown,
-    Key::Home,
-    Key::End,
+const NAMED: [(Key, &str); 15] = [
+    (Key::Char(' '), "space"),
+    (Key::Enter, "enter"),
+    (Key::Escape, "esc"),
+    (Key::Tab, "tab"),
+    (Key::BackTab, "shift-tab"),
+    (Key::Backspace, "backspace"),
+    (Key::Delete, "del"),
+    (Key::Up, "up"),
+    (Key::Down, "down"),
+    (Key::Left, "left"),
+    (Key::Right, "right"),
+    (Key::PageUp, "pgup"),
+    (Key::PageDown, "pgdn"),
+    (Key::Home, "home"),
+    (Key::End, "end"),
 ];
 
 /// Several keys in sequence, as written in help and bottom bar: `z t`.
@@ -498,7 +474,7 @@ mod tests {
 
     #[test]
     fn no_keys_mean_two_things_on_one_screen() {
-        for screen in Screen::ALL {
+        for screen in Screen::all() {
             let here = VERBS.iter().filter(|entry| entry.works_on(screen));
             let mut seen: Vec<Vec<Key>> = Vec::new();
             for on in here.flat_map(Entry::chords) {
@@ -534,9 +510,9 @@ mod preset_tests {
 
     #[test]
     fn the_text_read_as_a_file_is_the_preset() {
-        let read = Keymap::with_file("keymap.toml", &text()).expect("reads");
+        let read = Keymap::with_file("keymap.toml", &preset_text()).expect("reads");
         let preset = Keymap::default();
-        for screen in crate::app::Screen::ALL {
+        for screen in crate::app::Screen::all() {
             let on = |keymap: &Keymap| -> Vec<(String, &'static str)> {
                 let lines = keymap.bindings(screen).iter();
                 let mut lines: Vec<_> = lines.map(|binding| (chord_label(&binding.on), binding.entry.name)).collect();
@@ -616,7 +592,7 @@ mod key_tests {
     #[test]
     fn every_label_is_read_back() {
         let letters = ('a'..='z').map(Key::Char).chain([Key::Char('?'), Key::Char('^'), Key::Control('z')]);
-        for key in NAMED.into_iter().chain(letters) {
+        for key in NAMED.map(|(key, _)| key).into_iter().chain(letters) {
             assert_eq!(Key::from_label(&key.label()), Some(key));
         }
         for wrong in ["", " ", "f5", "alt-x", "^1", "^A", "^m", "\u{1b}", "ctrl-x"] {

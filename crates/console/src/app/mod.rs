@@ -43,9 +43,10 @@ use opening::{Detail, Opening};
 use palette::Exports;
 use perform::Undo;
 use popup::{Popup, Purpose};
-use screens::topics::{self, Topics};
+use screens::topics::Topics;
 use screens::{Gateway, Grants, Log, Records};
 use serde::{Deserialize, Serialize};
+use strum::{EnumCount, EnumIter, IntoEnumIterator as _, IntoStaticStr};
 use table::Table;
 use tour::{Cast, Tour};
 use update::{Ahead, Feed, Feeds};
@@ -97,7 +98,7 @@ pub struct Settings {
 }
 
 /// Everything the console knows and shows.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct State {
     /// What does not change.
     pub settings: Settings,
@@ -191,53 +192,7 @@ impl State {
     /// Before the first answer.
     pub fn new(settings: Settings) -> Self {
         let tour = settings.tour.clone().map(Tour::new);
-        Self {
-            settings,
-            now: Timestamp::default(),
-            size: (80, 24),
-            screen: Screen::Overview,
-            frozen: None,
-            greeted: false,
-            theme: String::new(),
-            mouse: false,
-            feeds: Feeds::default(),
-            identity: None,
-            keys: None,
-            site: None,
-            site_at: Timestamp::default(),
-            rates: Rates::default(),
-            history: History::default(),
-            period: Period::default(),
-            progress: Progress::default(),
-            progress_at: Timestamp::default(),
-            detail: Detail::default(),
-            alerts: AlertBook::default(),
-            chain: None,
-            topics: Topics::default(),
-            uploads: Records::default(),
-            shared: Records::default(),
-            grants: Grants::default(),
-            log: Log::default(),
-            popups: Vec::new(),
-            toasts: Toasts::default(),
-            work: Vec::new(),
-            identity_path: None,
-            gateway: Gateway::default(),
-            reading: None,
-            contacts: Vec::new(),
-            incidents: Incidents::default(),
-            filled: None,
-            follow_up: None,
-            last_act: None,
-            undo: None,
-            commands: Vec::new(),
-            exports: Exports::default(),
-            touched: Timestamp::default(),
-            ahead: Ahead::default(),
-            local_time: false,
-            former: None,
-            tour,
-        }
+        Self { settings, tour, size: (80, 24), ..Self::default() }
     }
 
     /// Whether the view is frozen.
@@ -380,12 +335,24 @@ impl State {
         self.work.push(errand.tag.clone());
         Effect::Send(errand.command, errand.tag)
     }
+
+    /// Sends what is not on its way already.
+    pub fn send_new(&mut self, errands: Vec<Errand>) -> Vec<Effect> {
+        let mut effects = Vec::new();
+        for errand in errands {
+            if !self.work.contains(&errand.tag) {
+                effects.push(self.send(errand));
+            }
+        }
+        effects
+    }
 }
 
 /// A screen; number keys 1 to 9 switch in this order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, EnumCount, EnumIter, IntoStaticStr)]
 pub enum Screen {
     /// Health, record counts, alerts, busiest topics, first steps.
+    #[default]
     Overview,
     /// Topics of the ROS graph.
     Topics,
@@ -405,30 +372,12 @@ pub enum Screen {
 
 impl Screen {
     /// All, in order.
-    pub const ALL: [Self; 9] = [
-        Self::Overview,
-        Self::Topics,
-        Self::Uploads,
-        Self::Shared,
-        Self::Grants,
-        Self::Keys,
-        Self::Chain,
-        Self::Gateway,
-        Self::Log,
-    ];
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::iter()
+    }
 
     pub fn title(self) -> &'static str {
-        match self {
-            Self::Overview => "Overview",
-            Self::Topics => "Topics",
-            Self::Uploads => "Uploads",
-            Self::Shared => "Shared",
-            Self::Grants => "Grants",
-            Self::Keys => "Keys",
-            Self::Chain => "Chain",
-            Self::Gateway => "Gateway",
-            Self::Log => "Log",
-        }
+        self.into()
     }
 
     /// Its place, from 0.
@@ -438,9 +387,8 @@ impl Screen {
 
     /// The screen this many places further, wrapping around.
     pub fn shifted(self, by: isize) -> Self {
-        let count = Self::ALL.len().cast_signed();
-        let place = (self.index().cast_signed() + by).rem_euclid(count);
-        Self::ALL[place.cast_unsigned()]
+        let place = (self.index().cast_signed() + by).rem_euclid(Self::COUNT.cast_signed());
+        Self::iter().nth(place.cast_unsigned()).unwrap_or(self)
     }
 
     /// The data it shows, besides what the header always shows.
@@ -458,14 +406,26 @@ impl Screen {
         }
     }
 
+    /// The orders of its table, in the order of `s`; none without a table.
+    pub fn orders(self) -> &'static [&'static str] {
+        match self {
+            Self::Topics => &["name", "Hz", "bytes/s", "watched"],
+            Self::Uploads | Self::Shared => &["newest first", "oldest first"],
+            Self::Grants => &["newest", "account", "state"],
+            Self::Gateway => &["connected", "name", "frames", "policy"],
+            Self::Log => &["newest first"],
+            Self::Overview | Self::Keys | Self::Chain => &[],
+        }
+    }
+
     /// Whether it is a table with cursor, filter and sort.
     pub fn has_table(self) -> bool {
-        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Gateway | Self::Log)
+        !self.orders().is_empty()
     }
 
     /// Whether `s` can sort the lines of its table.
     pub fn sorts(self) -> bool {
-        matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Gateway)
+        self.orders().len() > 1
     }
 }
 
@@ -536,51 +496,29 @@ fn keep(table: &Table) -> KeptTable {
 
 /// What the next run should know.
 pub fn kept(state: &State) -> Kept {
-    let tables = [
-        &state.topics.table,
-        &state.uploads.table,
-        &state.shared.table,
-        &state.grants.table,
-        &state.gateway.table,
-        &state.log.table,
-    ];
     Kept {
         screen: state.screen.title().to_owned(),
-        tables: tables.into_iter().map(keep).collect(),
-        level: match state.log.least {
-            NoticeLevel::Info => 0,
-            NoticeLevel::Warning => 1,
-            NoticeLevel::Error => 2,
-        },
+        tables: Screen::all().filter_map(|screen| state.table_of(screen)).map(keep).collect(),
+        level: state.log.least as u8,
         local_time: state.local_time,
     }
 }
 
 /// Restores the state of the last run; what makes no sense here is left as it is.
 pub fn recall(state: &mut State, kept: &Kept) {
-    if let Some(screen) = Screen::ALL.into_iter().find(|screen| screen.title() == kept.screen) {
+    if let Some(screen) = Screen::all().find(|screen| screen.title() == kept.screen) {
         state.screen = screen;
     }
-    let tables = [
-        (&mut state.topics.table, Screen::Topics, topics::SORTS.len()),
-        (&mut state.uploads.table, Screen::Uploads, 2),
-        (&mut state.shared.table, Screen::Shared, 2),
-        (&mut state.grants.table, Screen::Grants, screens::GRANT_SORTS.len()),
-        (&mut state.gateway.table, Screen::Gateway, screens::GATEWAY_SORTS.len()),
-        (&mut state.log.table, Screen::Log, 1),
-    ];
-    for ((table, screen, orders), kept) in tables.into_iter().zip(&kept.tables) {
+    for (screen, kept) in Screen::all().filter(|screen| screen.has_table()).zip(&kept.tables) {
+        let Some(table) = state.table_of_mut(screen) else { continue };
         table.filter = Field::with(&kept.filter);
         table.reversed = kept.reversed;
-        table.sort = if kept.sort < orders { kept.sort } else { 0 };
+        table.sort = if kept.sort < screen.orders().len() { kept.sort } else { 0 };
         let names = kept.columns.iter().map(String::as_str);
         table.columns = choosing::known(screen, names).unwrap_or_default();
     }
-    state.log.least = match kept.level {
-        1 => NoticeLevel::Warning,
-        2 => NoticeLevel::Error,
-        _ => NoticeLevel::Info,
-    };
+    let levels = [NoticeLevel::Info, NoticeLevel::Warning, NoticeLevel::Error];
+    state.log.least = levels.get(usize::from(kept.level)).copied().unwrap_or(NoticeLevel::Info);
     state.local_time = kept.local_time;
 }
 

@@ -10,7 +10,7 @@ use super::form::{self, Field, Form, LONGEST, Line};
 use super::keymap::Key;
 use super::perform::{self, perform};
 use super::popup::{Palette, Popup, Purpose};
-use super::verb::{Effect, Errand, Tag, Verb};
+use super::verb::{Effect, Errand, Tag, Verb, kind_word};
 use super::{Settings, State, choosing, granting};
 use crate::model::{Timestamp, clean, is_shown};
 use crate::service::command::{Administration, IncidentCommand, PlayWishes};
@@ -99,18 +99,10 @@ pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec
     if needle.trim().is_empty() {
         return rows;
     }
-    let needle = needle.to_lowercase();
-    let words: Vec<&str> = needle.split_whitespace().collect();
-    let whole: Vec<bool> = rows.iter().map(|row| holds_all(&words, &text(row))).collect();
+    let whole: Vec<bool> = rows.iter().map(|row| whole_words(needle, &text(row))).collect();
     let any = whole.contains(&true);
     let kept = rows.into_iter().zip(whole);
-    kept.filter(|(row, whole)| *whole || !any && score(&needle, &text(row)).is_some()).map(|(row, _)| row).collect()
-}
-
-/// Whether `text` contains all words, which are in lower case.
-fn holds_all(words: &[&str], text: &str) -> bool {
-    let text = text.to_lowercase();
-    words.iter().all(|word| text.contains(word))
+    kept.filter(|(row, whole)| *whole || !any && score(needle, &text(row)).is_some()).map(|(row, _)| row).collect()
 }
 
 /// Whether `text` contains every word of `needle` as it is.
@@ -238,12 +230,8 @@ fn of_key(command: &Command) -> Option<String> {
     Some(format!("keys export {} --out FILE{}", flag(*kind), keystore(passphrase.is_some())))
 }
 
-fn flag(kind: KeyKind) -> &'static str {
-    match kind {
-        KeyKind::Sm4 => "sm4",
-        KeyKind::Sm2 => "sm2",
-        KeyKind::Eoa => "eoa",
-    }
+fn flag(kind: KeyKind) -> String {
+    kind_word(kind).to_lowercase()
 }
 
 fn of_administrator(command: &Command) -> Option<String> {
@@ -432,7 +420,7 @@ fn complete(form: &mut Form, sought: &Sought, found: &Found, listed: bool) {
         [] if found.names.is_empty() => return form.told.push(nothing(sought)),
         [] => None,
         [only] if found.names.len() == 1 => Some(format!("{}{}", only.name, if only.folder { "/" } else { "" })),
-        several => common(several),
+        several => common(several.iter().map(|candidate| candidate.name.as_str())),
     };
     let line = format!("{stem}{}", whole.unwrap_or_else(|| sought.begun.clone()));
     if line.chars().count() > LONGEST {
@@ -459,9 +447,8 @@ fn nothing(sought: &Sought) -> String {
     }
 }
 
-/// The longest common beginning of the names.
-fn common(several: &[&Candidate]) -> Option<String> {
-    let mut names = several.iter().map(|candidate| candidate.name.as_str());
+/// The longest common beginning of names.
+pub(super) fn common<'a>(mut names: impl Iterator<Item = &'a str>) -> Option<String> {
     let first = names.next()?.to_owned();
     Some(names.fold(first, |common, name| {
         let same = common.chars().zip(name.chars()).take_while(|(one, other)| one == other);
@@ -517,8 +504,7 @@ pub fn begin_key(state: &mut State) {
 
 /// Asks where the marked records go, or the one under the cursor.
 pub fn begin(state: &mut State) {
-    let marked: Vec<String> = state.table().map(|table| table.marks.iter().cloned().collect()).unwrap_or_default();
-    let ids = if marked.is_empty() { state.row_key().into_iter().collect() } else { marked };
+    let ids = state.marked_keys();
     let title = match ids.len() {
         1 => "Export 1 record".to_owned(),
         count => format!("Export {count} records"),
@@ -535,18 +521,13 @@ pub fn begin(state: &mut State) {
 /// Sends what the form asks for; what is on its way already is not asked for again.
 pub fn submit(state: &mut State, form: &Form) -> Vec<Effect> {
     let ids = std::mem::take(&mut state.exports.ids);
-    let fresh: Vec<Errand> = ids
-        .into_iter()
-        .map(|id| Errand { command: Command::ExportUpload { id: id.clone(), addresses: false }, tag: Tag::Export(id) })
-        .filter(|errand| !state.work.contains(&errand.tag))
-        .collect();
-    fresh
-        .into_iter()
-        .map(|errand| {
-            goes_to(state, &errand.tag, form, 0);
-            state.send(errand)
-        })
-        .collect()
+    let errand = |id: String| Errand {
+        command: Command::ExportUpload { id: id.clone(), addresses: false },
+        tag: Tag::Export(id),
+    };
+    let fresh: Vec<Errand> = ids.into_iter().map(errand).filter(|errand| !state.work.contains(&errand.tag)).collect();
+    fresh.iter().for_each(|errand| goes_to(state, &errand.tag, form, 0));
+    fresh.into_iter().map(|errand| state.send(errand)).collect()
 }
 
 /// Notes the folder in that line of the form for the answer with that tag.

@@ -3,7 +3,7 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::available::available;
-use super::choosing::{self, Browse};
+use super::choosing;
 use super::form::{self, Field, Form, Line};
 use super::identity_path::{self, Need};
 use super::leaving::{self, Leaving};
@@ -14,7 +14,7 @@ use super::verb::{Contents, Effect, Errand, Tag, Verb};
 use super::{Screen, State, administration, granting, incidents, opening, palette, policies, table};
 use crate::model::{Address, Party, ProfileName, TopicName};
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::reply::{PlayEnd, PlayedView, TopicRow};
+use crate::service::reply::{PlayedView, TopicRow};
 use crate::service::{Command, Operation};
 
 /// Performs `verb`, or says why that is not possible now.
@@ -26,7 +26,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     match verb {
         Verb::Watch => return watch(state),
         Verb::Details => return details(state),
-        Verb::Open => return record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
+        Verb::Open => return open_record(state),
         Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
         Verb::Export => palette::begin(state),
         Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
@@ -40,7 +40,9 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Inspect => return policies::open(state),
         Verb::Lock => return update::lock(state),
         Verb::Undo => return undo(state),
-        Verb::BackUp => return back_up(state),
+        Verb::BackUp => {
+            return vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })];
+        }
         Verb::ChooseTheme => return choosing::choose(state),
         Verb::Ascii => return vec![Effect::ToggleAscii],
         Verb::Mouse => return update::toggle(state),
@@ -63,7 +65,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Columns => choosing::open(state),
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
-        Verb::Read => read_line(state),
+        Verb::Read => state.popups.extend(state.log.selected().cloned().map(Popup::Line)),
         Verb::Tasks => tasks(state),
         Verb::Readers => readers(state),
         Verb::Contacts => granting::open_contacts(state),
@@ -72,7 +74,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Incidents => incidents::open(state),
         Verb::Profile => open(state),
         Verb::EndTour => state.tour = None,
-        Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
+        Verb::Browse => state.popups.push(Popup::Browse(0)),
         Verb::LocalTime => state.local_time = !state.local_time,
         Verb::Pin => ask_about(state, popup::pin),
         Verb::Release => ask_about(state, |row, topic| popup::decide(row, topic, false)),
@@ -88,7 +90,10 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Dismiss => dismiss(state),
         Verb::Grant => granting::begin(state),
         Verb::Extend => granting::begin_extension(state),
-        Verb::Revoke => revoke(state),
+        Verb::Revoke => {
+            let question = state.grants.selected().map(|row| Popup::Confirm(popup::revoke(state, row)));
+            state.popups.extend(question);
+        }
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, form::load_key())),
         Verb::ExportKey => palette::begin_key(state),
         Verb::Rotate => state.popups.push(Popup::Confirm(popup::rotate())),
@@ -104,10 +109,6 @@ fn refuse(state: &mut State, verb: Verb, reason: &str) {
     }
     let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
     state.inform(format!("{name}: {reason}"));
-}
-
-fn back_up(state: &mut State) -> Vec<Effect> {
-    vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })]
 }
 
 fn tasks(state: &mut State) {
@@ -130,35 +131,26 @@ fn freeze(state: &mut State) {
 }
 
 fn page(state: &State) -> isize {
-    isize::try_from(state.page_rows()).unwrap_or(1)
+    state.page_rows().cast_signed()
 }
 
 fn mark(state: &mut State) {
-    let key = state.row_key();
-    if let (Some(table), Some(key)) = (state.table_mut(), key) {
-        table.toggle_mark(&key);
-    }
-    let keys = state.row_keys();
-    if let Some(table) = state.table_mut() {
-        table.step(&keys, 1);
-    }
+    let (key, keys) = (state.row_key(), state.row_keys());
+    let Some(table) = state.table_mut() else { return };
+    key.iter().for_each(|key| table.toggle_mark(key));
+    table.step(&keys, 1);
 }
 
 fn dismiss(state: &mut State) {
     if let Some(toast) = state.toasts.dismiss() {
         return state.log.saw(&toast.text);
     }
-    let mut changed = false;
-    if let Some(table) = state.table_mut() {
-        changed = !table.filter.text().is_empty();
-        table.filter.clear();
-        if !changed {
-            table.marks.clear();
-        }
+    let Some(table) = state.table_mut() else { return };
+    if table.filter.text().is_empty() {
+        return table.marks.clear();
     }
-    if changed {
-        table::restart_records(state);
-    }
+    table.filter.clear();
+    table::restart_records(state);
 }
 
 fn watch(state: &mut State) -> Vec<Effect> {
@@ -170,9 +162,8 @@ fn watch(state: &mut State) -> Vec<Effect> {
     let targets: Vec<(String, bool)> =
         state.topics.targets().into_iter().map(|row| (row.topic.clone(), row.watched)).collect();
     let watches = targets.iter().any(|(_, watched)| !watched);
-    let wanted = targets.into_iter().filter(|(_, watched)| *watched != watches);
     let mut errands = Vec::new();
-    for (topic, _) in wanted {
+    for (topic, _) in targets.into_iter().filter(|(_, watched)| *watched != watches) {
         match topic.parse::<TopicName>() {
             Ok(topic) => errands.push(watch_errand(topic, watches)),
             Err(error) => state.complain(error.to_string()),
@@ -186,10 +177,9 @@ fn watch(state: &mut State) -> Vec<Effect> {
 
 fn watch_errand(topic: TopicName, watch: bool) -> Errand {
     let name = topic.to_string();
-    if watch {
-        Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }
-    } else {
-        Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
+    match watch {
+        true => Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) },
+        false => Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) },
     }
 }
 
@@ -199,18 +189,16 @@ fn details(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command: Command::ShowUpload { id: id.clone() }, tag: Tag::Show(id) })]
 }
 
-fn record(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command, need: Need) -> Vec<Effect> {
+fn open_record(state: &mut State) -> Vec<Effect> {
     let Some(id) = state.row_key() else { return Vec::new() };
-    identity_path::run(state, need, vec![Errand { command: command(id.clone()), tag: tag(id) }])
+    let errand = Errand { command: Command::OpenShared { id: id.clone() }, tag: Tag::Open(id) };
+    identity_path::run(state, Need::Unlocked, vec![errand])
 }
 
 /// For the marked rows, or else for the one under the cursor.
 fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
-    let marked: Vec<String> = state.table().map(|table| table.marks.iter().cloned().collect()).unwrap_or_default();
-    let ids = if marked.is_empty() { state.row_key().into_iter().collect() } else { marked };
-    let errands = ids.into_iter().map(|id| Errand { command: command(id.clone()), tag: tag(id) });
-    let fresh: Vec<Errand> = errands.filter(|errand| !state.work.contains(&errand.tag)).collect();
-    fresh.into_iter().map(|errand| state.send(errand)).collect()
+    let errand = |id: String| Errand { command: command(id.clone()), tag: tag(id) };
+    state.send_new(state.marked_keys().into_iter().map(errand).collect())
 }
 
 /// The topic under the cursor, if its name is one.
@@ -232,9 +220,7 @@ fn publishers(state: &mut State) -> Vec<Effect> {
     let coverage = opening::coverage_of(&topic);
     let command = Command::ListPins { topic: Some(topic) };
     let mut effects = vec![state.send(Errand { command, tag: Tag::Publishers(name) })];
-    if !state.work.contains(&coverage.tag) {
-        effects.push(state.send(coverage));
-    }
+    effects.extend(state.send_new(vec![coverage]));
     effects
 }
 
@@ -249,12 +235,6 @@ fn unpin(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Unpin, form::unpin(topic.as_str(), &publisher)));
 }
 
-/// The whole of a log line.
-fn read_line(state: &mut State) {
-    let line = state.log.selected().cloned();
-    state.popups.extend(line.map(Popup::Line));
-}
-
 /// Who can read the topics, the record's topic, or what the grant covers.
 fn readers(state: &mut State) {
     let topics = match state.screen {
@@ -264,20 +244,10 @@ fn readers(state: &mut State) {
             let rows = state.uploads.rows.iter();
             rows.filter(|row| Some(&row.id) == key.as_ref()).map(|row| row.topic.clone()).collect()
         }
-        Screen::Overview
-        | Screen::Shared
-        | Screen::Grants
-        | Screen::Keys
-        | Screen::Chain
-        | Screen::Gateway
-        | Screen::Log => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
+        Screen::Grants => state.grants.selected().map(|row| row.topics.clone()).unwrap_or_default(),
+        Screen::Overview | Screen::Shared | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => Vec::new(),
     };
     state.popups.push(Popup::Readers(topics));
-}
-
-fn revoke(state: &mut State) {
-    let confirm = state.grants.selected().map(|row| popup::revoke(state, row));
-    state.popups.extend(confirm.map(Popup::Confirm));
 }
 
 fn quit(state: &mut State) -> Vec<Effect> {
@@ -320,15 +290,6 @@ pub fn copied(state: &State) -> Option<String> {
     }
 }
 
-/// The data a screen needs besides its own: grants are requested before a confirmation.
-pub fn wants_grants(state: &State) -> Option<Feed> {
-    let asks = state
-        .popups
-        .iter()
-        .any(|popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Confirm(_) | Popup::Readers(_)));
-    (asks || super::tour::wants_grants(state)).then_some(Feed::Grants)
-}
-
 /// The last act, as far as undoing is concerned.
 #[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 #[derive(Debug, Clone)]
@@ -343,15 +304,10 @@ pub enum Undo {
 
 /// Notes the effect of the command with `tag`.
 pub fn note(state: &mut State, tag: &Tag) {
-    let topic = |name: &String| name.parse::<TopicName>().ok();
+    let watching = |name: &String, watch| name.parse().ok().map(|topic| Undo::By(watch_errand(topic, watch)));
     let undo = match tag {
-        Tag::Watch(name) => topic(name).map(|topic| {
-            Undo::By(Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name.clone()) })
-        }),
-        Tag::Unwatch(name) => topic(name).map(|topic| {
-            let command = Command::WatchTopic { topic, type_name: None };
-            Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
-        }),
+        Tag::Watch(name) => watching(name, false),
+        Tag::Unwatch(name) => watching(name, true),
         Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
         Tag::Extend(_) => Some(Undo::Never("it was a transaction; e changes the end of the grant (5)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
@@ -442,12 +398,9 @@ pub fn ended(state: &mut State, view: &PlayedView) {
     let not = view.refused + view.missing;
     let rest = if not > 0 { format!(", {not} records NOT published") } else { String::new() };
     let text = |why: &str| format!("playback ended ({why}): {published} messages published{rest}");
-    match view.ended_by {
-        PlayEnd::Asked | PlayEnd::Whole => state.inform(text(view.ended_by.word())),
-        PlayEnd::Revoked => state.complain(text("the grant was revoked")),
-        PlayEnd::Expired => state.complain(text("the grant has expired")),
-        PlayEnd::Locked => state.complain(text("the keyring was locked")),
-        PlayEnd::Site => state.complain(text("the site stopped")),
+    match view.ended_by.cut_short() {
+        Some(why) => state.complain(text(why)),
+        None => state.inform(text(view.ended_by.word())),
     }
 }
 
@@ -460,11 +413,6 @@ pub fn open(state: &mut State) {
         notes.push(format!("Profiles: {}", known.join(" ")));
     }
     state.popups.push(Popup::Form(Purpose::Profile, Form::new("Switch to another profile", notes, lines)));
-}
-
-/// The profile of a completed form.
-pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
-    form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))
 }
 
 /// Switches to another profile: everything known belongs to the previous one and is requested anew.

@@ -3,12 +3,12 @@
 
 use std::path::{Path, PathBuf};
 
-use super::form::{Field, Form, Line};
+use super::form::{Field, Form, Line, Wrong};
 use super::granting::complete_from;
 use super::keymap::Key;
 use super::palette::{self, PathKind};
 use super::perform::copy;
-use super::popup::{Confirm, Lookup, Popup, Purpose, scrolled};
+use super::popup::{Confirm, Lookup, Popup, Purpose, tell};
 use super::update::Feed;
 use super::verb::{Effect, Errand, Tag};
 use super::{Screen, State};
@@ -126,10 +126,7 @@ pub fn listed(state: &mut State, rows: Vec<RobotRow>) -> Vec<Effect> {
     let row = state.gateway.robots.iter().find(|row| before.is_some_and(|before| before.device == row.device));
     let moved = row.is_some() && row != before;
     let errand = show(&lookup.id);
-    if moved && !state.is_frozen() && !state.work.contains(&errand.tag) {
-        return vec![state.send(errand)];
-    }
-    Vec::new()
+    if moved && !state.is_frozen() { state.send_new(vec![errand]) } else { Vec::new() }
 }
 
 /// The robots that do not work by their policies, as an alert: since when, and in words.
@@ -168,19 +165,12 @@ fn show(name: &str) -> Errand {
 pub fn open(state: &mut State) -> Vec<Effect> {
     let Some(name) = under_cursor(state).map(|row| called(state, row)) else { return Vec::new() };
     state.popups.push(Popup::Robot(Lookup::new(&name)));
-    let errand = show(&name);
-    if state.work.contains(&errand.tag) { Vec::new() } else { vec![state.send(errand)] }
+    state.send_new(vec![show(&name)])
 }
 
 /// Takes the answer about a robot.
 pub fn shown(state: &mut State, name: &str, answer: Result<RobotView, Failure>) {
-    for popup in &mut state.popups {
-        if let Popup::Robot(lookup) = popup
-            && lookup.id == name
-        {
-            return lookup.answer = Some(answer.map(Box::new));
-        }
-    }
+    tell(state, name, answer, |popup| if let Popup::Robot(lookup) = popup { Some(lookup) } else { None });
 }
 
 /// The keys of the window, for the bar.
@@ -191,14 +181,15 @@ pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
 
 /// A key while the window is open.
 pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Effect> {
-    let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) else { return Vec::new() };
     let length = |view: &RobotView| {
         12 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
             + view.topics.len()
             + view.overruled.len() * 3
             + view.policy.lines().count()
     };
-    lookup.scroll = scroll.min(lookup.found().map_or(0, length));
+    if !lookup.scrolls(key, state.page_rows(), length) {
+        return Vec::new();
+    }
     let name = lookup.id.clone();
     state.popups.push(Popup::Robot(lookup));
     match key {
@@ -239,7 +230,7 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 }
 
 /// What a completed form leads to: a question at once, or first the text of the file.
-pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, (usize, String)> {
+pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, Wrong> {
     let robot = named(state, form)?;
     match palette::of_line(form, FILE, &state.settings) {
         Some(path) => {
@@ -255,7 +246,7 @@ pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, (usize, Str
 }
 
 /// The robot that a form names.
-fn named(state: &State, form: &Form) -> Result<String, (usize, String)> {
+fn named(state: &State, form: &Form) -> Result<String, Wrong> {
     let name = form.text(ROBOT).trim();
     if name.is_empty() {
         return Err((ROBOT, "enter the robot's name; tab completes it".to_owned()));

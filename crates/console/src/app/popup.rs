@@ -3,9 +3,9 @@
 
 use super::administration::{self, Act};
 use super::available::available;
-use super::choosing::{self, Browse, ColumnChoice, ThemeChoice};
-use super::form::{self, Field, Form, FormStep, GrantWish, KeyWish};
-use super::granting::{self, Book, Extension};
+use super::choosing::{self, ColumnChoice, ThemeChoice};
+use super::form::{self, Field, Form, FormStep, GrantWish, KeyWish, Wrong};
+use super::granting::{self, Extension};
 use super::identity_path::{self, Need};
 use super::incidents::{self, IncidentList};
 use super::keymap::{Key, Meaning, chord_label};
@@ -13,6 +13,7 @@ use super::leaving::{self, Leaving};
 use super::opening::{self, Opening};
 use super::perform::{self, copy, perform};
 use super::screens::{LogLine, day, earlier, end, scope};
+use super::update::Feed;
 use super::verb::{Effect, Entry, Errand, Tag, VERBS, Verb, kind_word};
 use super::{State, palette, policies};
 use crate::model::TopicName;
@@ -50,15 +51,30 @@ pub enum Popup {
     Unlocked,
     /// A line of the log, whole.
     Line(LogLine),
-    /// Choosing among what others share.
-    Browse(Browse),
-    /// The address book.
-    Contacts(Book),
+    /// Choosing among what others share: the selected line.
+    Browse(usize),
+    /// The address book: the selected line.
+    Contacts(usize),
     Incidents(IncidentList),
     /// A robot: its policy, topics, losses.
     Robot(Lookup<RobotView>),
     /// Leaving while something would stop, or is not done.
     Quit(Leaving),
+}
+
+impl Popup {
+    /// The data it needs besides those of the screen: grants are requested before a confirmation, and a grant is checked
+    /// against the address book, and completed from it.
+    pub fn feeds(&self) -> &'static [Feed] {
+        match self {
+            Self::Form(Purpose::Grant, _) => &[Feed::Grants, Feed::Contacts, Feed::Topics],
+            Self::Form(Purpose::OpenIncident, _) | Self::Incidents(_) => &[Feed::Incidents, Feed::Topics],
+            Self::Confirm(_) | Self::Readers(_) => &[Feed::Grants],
+            Self::Contacts(_) => &[Feed::Contacts, Feed::Topics],
+            Self::Tasks => &[Feed::Chain, Feed::Progress],
+            _ => &[],
+        }
+    }
 }
 
 /// The purpose of a form.
@@ -129,6 +145,25 @@ impl<T> Lookup<T> {
     /// The answer, if it has arrived and is not a failure.
     pub fn found(&self) -> Option<&T> {
         self.answer.as_ref()?.as_ref().ok().map(Box::as_ref)
+    }
+
+    /// Scrolls by a key, in an answer of about so many lines; false = the key closes it.
+    pub(super) fn scrolls(&mut self, key: Key, page: usize, lines: impl FnOnce(&T) -> usize) -> bool {
+        let Some(scroll) = scrolled(self.scroll, key, page) else { return false };
+        self.scroll = scroll.min(self.found().map_or(0, lines));
+        true
+    }
+}
+
+/// Gives an answer to the window that asked for it.
+pub(super) fn tell<T>(
+    state: &mut State,
+    id: &str,
+    answer: Result<T, Failure>,
+    of: fn(&mut Popup) -> Option<&mut Lookup<T>>,
+) {
+    if let Some(lookup) = state.popups.iter_mut().filter_map(of).find(|lookup| lookup.id == id) {
+        lookup.answer = Some(answer.map(Box::new));
     }
 }
 
@@ -292,7 +327,7 @@ pub fn rotate() -> Confirm {
 pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
     let readers = state.grants.readers(without.map(|row| row.grantee));
     let mut lines = vec![title.to_owned()];
-    if state.awaits(super::update::Feed::Grants) {
+    if state.awaits(Feed::Grants) {
         lines.push("  (the list of grants has not arrived yet)".to_owned());
     } else if readers.is_empty() {
         lines.push("  nobody but you".to_owned());
@@ -326,13 +361,13 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
             let moves = [("space", "show/hide"), ("<", "left"), (">", "right")];
             moves.into_iter().chain([("r", "usual"), ("enter", "keep"), ("esc", "cancel")]).collect()
         }
-        Popup::Confirm(confirm) if confirm.typed.is_some() => {
-            let twin = palette::twin(state, &confirm.errand).map(|_| ("ctrl-y", "copy as command"));
-            [("enter", confirm.yes)].into_iter().chain(twin).chain([("esc", "cancel")]).collect()
-        }
         Popup::Confirm(confirm) => {
-            let twin = palette::twin(state, &confirm.errand).map(|_| ("Y", "copy as command"));
-            [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
+            let [yes, copy, no, cancel] = match &confirm.typed {
+                Some(_) => ["enter", "ctrl-y", "esc", "cancel"],
+                None => ["y", "Y", "any other key", "cancels"],
+            };
+            let twin = palette::twin(state, &confirm.errand).map(|_| (copy, "copy as command"));
+            [(yes, confirm.yes)].into_iter().chain(twin).chain([(no, cancel)]).collect()
         }
         Popup::Form(_, form) => {
             let path = form.lines.get(form.focus).is_some_and(|line| line.path.is_some());
@@ -367,37 +402,31 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Themes(choice) => choosing::theme_key(state, choice, key),
         Popup::Columns(choice) => choosing::column_key(state, choice, key),
         Popup::Record(opening) => opening::key(state, opening, key),
-        Popup::Browse(browse) => choosing::browse_key(state, browse, key),
-        Popup::Contacts(book) => granting::key(state, book, key),
+        Popup::Browse(selected) => choosing::browse_key(state, selected, key),
+        Popup::Contacts(selected) => granting::key(state, selected, key),
         Popup::Incidents(list) => incidents::key(state, list, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
         Popup::Robot(lookup) => policies::key(state, lookup, key),
-        Popup::Tasks | Popup::Readers(_) => {
-            if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
-                state.popups.push(popup);
-            }
+        Popup::Tasks | Popup::Readers(_) if matches!(key, Key::Char('q' | 't' | 'i')) => Vec::new(),
+        Popup::Line(_) if key == Key::Char('q') => Vec::new(),
+        Popup::Tasks | Popup::Readers(_) | Popup::Line(_) | Popup::Unlocked
+            if matches!(key, Key::Escape | Key::Enter) =>
+        {
             Vec::new()
         }
-        Popup::Unlocked => {
-            if !matches!(key, Key::Escape | Key::Enter) {
-                state.popups.push(popup);
-            }
+        Popup::Tasks | Popup::Readers(_) | Popup::Unlocked => {
+            state.popups.push(popup);
             Vec::new()
         }
-        Popup::Line(line) => match key {
-            Key::Escape | Key::Enter | Key::Char('q') => Vec::new(),
-            _ => {
-                let text = (key == Key::Char('y')).then(|| line.whole());
-                state.popups.push(Popup::Line(line));
-                text.map(|text| copy(state, text)).into_iter().collect()
-            }
-        },
+        Popup::Line(line) => {
+            let text = (key == Key::Char('y')).then(|| line.whole());
+            state.popups.push(Popup::Line(line));
+            text.map(|text| copy(state, text)).into_iter().collect()
+        }
         Popup::Provenance(_) if key == Key::Char('n') => opening::neighbour(state, popup, 1),
         Popup::Provenance(_) if key == Key::Char('p') => opening::neighbour(state, popup, -1),
         Popup::Provenance(mut lookup) => {
-            if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
-                let lines = lookup.found().map_or(0, |found| found.steps.len() * 3 + 8);
-                lookup.scroll = scroll.min(lines);
+            if lookup.scrolls(key, state.page_rows(), |found| found.steps.len() * 3 + 8) {
                 state.popups.push(Popup::Provenance(lookup));
             }
             Vec::new()
@@ -461,6 +490,19 @@ pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     })
 }
 
+/// Where a key moves the cursor of a list of so many lines.
+pub(super) fn moved(selected: usize, count: usize, key: Key) -> usize {
+    let last = count.saturating_sub(1);
+    let selected = selected.min(last);
+    match key {
+        Key::Up | Key::BackTab | Key::Char('k') => selected.saturating_sub(1),
+        Key::Down | Key::Tab | Key::Char('j') => (selected + 1).min(last),
+        Key::Home => 0,
+        Key::End | Key::Char('G') => last,
+        _ => selected,
+    }
+}
+
 /// The next key of a chord.
 fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
     if key == Key::Escape {
@@ -482,9 +524,7 @@ fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> 
         Key::Char('P') => return perform(state, Verb::Unpin),
         _ => {}
     }
-    if let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) {
-        let lines = lookup.found().map_or(0, |found| found.pins.len() * 3 + found.alarms.len() * 3 + 4);
-        lookup.scroll = scroll.min(lines);
+    if lookup.scrolls(key, state.page_rows(), |found| found.pins.len() * 3 + found.alarms.len() * 3 + 4) {
         state.popups.push(Popup::Publishers(lookup));
     }
     Vec::new()
@@ -554,15 +594,13 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
 }
 
 fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Vec<Effect> {
-    if purpose == Purpose::Grant && key == Key::Tab && granting::complete(state, &mut form) {
-        state.popups.push(Popup::Form(purpose, form));
-        return Vec::new();
-    }
-    if purpose == Purpose::OpenIncident && key == Key::Tab && incidents::complete(state, &mut form) {
-        state.popups.push(Popup::Form(purpose, form));
-        return Vec::new();
-    }
-    if purpose == Purpose::SetPolicy && key == Key::Tab && policies::complete(state, &mut form) {
+    let completes: fn(&State, &mut Form) -> bool = match purpose {
+        Purpose::Grant => granting::complete,
+        Purpose::OpenIncident => incidents::complete,
+        Purpose::SetPolicy => policies::complete,
+        _ => |_, _| false,
+    };
+    if key == Key::Tab && completes(state, &mut form) {
         state.popups.push(Popup::Form(purpose, form));
         return Vec::new();
     }
@@ -604,50 +642,34 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
     Vec::new()
 }
 
-fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect>, (usize, String)> {
-    let errand = match purpose {
-        Purpose::CreateIdentity => form::read_create(form)?,
-        Purpose::Unlock => form::read_unlock(form)?,
+fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect>, Wrong> {
+    let question = match purpose {
+        Purpose::CreateIdentity => return Ok(vec![state.send(form::read_create(form)?)]),
+        Purpose::Unlock => return Ok(vec![state.send(form::read_unlock(form)?)]),
+        Purpose::Unpin => return Ok(vec![state.send(form::read_unpin(form)?)]),
+        Purpose::AddContact => return Ok(vec![state.send(granting::read(form)?)]),
+        Purpose::OpenIncident => return Ok(vec![state.send(incidents::read(state, form)?)]),
+        Purpose::NoteIncident => return Ok(vec![state.send(incidents::read_note(form)?)]),
+        Purpose::Export => return Ok(palette::submit(state, form)),
+        Purpose::SetPolicy => return policies::submit(state, form),
+        Purpose::Profile => return Ok(perform::switch(state, form.parsed(0)?)),
         Purpose::ExportKey => {
             let errand = form::read_export(form)?;
             palette::goes_to(state, &errand.tag, form, 3);
             return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
         }
-        Purpose::Export => return Ok(palette::submit(state, form)),
         Purpose::Grant => {
             let wish = form::read_grant(form, state.address(), state.now)?;
             granting::check(state, &wish)?;
-            let question = granting::question(state, wish);
-            state.popups.push(Popup::Confirm(question));
-            return Ok(Vec::new());
+            granting::question(state, wish)
         }
         Purpose::Extend => match granting::read_extension(state, form)? {
             Extension::Later(errand) => return Ok(identity_path::run(state, Need::Registered, vec![errand])),
-            Extension::Sooner(wish) => {
-                let question = granting::question(state, wish);
-                state.popups.push(Popup::Confirm(question));
-                return Ok(Vec::new());
-            }
+            Extension::Sooner(wish) => granting::question(state, wish),
         },
-        Purpose::Unpin => form::read_unpin(form)?,
-        Purpose::AddContact => granting::read(form)?,
-        Purpose::OpenIncident => incidents::read(state, form)?,
-        Purpose::NoteIncident => incidents::read_note(form)?,
-        Purpose::SetPolicy => return policies::submit(state, form),
-        Purpose::Profile => {
-            let profile = perform::read(form)?;
-            return Ok(perform::switch(state, profile));
-        }
-        Purpose::Administer(act) => {
-            let question = administration::read(act, form)?;
-            state.popups.push(Popup::Confirm(question));
-            return Ok(Vec::new());
-        }
-        Purpose::LoadKey => {
-            let wish = form::read_load(form, &state.settings)?;
-            state.popups.push(Popup::Confirm(load_key(wish)));
-            return Ok(Vec::new());
-        }
+        Purpose::Administer(act) => administration::read(act, form)?,
+        Purpose::LoadKey => load_key(form::read_load(form, &state.settings)?),
     };
-    Ok(vec![state.send(errand)])
+    state.popups.push(Popup::Confirm(question));
+    Ok(Vec::new())
 }

@@ -5,7 +5,6 @@ use std::collections::BTreeSet;
 
 use super::form::Field;
 use super::keymap::Key;
-use super::screens::{self, topics};
 use super::update::Feed;
 use super::{Screen, State};
 
@@ -160,7 +159,17 @@ impl Table {
 impl State {
     /// The table on screen.
     pub fn table(&self) -> Option<&Table> {
-        match self.screen {
+        self.table_of(self.screen)
+    }
+
+    /// The table on screen, mutable.
+    pub fn table_mut(&mut self) -> Option<&mut Table> {
+        self.table_of_mut(self.screen)
+    }
+
+    /// The table of a screen, if it has one.
+    pub fn table_of(&self, screen: Screen) -> Option<&Table> {
+        match screen {
             Screen::Topics => Some(&self.topics.table),
             Screen::Uploads => Some(&self.uploads.table),
             Screen::Shared => Some(&self.shared.table),
@@ -171,9 +180,9 @@ impl State {
         }
     }
 
-    /// The table on screen, mutable.
-    pub fn table_mut(&mut self) -> Option<&mut Table> {
-        match self.screen {
+    /// The same, mutable.
+    pub fn table_of_mut(&mut self, screen: Screen) -> Option<&mut Table> {
+        match screen {
             Screen::Topics => Some(&mut self.topics.table),
             Screen::Uploads => Some(&mut self.uploads.table),
             Screen::Shared => Some(&mut self.shared.table),
@@ -217,6 +226,12 @@ impl State {
         let keys = self.row_keys();
         let position = self.table()?.position(&keys);
         keys.into_iter().nth(position)
+    }
+
+    /// The keys of the marked rows, or else of the one under the cursor.
+    pub fn marked_keys(&self) -> Vec<String> {
+        let marks: Vec<String> = self.table().map(|table| table.marks.iter().cloned().collect()).unwrap_or_default();
+        if marks.is_empty() { self.row_key().into_iter().collect() } else { marks }
     }
 
     /// Whether the rows of the records on screen answer an earlier request, and those of the present one are on their way.
@@ -304,12 +319,7 @@ fn records(state: &mut State, feed: Feed) -> &mut super::screens::Records {
 
 /// The next order of the table on screen.
 pub fn sort(state: &mut State) {
-    let orders = match state.screen {
-        Screen::Topics => topics::SORTS.len(),
-        Screen::Grants => screens::GRANT_SORTS.len(),
-        Screen::Gateway => screens::GATEWAY_SORTS.len(),
-        _ => 2,
-    };
+    let orders = state.screen.orders().len().max(1);
     if let Some(table) = state.table_mut() {
         table.sort = (table.sort + 1) % orders;
     }

@@ -3,7 +3,7 @@
 
 use super::answer::answered;
 use super::keymap::{Key, Meaning, chord_label};
-use super::perform::{perform, wants_grants};
+use super::perform::perform;
 use super::popup::{Popup, Purpose, popup_key, popup_paste};
 use super::screens::MOST_AUDIT;
 use super::verb::{Action, Effect, Errand, Tag, Verb};
@@ -12,6 +12,7 @@ use crate::model::{RecordState, Timestamp};
 use crate::service::command::{AuditQuery, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, Failure, NoticeLevel, Operation, Part};
+use strum::{EnumCount, EnumIter, IntoEnumIterator as _};
 
 /// The first effects of a console: claim the profile, request what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
@@ -107,7 +108,7 @@ const MOST_PLACES: usize = 3;
 fn say_where(state: &mut State, key: Key) {
     let means = |screen: &Screen| !matches!(state.settings.keymap.meaning(&[key], *screen), Meaning::Nothing);
     let places: Vec<String> =
-        Screen::ALL.into_iter().filter(means).map(|at| format!("{} ({})", at.title(), at.index() + 1)).collect();
+        Screen::all().filter(means).map(|at| format!("{} ({})", at.title(), at.index() + 1)).collect();
     if matches!(key, Key::Char(_)) && (1..=MOST_PLACES).contains(&places.len()) {
         state.inform(format!("{} works on {}", chord_label(&[key]), places.join(", ")));
     }
@@ -191,45 +192,19 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     lock_when_due(state)
 }
 
-/// The tasks popup shows the lanes, imports and exports.
-fn wants_tasks(state: &State) -> impl Iterator<Item = Feed> + use<> {
-    let asked = matches!(state.popups.last(), Some(Popup::Tasks));
-    [Feed::Chain, Feed::Progress].into_iter().filter(move |_| asked)
-}
-
-/// A grant is checked against the address book, and completed from it.
-fn wants_contacts(state: &State) -> impl Iterator<Item = Feed> + use<> {
-    let asks = |popup: &Popup| matches!(popup, Popup::Form(Purpose::Grant, _) | Popup::Contacts(_));
-    let asked = state.popups.iter().any(asks);
-    [Feed::Contacts, Feed::Topics].into_iter().filter(move |_| asked)
-}
-
-/// The list tells of incidents, and the form of a new one knows the names that are taken.
-fn wants_incidents(state: &State) -> impl Iterator<Item = Feed> + use<> {
-    let asks = |popup: &Popup| matches!(popup, Popup::Incidents(_) | Popup::Form(Purpose::OpenIncident, _));
-    let asked = state.popups.iter().any(asks);
-    [Feed::Incidents, Feed::Topics].into_iter().filter(move |_| asked)
-}
-
 /// Asks for what is on screen and out of date, one question per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let now = state.frozen.unwrap_or(state.now);
     state.uploads.note_filter(now);
     state.shared.note_filter(now);
-    let always = [Feed::Site, Feed::Identity];
-    let wanted = always
-        .iter()
-        .chain(state.screen.feeds())
-        .copied()
-        .chain(wants_grants(state))
-        .chain(wants_contacts(state))
-        .chain(wants_incidents(state))
-        .chain(policies::wanted(state))
-        .chain(wants_tasks(state));
-    let mut wanted: Vec<Feed> = wanted.collect();
+    let mut wanted = vec![Feed::Site, Feed::Identity];
+    wanted.extend(state.screen.feeds());
+    wanted.extend(state.popups.iter().flat_map(Popup::feeds));
+    wanted.extend(tour::wants_grants(state).then_some(Feed::Grants));
+    wanted.extend(policies::wanted(state));
     if state.is_frozen() {
         // All screens are frozen at one moment; data that is valid for it is not requested again.
-        wanted.extend(Feed::ALL);
+        wanted.extend(Feed::iter());
     }
     wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
 }
@@ -331,10 +306,10 @@ pub fn click(state: &mut State, column: u16, row: u16) {
 
 /// The screen whose name is there; if names do not fit, nothing can be clicked.
 fn named_at(columns: u16, column: u16) -> Option<Screen> {
-    let gap = Screen::ALL.iter().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
+    let gap = Screen::all().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
     let mut left = 0;
     let wide_enough = columns >= 80;
-    Screen::ALL.into_iter().filter(|_| wide_enough).find(|screen| {
+    Screen::all().filter(|_| wide_enough).find(|screen| {
         let from = left;
         left += screen.title().len() + 2 + usize::from(gap);
         (from..left - 1).contains(&usize::from(column))
@@ -463,7 +438,7 @@ pub fn lock_when_due(state: &mut State) -> Vec<Effect> {
 const RETRY_AFTER: u64 = 5_000_000_000;
 
 /// One list or view that the site can be asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, EnumCount, EnumIter)]
 pub enum Feed {
     /// `SiteStatus`.
     Site,
@@ -496,24 +471,6 @@ pub enum Feed {
 }
 
 impl Feed {
-    /// All feeds.
-    pub const ALL: [Self; 14] = [
-        Self::Site,
-        Self::Identity,
-        Self::Keys,
-        Self::Topics,
-        Self::Uploads,
-        Self::Shared,
-        Self::Grants,
-        Self::Chain,
-        Self::Audit,
-        Self::Gateway,
-        Self::Contacts,
-        Self::Progress,
-        Self::Incidents,
-        Self::Robots,
-    ];
-
     /// What a change of `part` makes out of date.
     pub fn touched_by(part: Part) -> &'static [Self] {
         match part {
@@ -557,7 +514,7 @@ impl Slot {
 }
 
 #[derive(Debug, Clone)]
-pub struct Feeds([Slot; Feed::ALL.len()]);
+pub struct Feeds([Slot; Feed::COUNT]);
 
 impl Default for Feeds {
     fn default() -> Self {
@@ -631,7 +588,7 @@ impl Feeds {
 
     /// All are requested anew, once, even though the view is frozen from now on.
     pub fn gather(&mut self) {
-        Feed::ALL.into_iter().for_each(|feed| self.renew(feed));
+        Feed::iter().for_each(|feed| self.renew(feed));
     }
 
     /// Handles an answer; false if it answers an older request.

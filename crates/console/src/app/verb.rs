@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use super::Screen;
+use super::Screen::{self, Chain, Gateway, Grants, Keys, Log, Overview, Shared, Topics, Uploads};
 use super::administration::Act;
 use super::incidents::Deed;
 use super::keymap::Key;
@@ -161,10 +161,8 @@ pub struct Entry {
     pub label: &'static str,
     /// A line of help.
     pub help: &'static str,
-    /// The preset keys.
-    pub keys: &'static [Key],
-    /// Preset keys that are pressed in sequence.
-    pub chord: &'static [Key],
+    /// The preset keys, as `keymap.toml` names them; several in one text are pressed in sequence.
+    pub keys: &'static [&'static str],
     /// The screens where the keys work; empty = all.
     pub on: &'static [Screen],
     /// Whether it changes keys, grants or records; hidden when read-only.
@@ -173,8 +171,25 @@ pub struct Entry {
     pub palette: bool,
 }
 
-const fn entry(verb: Verb, name: &'static str, label: &'static str, keys: &'static [Key], help: &'static str) -> Entry {
-    Entry { verb, name, label, help, keys, chord: &[], on: &[], changes: false, palette: true }
+const fn entry(
+    verb: Verb,
+    name: &'static str,
+    label: &'static str,
+    keys: &'static [&'static str],
+    help: &'static str,
+) -> Entry {
+    Entry { verb, name, label, help, keys, on: &[], changes: false, palette: true }
+}
+
+/// An entry that changes keys, grants or records.
+const fn act(
+    verb: Verb,
+    name: &'static str,
+    label: &'static str,
+    keys: &'static [&'static str],
+    help: &'static str,
+) -> Entry {
+    Entry { changes: true, ..entry(verb, name, label, keys, help) }
 }
 
 impl Entry {
@@ -183,25 +198,14 @@ impl Entry {
         self
     }
 
-    const fn changing(mut self) -> Self {
-        self.changes = true;
-        self
-    }
-
     const fn unlisted(mut self) -> Self {
         self.palette = false;
         self
     }
 
-    const fn chord(mut self, chord: &'static [Key]) -> Self {
-        self.chord = chord;
-        self
-    }
-
     /// All keys for it in the preset.
     pub fn chords(&self) -> impl Iterator<Item = Vec<Key>> {
-        let chord = Some(self.chord.to_vec()).filter(|chord| !chord.is_empty());
-        self.keys.iter().map(|key| vec![*key]).chain(chord)
+        self.keys.iter().map(|chord| chord.split(' ').filter_map(Key::from_label).collect())
     }
 
     /// Whether the preset's keys work on a screen.
@@ -216,137 +220,61 @@ pub fn entry_of(verb: Verb, screen: Screen) -> Option<&'static Entry> {
     same.clone().find(|entry| entry.works_on(screen)).or_else(|| same.next())
 }
 
-const TABLES: &[Screen] =
-    &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Gateway, Screen::Log];
-const SORTED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants, Screen::Gateway];
-const MARKED: &[Screen] = &[Screen::Topics, Screen::Uploads, Screen::Shared];
-const ON_CHAIN: &[Screen] = &[Screen::Chain];
-const COPIED: &[Screen] = &[
-    Screen::Topics,
-    Screen::Uploads,
-    Screen::Shared,
-    Screen::Grants,
-    Screen::Keys,
-    Screen::Chain,
-    Screen::Gateway,
-    Screen::Log,
-];
-
-const GATEWAY: &[Screen] = &[Screen::Gateway];
+const TABLES: &[Screen] = &[Topics, Uploads, Shared, Grants, Gateway, Log];
+const SORTED: &[Screen] = &[Topics, Uploads, Shared, Grants, Gateway];
+const MARKED: &[Screen] = &[Topics, Uploads, Shared];
+const COPIED: &[Screen] = &[Topics, Uploads, Shared, Grants, Keys, Chain, Gateway, Log];
 
 /// An act of the administrator: in the palette, on no key.
-const fn administers(act: Act, name: &'static str, help: &'static str) -> Entry {
-    entry(Verb::Administer(act), name, "", &[], help).on(ON_CHAIN).changing()
+const fn administers(deed: Act, name: &'static str, help: &'static str) -> Entry {
+    act(Verb::Administer(deed), name, "", &[], help).on(&[Chain])
 }
 
 /// Everything an operator can do; entries of a single screen come first.
 pub static VERBS: &[Entry] = &[
-    entry(Verb::Mark, "mark", "mark", &[Key::Char(' ')], "Mark the row; commands then act on the marked rows")
-        .on(MARKED),
-    entry(Verb::MarkAll, "mark-all", "mark all", &[Key::Char('a')], "Mark every row shown, or clear all marks")
-        .on(MARKED),
-    entry(Verb::Watch, "watch", "watch", &[Key::Char('w')], "Watch or unwatch the marked topics, or the selected one")
-        .on(&[Screen::Overview, Screen::Topics])
-        .changing(),
-    entry(Verb::Details, "provenance", "provenance", &[Key::Enter], "Every step from message to verified")
-        .on(&[Screen::Uploads]),
-    entry(Verb::Open, "open", "open", &[Key::Enter, Key::Char('o')], "Check, decrypt and show the record")
-        .on(&[Screen::Shared]),
-    entry(Verb::Open, "open-own", "open", &[Key::Char('o')], "Check, decrypt and show one of your records")
-        .on(&[Screen::Uploads])
+    entry(Verb::Mark, "mark", "mark", &["space"], "Mark the row; commands then act on the marked rows").on(MARKED),
+    entry(Verb::MarkAll, "mark-all", "mark all", &["a"], "Mark every row shown, or clear all marks").on(MARKED),
+    act(Verb::Watch, "watch", "watch", &["w"], "Watch or unwatch the marked topics, or the selected one")
+        .on(&[Overview, Topics]),
+    entry(Verb::Details, "provenance", "provenance", &["enter"], "Every step from message to verified").on(&[Uploads]),
+    entry(Verb::Open, "open", "open", &["enter", "o"], "Check, decrypt and show the record").on(&[Shared]),
+    entry(Verb::Open, "open-own", "open", &["o"], "Check, decrypt and show one of your records")
+        .on(&[Uploads])
         .unlisted(),
-    entry(
-        Verb::Check,
-        "check",
-        "check",
-        &[Key::Char('c')],
-        "Compare the stored bytes with the chain and the signature",
-    )
-    .on(&[Screen::Shared, Screen::Uploads]),
-    entry(Verb::Export, "export", "export", &[Key::Char('e')], "Export the record as files that others can check")
-        .on(&[Screen::Uploads]),
-    entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "By owner, topic, type or time")
-        .on(&[Screen::Shared, Screen::Uploads]),
-    entry(Verb::Play, "play", "", &[Key::Char('p')], "Play this topic live into your own ROS; again: stop")
-        .on(&[Screen::Shared])
-        .changing(),
-    entry(Verb::Readers, "readers", "readers", &[Key::Char('i')], "Who can read this now?").on(&[
-        Screen::Topics,
-        Screen::Uploads,
-        Screen::Grants,
-    ]),
-    entry(Verb::Incident, "incident", "incident", &[Key::Char('I')], "Incident: keep records around this row")
-        .on(&[Screen::Topics, Screen::Uploads])
-        .changing(),
-    entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Publishers: pinned, suspect, quarantined")
-        .on(&[Screen::Topics]),
-    entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Pin the publishers present now")
-        .on(&[Screen::Topics])
-        .changing(),
-    entry(Verb::Unpin, "unpin", "", &[Key::Char('P')], "Unpin one of the topic's publishers")
-        .on(&[Screen::Topics])
-        .changing(),
-    entry(Verb::Release, "release", "", &[Key::Char('r')], "Release quarantined messages of the topic")
-        .on(&[Screen::Topics])
-        .changing(),
-    entry(Verb::Discard, "discard", "", &[Key::Char('D')], "Discard quarantined messages; the chain counts them")
-        .on(&[Screen::Topics])
-        .changing(),
-    entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account read your records")
-        .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
-        .changing(),
-    entry(
-        Verb::Extend,
-        "extend",
-        "extend",
-        &[Key::Char('e')],
-        "Change the end of the grant; sooner = revoke and new grant",
-    )
-    .on(&[Screen::Grants])
-    .changing(),
-    entry(
-        Verb::Revoke,
-        "revoke",
-        "revoke",
-        &[Key::Char('x')],
-        "Stop sharing: the next record is encrypted under a new key",
-    )
-    .on(&[Screen::Grants])
-    .changing(),
-    entry(Verb::Contacts, "contacts", "contacts", &[Key::Char('c')], "Address book: names for accounts")
-        .on(&[Screen::Grants]),
-    entry(Verb::Period, "minutes", "minutes", &[Key::Char('m')], "Graphs over 1, 15 or 60 minutes")
-        .on(&[Screen::Overview]),
-    entry(Verb::Fold, "fold", "fold", &[Key::Char('h')], "Fold the robot's topics into one row, or unfold them")
-        .on(&[Screen::Topics]),
-    entry(Verb::FoldAll, "fold-all", "", &[Key::Char('H')], "Fold all robots, or unfold all").on(&[Screen::Topics]),
-    entry(Verb::CreateIdentity, "create-identity", "new identity", &[Key::Char('n')], "Create keys and register them")
-        .on(&[Screen::Overview, Screen::Keys])
-        .changing(),
-    entry(Verb::Unlock, "unlock", "unlock", &[Key::Char('u')], "Open the keyring with its passphrase"),
-    entry(Verb::Register, "register", "register", &[Key::Char('R')], "Register the identity on the chain")
-        .on(&[Screen::Overview, Screen::Keys])
-        .changing(),
-    entry(Verb::LoadKey, "load-key", "load key", &[Key::Char('L')], "Replace the current key with one from a file")
-        .on(&[Screen::Overview, Screen::Keys])
-        .changing(),
-    entry(Verb::Rotate, "rotate-keys", "rotate", &[Key::Char('r')], "Begin a new epoch under a new key")
-        .on(&[Screen::Keys])
-        .changing(),
-    entry(Verb::ExportKey, "export-key", "export", &[Key::Char('e')], "Write a secret key to a file")
-        .on(&[Screen::Keys])
-        .changing(),
-    entry(
-        Verb::BackUp,
-        "back-up-keys",
-        "back up",
-        &[Key::Char('b')],
-        "Write the keyring, protected by its passphrase, to a file",
-    )
-    .on(&[Screen::Keys]),
-    entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Deploy the contract")
-        .on(ON_CHAIN)
-        .changing(),
+    entry(Verb::Check, "check", "check", &["c"], "Compare the stored bytes with the chain and the signature")
+        .on(&[Shared, Uploads]),
+    entry(Verb::Export, "export", "export", &["e"], "Export the record as files that others can check").on(&[Uploads]),
+    entry(Verb::Browse, "browse", "browse", &["b"], "By owner, topic, type or time").on(&[Shared, Uploads]),
+    act(Verb::Play, "play", "", &["p"], "Play this topic live into your own ROS; again: stop").on(&[Shared]),
+    entry(Verb::Readers, "readers", "readers", &["i"], "Who can read this now?").on(&[Topics, Uploads, Grants]),
+    act(Verb::Incident, "incident", "incident", &["I"], "Incident: keep records around this row")
+        .on(&[Topics, Uploads]),
+    entry(Verb::Publishers, "publishers", "publishers", &["enter"], "Publishers: pinned, suspect, quarantined")
+        .on(&[Topics]),
+    act(Verb::Pin, "pin", "pin", &["p"], "Pin the publishers present now").on(&[Topics]),
+    act(Verb::Unpin, "unpin", "", &["P"], "Unpin one of the topic's publishers").on(&[Topics]),
+    act(Verb::Release, "release", "", &["r"], "Release quarantined messages of the topic").on(&[Topics]),
+    act(Verb::Discard, "discard", "", &["D"], "Discard quarantined messages; the chain counts them").on(&[Topics]),
+    act(Verb::Grant, "grant", "grant", &["g"], "Let another account read your records").on(&[Overview, Topics, Grants]),
+    act(Verb::Extend, "extend", "extend", &["e"], "Change the end of the grant; sooner = revoke and new grant")
+        .on(&[Grants]),
+    act(Verb::Revoke, "revoke", "revoke", &["x"], "Stop sharing: the next record is encrypted under a new key")
+        .on(&[Grants]),
+    entry(Verb::Contacts, "contacts", "contacts", &["c"], "Address book: names for accounts").on(&[Grants]),
+    entry(Verb::Period, "minutes", "minutes", &["m"], "Graphs over 1, 15 or 60 minutes").on(&[Overview]),
+    entry(Verb::Fold, "fold", "fold", &["h"], "Fold the robot's topics into one row, or unfold them").on(&[Topics]),
+    entry(Verb::FoldAll, "fold-all", "", &["H"], "Fold all robots, or unfold all").on(&[Topics]),
+    act(Verb::CreateIdentity, "create-identity", "new identity", &["n"], "Create keys and register them")
+        .on(&[Overview, Keys]),
+    entry(Verb::Unlock, "unlock", "unlock", &["u"], "Open the keyring with its passphrase"),
+    act(Verb::Register, "register", "register", &["R"], "Register the identity on the chain").on(&[Overview, Keys]),
+    act(Verb::LoadKey, "load-key", "load key", &["L"], "Replace the current key with one from a file")
+        .on(&[Overview, Keys]),
+    act(Verb::Rotate, "rotate-keys", "rotate", &["r"], "Begin a new epoch under a new key").on(&[Keys]),
+    act(Verb::ExportKey, "export-key", "export", &["e"], "Write a secret key to a file").on(&[Keys]),
+    entry(Verb::BackUp, "back-up-keys", "back up", &["b"], "Write the keyring, protected by its passphrase, to a file")
+        .on(&[Keys]),
+    act(Verb::Administer(Act::Deploy), "deploy", "deploy", &["d"], "Deploy the contract").on(&[Chain]),
     administers(Act::Admit, "allow-account", "Administrator: let an account register"),
     administers(Act::Dismiss, "withdraw-admission", "Administrator: withdraw an admission"),
     administers(Act::Suspend, "suspend", "Administrator: suspend an account"),
@@ -358,83 +286,56 @@ pub static VERBS: &[Entry] = &[
     administers(Act::Propose, "replace-lost-account", "Administrator: propose a lost account's successor"),
     administers(Act::HandOver, "hand-over", "Administrator: nominate the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as administrator, if nominated"),
-    entry(Verb::Inspect, "inspect", "details", &[Key::Enter], "A robot: state, policy, drift").on(GATEWAY),
-    entry(
-        Verb::SetPolicy,
-        "robot-policy",
-        "policy",
-        &[Key::Char('p')],
-        "Set a robot's policy from a file, or clear it",
-    )
-    .on(GATEWAY)
-    .changing(),
-    entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
-        .on(&[Screen::Log]),
-    entry(Verb::Read, "read-line", "whole line", &[Key::Enter], "The whole line, wrapped").on(&[Screen::Log]),
-    entry(
-        Verb::Source,
-        "log-source",
-        "source",
-        &[Key::Char('o')],
-        "Lines of this console, the site, the audit log, or all",
-    )
-    .on(&[Screen::Log]),
-    entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Filter rows; Uploads, Shared: whole ledger").on(TABLES),
-    entry(Verb::NextMatch, "next-match", "", &[Key::Char('n')], "Next matching row").on(TABLES),
-    entry(Verb::PreviousMatch, "previous-match", "", &[Key::Char('N')], "Previous matching row").on(TABLES),
-    entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
-    entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
-    entry(Verb::Columns, "columns", "columns", &[Key::Char('C')], "Choose the columns of this list").on(MARKED),
-    entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Copy name, digest or address to clipboard").on(COPIED),
-    entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Save to a file what y would copy").on(COPIED),
-    entry(Verb::CopyCommand, "copy-command", "", &[], "Copy your last act as a command line")
-        .chord(&[Key::Char('z'), Key::Char('y')]),
-    entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "Running tasks and queues"),
-    entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Undo the last action, where possible")
-        .chord(&[Key::Char('z'), Key::Char('u')]),
-    entry(Verb::Lock, "lock", "", &[], "Wipe the keys for reading, granting and revoking")
-        .chord(&[Key::Char('z'), Key::Char('x')]),
-    entry(Verb::LocalTime, "local-time", "", &[], "Show local time beside UTC, or UTC only")
-        .chord(&[Key::Char('z'), Key::Char('l')]),
-    entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Freeze the view (capture continues)"),
-    entry(Verb::Incidents, "incidents", "", &[], "Incidents: contents, notes, closing, export")
-        .chord(&[Key::Char('z'), Key::Char('i')]),
+    entry(Verb::Inspect, "inspect", "details", &["enter"], "A robot: state, policy, drift").on(&[Gateway]),
+    act(Verb::SetPolicy, "robot-policy", "policy", &["p"], "Set a robot's policy from a file, or clear it")
+        .on(&[Gateway]),
+    entry(Verb::Level, "log-level", "level", &["l"], "All lines, warnings and errors, or errors only").on(&[Log]),
+    entry(Verb::Read, "read-line", "whole line", &["enter"], "The whole line, wrapped").on(&[Log]),
+    entry(Verb::Source, "log-source", "source", &["o"], "Lines of this console, the site, the audit log, or all")
+        .on(&[Log]),
+    entry(Verb::Filter, "filter", "filter", &["/"], "Filter rows; Uploads, Shared: whole ledger").on(TABLES),
+    entry(Verb::NextMatch, "next-match", "", &["n"], "Next matching row").on(TABLES),
+    entry(Verb::PreviousMatch, "previous-match", "", &["N"], "Previous matching row").on(TABLES),
+    entry(Verb::Sort, "sort", "sort", &["s"], "Sort by the next column").on(SORTED),
+    entry(Verb::Reverse, "reverse", "", &["S"], "Reverse the order").on(SORTED),
+    entry(Verb::Columns, "columns", "columns", &["C"], "Choose the columns of this list").on(MARKED),
+    entry(Verb::Copy, "copy", "copy", &["y"], "Copy name, digest or address to clipboard").on(COPIED),
+    entry(Verb::WriteFile, "write-file", "", &["W"], "Save to a file what y would copy").on(COPIED),
+    entry(Verb::CopyCommand, "copy-command", "", &["z y"], "Copy your last act as a command line"),
+    entry(Verb::Tasks, "tasks", "", &["t"], "Running tasks and queues"),
+    entry(Verb::Undo, "undo", "", &["U", "z u"], "Undo the last action, where possible"),
+    entry(Verb::Lock, "lock", "", &["z x"], "Wipe the keys for reading, granting and revoking"),
+    entry(Verb::LocalTime, "local-time", "", &["z l"], "Show local time beside UTC, or UTC only"),
+    entry(Verb::Freeze, "freeze", "freeze", &["f"], "Freeze the view (capture continues)"),
+    entry(Verb::Incidents, "incidents", "", &["z i"], "Incidents: contents, notes, closing, export"),
     entry(Verb::Profile, "profile", "", &[], "Switch to another profile of this home"),
-    entry(Verb::EndTour, "end-tour", "", &[Key::Char('E')], "Close the tour's strip"),
-    entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
-    entry(Verb::Help, "help", "help", &[Key::Char('?')], "Keys of this screen"),
-    entry(Verb::Quit, "quit", "quit", &[Key::Char('q'), Key::Control('c')], "Quit (asks, and says what stops)"),
-    entry(Verb::Up, "up", "", &[Key::Up, Key::Char('k')], "Cursor up").on(TABLES).unlisted(),
-    entry(Verb::Down, "down", "", &[Key::Down, Key::Char('j')], "Cursor down").on(TABLES).unlisted(),
-    entry(Verb::PageUp, "page-up", "", &[Key::PageUp, Key::Control('u')], "Page up").on(TABLES).unlisted(),
-    entry(Verb::PageDown, "page-down", "", &[Key::PageDown, Key::Control('d')], "Page down").on(TABLES).unlisted(),
-    entry(Verb::First, "first", "", &[Key::Home], "First row").on(TABLES).unlisted(),
-    entry(Verb::Last, "last", "", &[Key::End, Key::Char('G')], "Last row").on(TABLES).unlisted(),
-    entry(Verb::NextScreen, "next-screen", "", &[Key::Tab], "Next screen"),
-    entry(Verb::PreviousScreen, "previous-screen", "", &[Key::BackTab], "Previous screen"),
-    entry(
-        Verb::Go(Screen::Overview),
-        "go-overview",
-        "",
-        &[Key::Char('1')],
-        "Health, life line, alerts, busiest topics",
-    ),
-    entry(Verb::Go(Screen::Topics), "go-topics", "", &[Key::Char('2')], "Topics of the ROS graph"),
-    entry(Verb::Go(Screen::Uploads), "go-uploads", "", &[Key::Char('3')], "Your records and their states"),
-    entry(Verb::Go(Screen::Shared), "go-shared", "", &[Key::Char('4')], "Records others share with you"),
-    entry(Verb::Go(Screen::Grants), "go-grants", "", &[Key::Char('5')], "Grants given and received"),
-    entry(Verb::Go(Screen::Keys), "go-keys", "", &[Key::Char('6')], "Your identity and keys"),
-    entry(Verb::Go(Screen::Chain), "go-chain", "", &[Key::Char('7')], "The chain"),
-    entry(Verb::Go(Screen::Gateway), "go-gateway", "", &[Key::Char('8')], "The gateway"),
-    entry(Verb::Go(Screen::Log), "go-log", "", &[Key::Char('9')], "Notices and audit lines"),
-    entry(Verb::Dismiss, "dismiss", "", &[Key::Escape], "Dismiss the message; clear filter and marks"),
-    entry(Verb::ChooseTheme, "theme", "", &[Key::Char('T')], "Choose a theme (live preview)")
-        .chord(&[Key::Char('z'), Key::Char('t')]),
-    entry(Verb::Ascii, "ascii", "", &[], "ASCII characters only, or all").chord(&[Key::Char('z'), Key::Char('a')]),
-    entry(Verb::Mouse, "mouse", "", &[], "Mouse on, or off to select text in the terminal")
-        .chord(&[Key::Char('z'), Key::Char('m')]),
-    entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Redraw the screen"),
-    entry(Verb::Suspend, "shell", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),
+    entry(Verb::EndTour, "end-tour", "", &["E"], "Close the tour's strip"),
+    entry(Verb::Palette, "palette", "commands", &[":"], "Every command by name").unlisted(),
+    entry(Verb::Help, "help", "help", &["?"], "Keys of this screen"),
+    entry(Verb::Quit, "quit", "quit", &["q", "^c"], "Quit (asks, and says what stops)"),
+    entry(Verb::Up, "up", "", &["up", "k"], "Cursor up").on(TABLES).unlisted(),
+    entry(Verb::Down, "down", "", &["down", "j"], "Cursor down").on(TABLES).unlisted(),
+    entry(Verb::PageUp, "page-up", "", &["pgup", "^u"], "Page up").on(TABLES).unlisted(),
+    entry(Verb::PageDown, "page-down", "", &["pgdn", "^d"], "Page down").on(TABLES).unlisted(),
+    entry(Verb::First, "first", "", &["home"], "First row").on(TABLES).unlisted(),
+    entry(Verb::Last, "last", "", &["end", "G"], "Last row").on(TABLES).unlisted(),
+    entry(Verb::NextScreen, "next-screen", "", &["tab"], "Next screen"),
+    entry(Verb::PreviousScreen, "previous-screen", "", &["shift-tab"], "Previous screen"),
+    entry(Verb::Go(Screen::Overview), "go-overview", "", &["1"], "Health, life line, alerts, busiest topics"),
+    entry(Verb::Go(Screen::Topics), "go-topics", "", &["2"], "Topics of the ROS graph"),
+    entry(Verb::Go(Screen::Uploads), "go-uploads", "", &["3"], "Your records and their states"),
+    entry(Verb::Go(Screen::Shared), "go-shared", "", &["4"], "Records others share with you"),
+    entry(Verb::Go(Screen::Grants), "go-grants", "", &["5"], "Grants given and received"),
+    entry(Verb::Go(Screen::Keys), "go-keys", "", &["6"], "Your identity and keys"),
+    entry(Verb::Go(Screen::Chain), "go-chain", "", &["7"], "The chain"),
+    entry(Verb::Go(Screen::Gateway), "go-gateway", "", &["8"], "The gateway"),
+    entry(Verb::Go(Screen::Log), "go-log", "", &["9"], "Notices and audit lines"),
+    entry(Verb::Dismiss, "dismiss", "", &["esc"], "Dismiss the message; clear filter and marks"),
+    entry(Verb::ChooseTheme, "theme", "", &["T", "z t"], "Choose a theme (live preview)"),
+    entry(Verb::Ascii, "ascii", "", &["z a"], "ASCII characters only, or all"),
+    entry(Verb::Mouse, "mouse", "", &["z m"], "Mouse on, or off to select text in the terminal"),
+    entry(Verb::Redraw, "redraw", "", &["^l"], "Redraw the screen"),
+    entry(Verb::Suspend, "shell", "", &["^z"], "Back to the shell; `fg` returns"),
 ];
 
 /// Everything that can happen to the console.
@@ -683,6 +584,8 @@ mod tests {
     fn every_name_is_its_own() {
         for (index, entry) in VERBS.iter().enumerate() {
             assert!(VERBS[..index].iter().all(|other| other.name != entry.name), "{}", entry.name);
+            let known = |chord: &&str| chord.split(' ').all(|label| Key::from_label(label).is_some());
+            assert!(entry.keys.iter().all(known), "{:?}", entry.keys);
         }
     }
 }

@@ -21,9 +21,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::app::palette::Sought;
-use crate::app::tour::Cast;
 use crate::app::when::Zone;
-use crate::app::{Action, Contents, Effect, Keymap, Settings, State, Tag, update};
+use crate::app::{Action, Contents, Effect, Settings, State, Tag, update};
 use crate::config::Pictures;
 use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::service::client::site_gone;
@@ -40,39 +39,25 @@ use tokio::sync::broadcast::error::RecvError;
 use zeroize::Zeroizing;
 
 /// The console's appearance and permissions.
-#[expect(clippy::struct_excessive_bools, reason = "each is a setting of its own")]
 #[derive(Debug, Clone)]
 pub struct ConsoleOptions {
+    /// What does not change while it runs; the process, its directories, its time zone and the names of the themes are
+    /// filled in by [`Session::open`].
+    pub settings: Settings,
     /// A theme's name; `None` = chosen by the terminal's colours.
     pub theme: Option<String>,
     /// The available themes.
     pub themes: Themes,
-    /// Which keys do what.
-    pub keymap: Keymap,
     /// Draw with ASCII characters only.
     pub ascii: bool,
     /// Take the mouse from the beginning.
     pub mouse: bool,
-    /// The operator who speaks, if it is not the profile's owner.
-    pub operator: Option<String>,
-    /// Hide what changes keys, grants or records.
-    pub read_only: bool,
     /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
     pub bytes_per_second: Option<u32>,
     /// How pictures are shown.
     pub pictures: Pictures,
     /// Where screen, filters and orders are kept for the next start.
     pub kept: PathBuf,
-    /// Nanoseconds without a key after which the keyring locks; `None` = never.
-    pub lock_after: Option<u64>,
-    /// Ask for the passphrase of a locked keyring at the start; not if it is given in another way.
-    pub asks_passphrase: bool,
-    /// The profiles of the home.
-    pub profiles: Vec<ProfileName>,
-    /// Who is who in the tour, if the console starts with it.
-    pub tour: Option<Cast>,
-    /// Whether the caller can leave a site running after the console.
-    pub leaves_site: bool,
 }
 
 /// Why the console ended.
@@ -170,7 +155,7 @@ impl Session {
         let depth = Depth::from_environment(|name| std::env::var(name).ok());
         let theme = theme(options, depth)?;
         let directory = std::env::current_dir()?;
-        let mut state = first_state(&client, options, &directory);
+        let mut state = first_state(options, &directory);
         state.theme.clone_from(&theme.name);
         if let Some(kept) = files::read(&options.kept) {
             crate::app::recall(&mut state, &kept);
@@ -394,22 +379,14 @@ impl Session {
 }
 
 /// The state before the first answer.
-fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> State {
+fn first_state(options: &ConsoleOptions, directory: &Path) -> State {
     let mut state = State::new(Settings {
-        profile: client.profile().clone(),
-        operator: options.operator.clone(),
-        read_only: options.read_only,
         directory: directory.to_owned(),
         home: std::env::var_os("HOME").map(PathBuf::from),
-        keymap: options.keymap.clone(),
         themes: options.themes.names(),
-        lock_after: options.lock_after,
         process: std::process::id(),
-        asks_passphrase: options.asks_passphrase,
-        profiles: options.profiles.clone(),
-        tour: options.tour.clone(),
-        leaves_site: options.leaves_site,
         zone: Zone::new(jiff::tz::TimeZone::system()),
+        ..options.settings.clone()
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);
     state

@@ -111,8 +111,8 @@ pub fn level(part: &PartHealth) -> (&'static str, Role, &str) {
 
 fn draw_screens(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut rest = area;
-    let all: u16 = Screen::ALL.iter().map(|screen| columns(screen.title()) + 3).sum();
-    for screen in Screen::ALL {
+    let all: u16 = Screen::all().map(|screen| columns(screen.title()) + 3).sum();
+    for screen in Screen::all() {
         let here = screen == state.screen;
         let number = (screen.index() + 1).to_string();
         let name = if here || area.width >= NAMED_FROM { screen.title() } else { "" };

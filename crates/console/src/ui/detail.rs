@@ -5,10 +5,10 @@ use ratatui::layout::Rect;
 use super::lists::watched;
 use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
-use super::{Canvas, bars, below, count, gateway, kilobytes, moment, plot, rate, right_of, row, size, wrap};
+use super::{Canvas, bars, below, count, gateway, kilobytes, plot, rate, right_of, row, size, wrap};
 use crate::app::popup::Lookup;
 use crate::app::screens::topics::KEPT_SAMPLES;
-use crate::app::screens::{Records, end, is_active, is_given, level_word, scope, soon};
+use crate::app::screens::{Records, end, is_active, is_given, scope, soon};
 use crate::app::{Screen, State, opening};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, SenderView, TopicRow};
@@ -92,7 +92,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
         ("captured", count(topic.messages)),
         ("quarantined", held),
         ("lost", format!("{} in transport, {} in the recorder", topic.lost_in_transport, topic.lost_in_recorder)),
-        ("last", topic.last_message.map(moment).unwrap_or_default()),
+        ("last", topic.last_message.map(Timestamp::in_milliseconds).unwrap_or_default()),
     ]
 }
 
@@ -193,7 +193,7 @@ fn sender(row: &SenderView) -> Vec<(&'static str, String)> {
 
 fn draw_line(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(line) = state.log.selected() else { return };
-    canvas.put(area, &format!("{}  {}  {}", line.at, level_word(line.level), line.key), Role::Dim);
+    canvas.put(area, &format!("{}  {}  {}", line.at, line.level.word(), line.key), Role::Dim);
     let role =
         if line.level == crate::service::NoticeLevel::Info { Role::Body } else { bars::notice_level(line.level).1 };
     let lines: Vec<Vec<Piece>> = wrap(&line.text, area.width).into_iter().map(|text| vec![(text, role)]).collect();

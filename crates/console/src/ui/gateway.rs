@@ -2,15 +2,14 @@
 
 use ratatui::layout::Rect;
 
-use super::lists::{empty, line};
+use super::lists::{draw_facts, empty};
 use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::{Canvas, below, row};
-use crate::app::screens::{GATEWAY_SORTS, Member, day};
-use crate::app::{State, counted};
-
 use crate::app::policies::{Standing, words as stands};
+use crate::app::screens::{Member, day};
 use crate::app::update::Feed;
+use crate::app::{Screen, State, counted};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
 
@@ -81,32 +80,21 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
         canvas.put(row(area, 2), second, Role::Dim);
         return 4;
     };
-    line(
-        canvas,
-        row(area, 1),
-        "Listens",
-        &format!("{}, {}", served.address, counted(view.connections, "connection")),
-        Role::Good,
-    );
-    line(canvas, row(area, 2), "Fingerprint", &format!("{} (to be pinned)", served.fingerprint), Role::Body);
-    line(canvas, row(area, 3), "Anchors as", &served.account.to_string(), Role::Body);
-    let mut place = 4;
-    for key in &view.keys {
-        line(
-            canvas,
-            row(area, place),
-            if key.current { "System key" } else { "Next key" },
-            &system_key(key),
-            Role::Body,
-        );
-        place += 1;
-    }
-    if let Some(expires) = view.list_expires {
+    let mut facts = vec![
+        ("Listens", format!("{}, {}", served.address, counted(view.connections, "connection")), Role::Good),
+        ("Fingerprint", format!("{} (to be pinned)", served.fingerprint), Role::Body),
+        ("Anchors as", served.account.to_string(), Role::Body),
+    ];
+    facts.extend(view.keys.iter().map(|key| {
+        let label = if key.current { "System key" } else { "Next key" };
+        (label, system_key(key), Role::Body)
+    }));
+    facts.extend(view.list_expires.map(|expires| {
         let text = format!("version {}, not valid after {} UTC", view.list_version, day(expires));
-        line(canvas, row(area, place), "Key list", &text, Role::Dim);
-        place += 1;
-    }
-    place + draw_refused(canvas, below(area, place), view) + 1
+        ("Key list", text, Role::Dim)
+    }));
+    facts.extend(refused(view));
+    draw_facts(canvas, below(area, 1), &facts) + 2
 }
 
 fn system_key(key: &SystemKeyView) -> String {
@@ -115,31 +103,21 @@ fn system_key(key: &SystemKeyView) -> String {
     format!("{id}…  {word}, {} to {} UTC", day(key.not_before), day(key.not_after))
 }
 
-fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
+fn refused(view: &GatewayStatusView) -> Vec<Fact> {
     if view.refused.is_empty() {
-        line(canvas, area, "Refused", "none since start", Role::Dim);
-        return 1;
+        return vec![("Refused", "none since start".to_owned(), Role::Dim)];
     }
-    let mut place = 0;
-    let more: u64 = view.refused.iter().skip(MOST_REASONS).map(|refused| refused.count).sum();
+    let mut facts = Vec::new();
     for refused in view.refused.iter().take(MOST_REASONS) {
         let reason = refused.text.split(';').next().unwrap_or_default();
-        let label = if place == 0 { "Refused" } else { "" };
-        let text = format!("{:>7}  {reason}", super::count(refused.count));
-        line(canvas, row(area, place), label, &text, Role::Warning);
-        place += 1;
+        let label = if facts.is_empty() { "Refused" } else { "" };
+        facts.push((label, format!("{:>7}  {reason}", super::count(refused.count)), Role::Warning));
     }
+    let more: u64 = view.refused.iter().skip(MOST_REASONS).map(|refused| refused.count).sum();
     if more > 0 {
-        line(
-            canvas,
-            row(area, place),
-            "",
-            &format!("{:>7}  for other reasons (9: audit)", super::count(more)),
-            Role::Dim,
-        );
-        place += 1;
+        facts.push(("", format!("{:>7}  for other reasons (9: audit)", super::count(more)), Role::Dim));
     }
-    place
+    facts
 }
 
 /// Names at the gateway and robots of the profile, in one list.
@@ -153,7 +131,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member])
         (false, true) => ("Robots", OF_OWNER),
         (_, false) => ("Senders", COLUMNS),
     };
-    let order = order(&GATEWAY_SORTS, &gateway.table);
+    let order = order(Screen::Gateway, &gateway.table);
     let mut note = format!("{} of {}", rows.len(), gateway.all_members().len());
     if senders || !robots {
         let connected = rows.iter().filter(|row| row.is_connected()).count();
@@ -265,11 +243,10 @@ fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
 /// All that is known of a robot, besides its topics and the policy's text.
 pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let row = &view.row;
+    let waiting = counted(row.waiting, "record");
     let seen = row.last_seen.map_or_else(
         || "never".to_owned(),
-        |at| {
-            format!("{}, {} ago; {} wait here", super::second(at), super::age(at, now), counted(row.waiting, "record"))
-        },
+        |at| format!("{}, {} ago; {waiting} wait here", super::second(at), super::age(at, now)),
     );
     let (stands, role) = standing(row);
     let policy = match (row.wanted, view.set_at) {

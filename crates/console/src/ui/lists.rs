@@ -1,14 +1,13 @@
 //! The screens that are lists, or little more: Topics, Uploads and Shared, Grants, Keys, Chain and Log.
 
 use super::bars::notice_level;
+use super::gateway::Fact;
 use super::table::{Column, Layout, Sheet, draw as draw_table, order, with_local_time};
 use super::theme::Role;
 use super::{Canvas, below, plot, right_of, row};
 use crate::app::leaving::{self, Capture};
-use crate::app::screens::topics::{SAMPLES, SORTS};
-use crate::app::screens::{
-    GRANT_SORTS, LogLine, Records, Source, Wanted, day, is_active, is_given, key, level_word, other_side, scope, soon,
-};
+use crate::app::screens::topics::SAMPLES;
+use crate::app::screens::{LogLine, Records, Source, Wanted, day, is_active, is_given, key, other_side, scope, soon};
 use crate::app::update::Feed;
 use crate::app::{Screen, State};
 use crate::model::{Address, RecordKind, RecordState, Timestamp};
@@ -32,11 +31,10 @@ pub fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State) {
 
 fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView) {
     let contract = chain.contract.map_or_else(|| "not deployed yet".to_owned(), |contract| contract.to_string());
+    let kind =
+        chain.through.as_ref().map_or_else(|| chain.kind.clone(), |through| format!("{}, {through}", chain.kind));
     let lines = [
-        (
-            "Kind",
-            chain.through.as_ref().map_or_else(|| chain.kind.clone(), |through| format!("{}, {through}", chain.kind)),
-        ),
+        ("Kind", kind),
         ("Node", chain.client.clone()),
         ("Consensus", format!("{}{}", chain.consensus, sealing(chain))),
         ("Chain id", chain.chain_id.to_string()),
@@ -50,36 +48,30 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
         ("Gas", gas(&chain.gas)),
         ("Admin", administrator(state, &chain.administration)),
     ];
-    for (place, (label, value)) in (0u16..).zip(&lines) {
-        line(canvas, row(area, place), label, value, Role::Body);
-    }
-    let told = draw_administration(canvas, below(area, 14), &chain.administration);
-    let lanes = told + draw_lanes(canvas, below(area, 14 + told), &chain.lanes);
+    let taken = draw_facts(canvas, area, &lines.map(|(label, value)| (label, value, Role::Body))) + 1;
+    let told = draw_facts(canvas, below(area, taken), &decisions(&chain.administration));
+    let lanes = told + draw_lanes(canvas, below(area, taken + told), &chain.lanes);
     if let Some(failure) = &state.feeds.slot(Feed::Chain).failure {
-        canvas.put(row(area, 15 + lanes), &failure.message, Role::Bad);
+        canvas.put(row(area, taken + 1 + lanes), &failure.message, Role::Bad);
     }
 }
 
-/// The administrator's unusual decisions; returns how many lines that took.
-fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &AdministrationView) -> u16 {
+/// The administrator's unusual decisions.
+fn decisions(decided: &AdministrationView) -> Vec<Fact> {
     let shown = |account: Address, name: &Option<String>| name.clone().unwrap_or_else(|| account.to_string());
-    let mut lines: Vec<(&str, String)> = Vec::new();
-    lines.extend(decided.paused.then(|| {
+    let paused = decided.paused.then(|| {
         let end = decided.paused_until.map_or_else(String::new, |until| format!(", until {until}"));
-        ("Paused", format!("by the administrator: no changes except revokes{end}"))
-    }));
-    lines.extend(decided.proposals.iter().map(|one| {
+        ("Paused", format!("by the administrator: no changes except revokes{end}"), Role::Warning)
+    });
+    let proposals = decided.proposals.iter().map(|one| {
         let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
-        ("Proposed", format!("{successor} for {lost}, from {} on", one.due))
-    }));
-    lines.extend(decided.successions.iter().map(|one| {
+        ("Proposed", format!("{successor} for {lost}, from {} on", one.due), Role::Warning)
+    });
+    let successions = decided.successions.iter().map(|one| {
         let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
-        ("Successor", format!("{successor} for {lost}, lost"))
-    }));
-    for (place, (label, value)) in (0u16..).zip(&lines) {
-        line(canvas, row(area, place), label, value, Role::Warning);
-    }
-    u16::try_from(lines.len()).unwrap_or(u16::MAX)
+        ("Successor", format!("{successor} for {lost}, lost"), Role::Warning)
+    });
+    paused.into_iter().chain(proposals).chain(successions).collect()
 }
 
 /// The accounts that anchor, and what delays them; returns how many lines that took.
@@ -87,7 +79,7 @@ fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
     let mut place = 0;
     for (number, lane) in (1..).zip(lanes) {
         let what = format!("{}  {} pending", lane.account, lane.open);
-        line(canvas, row(area, place), &format!("Lane {number}"), &what, Role::Body);
+        draw_fact(canvas, row(area, place), &format!("Lane {number}"), &what, Role::Body);
         place += 1;
         if let Some(paused) = &lane.paused {
             canvas.put(row(area, place), &format!("  paused: {}", paused.cause(lane.account)), Role::Bad);
@@ -152,24 +144,16 @@ const GRANT_COLUMNS: &[Column] = &[
 
 /// Draws the screen.
 pub fn draw_grants(canvas: &mut Canvas, area: Rect, state: &State) {
-    let grants = &state.grants;
+    let (grants, table) = (&state.grants, &state.grants.table);
     let rows = grants.visible();
     let keys: Vec<String> = rows.iter().map(|row| key(row)).collect();
     let readers = grants.rows.iter().filter(|row| is_given(row) && is_active(row)).count();
-    let order = order(&GRANT_SORTS, &grants.table);
+    let order = order(Screen::Grants, table);
     let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| grant_cells(state, row));
     let empty = empty(state, Feed::Grants, "No grants given or received yet; press g to grant.");
-    let sheet = Sheet {
-        title: "Grants",
-        note,
-        columns: GRANT_COLUMNS,
-        keys: &keys,
-        cells: &cells,
-        table: &grants.table,
-        empty,
-        old: false,
-    };
+    let (title, columns) = ("Grants", GRANT_COLUMNS);
+    let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table, empty, old: false };
     draw_table(canvas, area, &sheet);
 }
 
@@ -205,10 +189,17 @@ const LABEL: u16 = 12;
 const LOCKED: &str = "locked (u unlocks it)";
 const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring continue";
 
-/// Draws a label and its value.
-pub fn line(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
+fn draw_fact(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
     canvas.put(Rect { width: LABEL.min(area.width), ..area }, label, Role::Dim);
     canvas.put(right_of(area, LABEL), value, role);
+}
+
+/// Draws labels and their values, a row each; returns the rows that took.
+pub fn draw_facts(canvas: &mut Canvas, area: Rect, facts: &[Fact]) -> u16 {
+    for (place, (label, value, role)) in (0u16..).zip(facts) {
+        draw_fact(canvas, row(area, place), label, value, *role);
+    }
+    super::rows(facts.len())
 }
 
 /// Draws the screen.
@@ -231,37 +222,31 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
         if identity.unlocked { ("unlocked", Role::Good) } else { (locked(state), Role::Warning) };
     let (chain, chain_role) =
         if identity.registered { ("registered", Role::Good) } else { ("not registered: R registers", Role::Warning) };
-    line(canvas, row(area, 0), "Profile", identity.profile.as_str(), Role::Body);
-    line(canvas, row(area, 1), "Keyring", keyring, keyring_role);
-    line(canvas, row(area, 2), "On chain", chain, chain_role);
-    line(canvas, row(area, 3), "Address", &address, Role::Accent);
-    canvas.put(
-        right_of(row(area, 4), LABEL),
-        "y copies it for anyone who wants to share with you; b backs up",
-        Role::Dim,
-    );
-    let rest = below(area, 6);
-    if let Some(keys) = &state.keys {
-        draw_epochs(canvas, rest, keys);
-    } else {
-        let locked = "Fingerprints and epochs come from the keyring: u unlocks it.";
-        if !identity.unlocked {
-            canvas.put(rest, locked, Role::Dim);
-            return;
-        }
-        let failure = state.feeds.slot(Feed::Keys).failure.as_ref();
-        canvas.put(rest, failure.map_or("Asking for the keys…", |failure| &failure.message), Role::Dim);
-    }
+    let facts = [
+        ("Profile", identity.profile.to_string(), Role::Body),
+        ("Keyring", keyring.to_owned(), keyring_role),
+        ("On chain", chain.to_owned(), chain_role),
+        ("Address", address, Role::Accent),
+    ];
+    let taken = draw_facts(canvas, area, &facts);
+    let hint = "y copies it for anyone who wants to share with you; b backs up";
+    canvas.put(right_of(row(area, taken), LABEL), hint, Role::Dim);
+    let rest = below(area, taken + 2);
+    let failure = state.feeds.slot(Feed::Keys).failure.as_ref();
+    let missing = match &state.keys {
+        Some(keys) => return draw_epochs(canvas, rest, keys),
+        None if !identity.unlocked => "Fingerprints and epochs come from the keyring: u unlocks it.",
+        None => failure.map_or("Asking for the keys…", |failure| &failure.message),
+    };
+    canvas.put(rest, missing, Role::Dim);
 }
 
 fn draw_epochs(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
-    line(canvas, row(area, 0), "SM2 signing", &keys.signing_fingerprint, Role::Body);
-    line(canvas, row(area, 1), "SM2 decrypt", &keys.envelope_fingerprint, Role::Body);
+    draw_fact(canvas, row(area, 0), "SM2 signing", &keys.signing_fingerprint, Role::Body);
+    draw_fact(canvas, row(area, 1), "SM2 decrypt", &keys.envelope_fingerprint, Role::Body);
     let area = below(area, 3);
-    canvas.puts(
-        area,
-        &[("SM4 epochs", Role::Title), ("  newest first; token = public commitment to each key", Role::Dim)],
-    );
+    let about = "  newest first; token = public commitment to each key";
+    canvas.puts(area, &[("SM4 epochs", Role::Title), (about, Role::Dim)]);
     let mut epochs: Vec<&EpochView> = keys.epochs.iter().collect();
     epochs.sort_by_key(|epoch| std::cmp::Reverse(epoch.epoch));
     for (place, epoch) in (1u16..area.height).zip(epochs) {
@@ -294,16 +279,8 @@ pub fn draw_log(canvas: &mut Canvas, area: Rect, state: &State) {
     let follows = if log.table.is_bound() { "held (home: newest)" } else { "newest first" };
     let note = format!("{} of {} lines, {least}, {from}, {follows}", lines.len(), log.count());
     let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| log_cells(state, line));
-    let sheet = Sheet {
-        title: "Log",
-        note,
-        columns: &with_local_time(LOG_COLUMNS, state),
-        keys: &keys,
-        cells: &cells,
-        table: &log.table,
-        empty: "Nothing yet.",
-        old: false,
-    };
+    let (title, empty, columns) = ("Log", "Nothing yet.", &with_local_time(LOG_COLUMNS, state));
+    let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &log.table, empty, old: false };
     draw_table(canvas, area, &sheet);
 }
 
@@ -319,14 +296,14 @@ fn log_cells(state: &State, line: &LogLine) -> Vec<(String, Role)> {
     let role = if line.level == NoticeLevel::Info { Role::Dim } else { notice_level(line.level).1 };
     vec![
         (state.clock(line.at), Role::Dim),
-        (level_word(line.level).to_owned(), role),
+        (line.level.word().to_owned(), role),
         (from(line), Role::Dim),
         (line.text.clone(), Role::Body),
     ]
 }
 
 /// All columns of the list.
-pub(in crate::ui) const TOPIC_COLUMNS: &[Column] = &[
+const TOPIC_COLUMNS: &[Column] = &[
     Column::name("Topic").named("topic"),
     Column::text("Type", 27).named("type"),
     Column::text("Publishers", 24).named("publishers"),
@@ -351,7 +328,7 @@ pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
     let rows = topics.visible();
     let keys: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
     let layout = Layout::new(TOPIC_COLUMNS, Screen::Topics, &topics.table, area.width);
-    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), order(&SORTS, &topics.table));
+    let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), order(Screen::Topics, &topics.table));
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
@@ -362,16 +339,8 @@ pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
     note.push_str(&layout.note());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| layout.pick(topic_cells(state, row, scale)));
     let empty = empty(state, Feed::Topics, "No topics published yet; they appear here automatically.");
-    let sheet = Sheet {
-        title: "Topics",
-        note,
-        columns: &layout.columns,
-        keys: &keys,
-        cells: &cells,
-        table: &topics.table,
-        empty,
-        old: false,
-    };
+    let (title, columns) = ("Topics", &layout.columns);
+    let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &topics.table, empty, old: false };
     let narrow = area.width < ALL_FROM;
     draw_table(canvas, Rect { height: area.height - u16::from(narrow), ..area }, &sheet);
     if let Some(selected) = topics.selected().filter(|_| narrow) {
@@ -471,95 +440,51 @@ pub fn simulated(simulated: bool) -> (String, Role) {
     (if simulated { "SIMULATED".to_owned() } else { String::new() }, Role::Dim)
 }
 
-const STATE: Column = Column::text("State", 11).named("state");
-const TOPIC: Column = Column::name("Topic").named("topic");
-const TYPE: Column = Column::text("Type", 27).named("type");
-const SEQ: Column = Column::number("Seq", 7).named("seq");
-const SIZE: Column = Column::number("Size", 8).named("size");
-const TIME: Column = Column::text("UTC", 8).named("time");
-const EPOCH: Column = Column::number("Epoch", 5).named("epoch");
-const BLOCK: Column = Column::number("Block", 8).named("block");
-const ID: Column = Column::text("Id", 16).named("id");
-const DIGEST: Column = Column::text("SM3", 13).named("digest");
-const TRANSACTION: Column = Column::text("Transaction", 13).named("transaction");
-
-/// From which width the mark of simulated records is written out, columns.
-const UPLOADS_WIDE: u16 = 70;
-const SHARED_WIDE: u16 = 100;
-
-const UPLOADS: &[Column] = &[
-    STATE,
-    TOPIC,
-    TYPE,
-    SEQ,
-    SIZE,
-    TIME,
-    EPOCH,
-    BLOCK,
-    ID,
-    DIGEST,
-    TRANSACTION,
-    Column::text("", 3).below(UPLOADS_WIDE),
-    Column::text("", 9).from(UPLOADS_WIDE),
-];
-
-const SHARED: &[Column] = &[
-    STATE,
-    Column::text("Owner", 13).named("owner"),
-    TOPIC,
-    TYPE,
-    SEQ,
-    SIZE,
-    TIME,
-    EPOCH,
-    BLOCK,
-    ID,
-    DIGEST,
-    TRANSACTION,
-    Column::text("", 3).below(SHARED_WIDE),
-    Column::text("", 9).from(SHARED_WIDE),
-];
-
-/// All columns of Uploads, or of Shared.
-pub(in crate::ui) fn all_columns(screen: Screen) -> &'static [Column] {
-    if screen == Screen::Shared { SHARED } else { UPLOADS }
+/// All columns of Uploads, of Shared, or of Topics.
+pub(in crate::ui) fn all_columns(screen: Screen) -> Vec<Column> {
+    // From which width the mark of simulated records is written out.
+    let (owner, wide) = match screen {
+        Screen::Topics => return TOPIC_COLUMNS.to_vec(),
+        Screen::Shared => (Some(Column::text("Owner", 13).named("owner")), 100),
+        _ => (None, 70),
+    };
+    let rest = [
+        Column::name("Topic").named("topic"),
+        Column::text("Type", 27).named("type"),
+        Column::number("Seq", 7).named("seq"),
+        Column::number("Size", 8).named("size"),
+        Column::text("UTC", 8).named("time"),
+        Column::number("Epoch", 5).named("epoch"),
+        Column::number("Block", 8).named("block"),
+        Column::text("Id", 16).named("id"),
+        Column::text("SM3", 13).named("digest"),
+        Column::text("Transaction", 13).named("transaction"),
+        Column::text("", 3).below(wide),
+        Column::text("", 9).from(wide),
+    ];
+    [Column::text("State", 11).named("state")].into_iter().chain(owner).chain(rest).collect()
 }
 
-/// Draws the Uploads screen.
-pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
-    let nothing = "No records yet: watch a topic (2, then w).";
-    draw_records(
-        canvas,
-        area,
-        state,
-        (&state.uploads, Feed::Uploads, Screen::Uploads),
-        ("Uploads", empty(state, Feed::Uploads, nothing)),
-    );
-}
-
-/// Draws the Shared screen.
-pub fn draw_shared(canvas: &mut Canvas, area: Rect, state: &State) {
-    let nothing = "Nobody shares with you yet: give others your address (6, then y).";
-    draw_records(
-        canvas,
-        area,
-        state,
-        (&state.shared, Feed::Shared, Screen::Shared),
-        ("Shared with me", empty(state, Feed::Shared, nothing)),
-    );
-}
-
-fn draw_records(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed, Screen), look: (&str, &str)) {
-    let (records, feed, screen) = list;
+/// Draws Uploads or Shared.
+pub fn draw_records(canvas: &mut Canvas, area: Rect, state: &State) {
+    let screen = state.screen;
+    let (title, records, feed) = match screen {
+        Screen::Shared => ("Shared with me", &state.shared, Feed::Shared),
+        _ => ("Uploads", &state.uploads, Feed::Uploads),
+    };
+    let nothing = match feed {
+        Feed::Shared => "Nobody shares with you yet: give others your address (6, then y).",
+        _ => "No records yet: watch a topic (2, then w).",
+    };
     let slot = state.feeds.slot(feed);
-    let (title, empty) = look;
     let rows = records.visible(&state.topics.rows);
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
-    let layout = Layout::new(&with_local_time(all_columns(screen), state), screen, &records.table, area.width);
+    let layout = Layout::new(&with_local_time(&all_columns(screen), state), screen, &records.table, area.width);
     let cells = |index: usize| {
         rows.get(index).map_or_else(Vec::new, |row| layout.pick(record_cells(state, row, screen == Screen::Shared)))
     };
-    let empty = if records.table.filter.text().is_empty() { empty } else { "No records match the filter." };
+    let unfiltered = records.table.filter.text().is_empty();
+    let empty = if unfiltered { empty(state, feed, nothing) } else { "No records match the filter." };
     let mut note = note(records, &records.wanted(&state.topics.rows));
     note.push_str(&layout.note());
     if slot.left || slot.told != slot.generation {

@@ -85,8 +85,7 @@ fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
     match state.screen {
         Screen::Overview => overview::draw(canvas, area, state),
         Screen::Topics => lists::draw_topics(canvas, area, state),
-        Screen::Uploads => lists::draw_uploads(canvas, area, state),
-        Screen::Shared => lists::draw_shared(canvas, area, state),
+        Screen::Uploads | Screen::Shared => lists::draw_records(canvas, area, state),
         Screen::Grants => lists::draw_grants(canvas, area, state),
         Screen::Keys => lists::draw_keys(canvas, area, state),
         Screen::Chain => lists::draw_chain(canvas, area, state),
@@ -106,6 +105,11 @@ pub struct Canvas<'a> {
 /// The columns `text` takes once it is cleaned.
 pub fn columns(text: &str) -> u16 {
     u16::try_from(clean(text, usize::from(u16::MAX)).width()).unwrap_or(u16::MAX)
+}
+
+/// This many rows; more than any screen has are as many as there can be.
+pub fn rows(count: usize) -> u16 {
+    u16::try_from(count).unwrap_or(u16::MAX)
 }
 
 /// The part of `area` below its first `rows`.
@@ -305,12 +309,6 @@ pub fn size(bytes: u64) -> String {
 /// `once`, `3 times`.
 pub fn times(number: u64) -> String {
     if number == 1 { "once".to_owned() } else { format!("{} times", count(number)) }
-}
-
-/// A moment to the millisecond: `2026-11-22T03:43:21.549Z`.
-pub fn moment(at: Timestamp) -> String {
-    let second = Timestamp::from_seconds(at.seconds()).to_string();
-    format!("{}.{:03}Z", second.trim_end_matches('Z'), at.0 / 1_000_000 % 1_000)
 }
 
 /// A moment to the second: `2026-11-22T03:43:21Z`.

@@ -237,29 +237,15 @@ fn panels(state: &State, flow: Flow) -> [Panel; 4] {
     );
     let pending = state.pending_records();
     let most = highest(&flow.pending).max(f64::from(u32::try_from(pending).unwrap_or(u32::MAX)));
+    let panel = |name, text, values, scale, role| Panel { name, text, values, scale, role };
+    let (captured, verified) = (state.rates.captured(), state.rates.verified());
+    let (captured, verified) = (rate(captured, &flow.captured), rate(verified, &flow.verified));
+    let (waiting, slowest) = (highest(&flow.pending), highest(&flow.slowest));
     [
-        Panel {
-            name: "captured",
-            text: rate(state.rates.captured(), &flow.captured),
-            values: flow.captured,
-            scale,
-            role: Role::Accent,
-        },
-        Panel {
-            name: "verified",
-            text: rate(state.rates.verified(), &flow.verified),
-            values: flow.verified,
-            scale,
-            role: Role::Good,
-        },
-        Panel {
-            name: "pending",
-            text: format!("{}, peak {most:.0}", super::count(pending)),
-            scale: highest(&flow.pending),
-            values: flow.pending,
-            role: Role::Warning,
-        },
-        Panel { name: "latency", text: after, scale: highest(&flow.slowest), values: flow.slowest, role: Role::Body },
+        panel("captured", captured, flow.captured, scale, Role::Accent),
+        panel("verified", verified, flow.verified, scale, Role::Good),
+        panel("pending", format!("{}, peak {most:.0}", super::count(pending)), flow.pending, waiting, Role::Warning),
+        panel("latency", after, flow.slowest, slowest, Role::Body),
     ]
 }
 

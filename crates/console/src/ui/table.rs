@@ -141,8 +141,9 @@ impl Layout {
 }
 
 /// The sort column of a table, with an arrow if its order is reversed.
-pub fn order(sorts: &[&str], table: &Table) -> String {
-    let name = sorts.get(table.sort).or(sorts.first()).copied().unwrap_or_default();
+pub fn order(screen: Screen, table: &Table) -> String {
+    let orders = screen.orders();
+    let name = orders.get(table.sort).or(orders.first()).copied().unwrap_or_default();
     if table.reversed { format!("{name} ↑") } else { format!("{name} ↓") }
 }
 

@@ -82,7 +82,7 @@ fn situations(add: &mut Situations<'_>) {
 
 #[test]
 fn every_screen_at_every_size() {
-    for screen in Screen::ALL {
+    for screen in Screen::all() {
         let pages = SIZES.map(|size| {
             let state = at(screen, size).state;
             format!("{}x{}\n{}", size.0, size.1, shown(&state, &night()))
@@ -294,7 +294,7 @@ fn a_failed_list_says_why_in_its_place() {
 
 #[test]
 fn every_theme_shows_the_same_words_and_ascii_only_ascii() {
-    let screens = Screen::ALL.into_iter().map(|screen| ("", at(screen, SIZES[0])));
+    let screens = Screen::all().map(|screen| ("", at(screen, SIZES[0])));
     for (_, robot) in screens.chain(popups()) {
         let text = shown(&robot.state, &night());
         for name in ["day", "contrast", "mono"] {
@@ -331,7 +331,7 @@ fn looks(state: &State, theme: &Theme) -> String {
 fn one_pass_each_in_day_mono_and_ascii() {
     let mut themes = ["day", "mono"].map(|name| (name, Theme::named(name).expect("embedded"), String::new()));
     let mut ascii = String::new();
-    for screen in Screen::ALL {
+    for screen in Screen::all() {
         for size in SIZES {
             let state = at(screen, size).state;
             let plain = shown(&state, &night().with_ascii(true));

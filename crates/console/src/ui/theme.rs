@@ -4,13 +4,18 @@ use std::collections::BTreeMap;
 
 use ratatui::style::{Color, Modifier, Style};
 use serde::Deserialize;
+use strum::{EnumCount, EnumIter, IntoEnumIterator as _, IntoStaticStr};
 use toml::Spanned;
 
+use crate::app::keymap::{FileError, Source};
 use crate::model::clean;
 
 /// The role of a piece of text.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, EnumCount, EnumIter, IntoStaticStr,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Role {
     /// Ordinary text, the terminal's own colour.
     #[default]
@@ -39,35 +44,13 @@ pub enum Role {
 
 impl Role {
     /// All roles; a theme names each exactly once.
-    pub const ALL: [Self; 11] = [
-        Self::Body,
-        Self::Title,
-        Self::Dim,
-        Self::Accent,
-        Self::Good,
-        Self::Warning,
-        Self::Bad,
-        Self::Selection,
-        Self::Border,
-        Self::Badge,
-        Self::Key,
-    ];
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::iter()
+    }
 
     /// Its name in a theme file.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Body => "body",
-            Self::Title => "title",
-            Self::Dim => "dim",
-            Self::Accent => "accent",
-            Self::Good => "good",
-            Self::Warning => "warning",
-            Self::Bad => "bad",
-            Self::Selection => "selection",
-            Self::Border => "border",
-            Self::Badge => "badge",
-            Self::Key => "key",
-        }
+        self.into()
     }
 }
 
@@ -78,14 +61,8 @@ pub enum ThemeError {
     #[error("there is no theme '{name}'; choose {known}")]
     Unknown { name: String, known: String },
     /// A theme file is wrong.
-    #[error("{file} line {line}: {what}")]
-    File {
-        file: String,
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong, and what to do.
-        what: String,
-    },
+    #[error(transparent)]
+    File(#[from] FileError),
 }
 
 /// The embedded themes.
@@ -124,14 +101,14 @@ pub struct Theme {
     pub pixels: bool,
     /// The background the colours are made for.
     pub assumed: Option<(u8, u8, u8)>,
-    styles: [Style; Role::ALL.len()],
+    styles: [Style; Role::COUNT],
 }
 
 impl Theme {
     /// The embedded theme of that name.
     pub fn named(name: &str) -> Result<Self, ThemeError> {
         let text = embedded_text(name).ok_or_else(|| unknown(name, EMBEDDED.map(|(known, _)| known).join(", ")))?;
-        read(name, text, &[])
+        Ok(read(name, text, &[])?)
     }
 
     /// The same theme, drawn with ASCII characters only or not.
@@ -178,7 +155,7 @@ impl Themes {
                     theme.name,
                     clean(other, 200)
                 );
-                return Err(ThemeError::File { file: clean(file, 200), line: 1, what });
+                return Err(Source { file, text }.wrong(0, what).into());
             }
             from.push((theme.name.clone(), file));
             match themes.iter_mut().find(|known| known.name == theme.name) {
@@ -263,18 +240,8 @@ struct ThemeFile {
     roles: BTreeMap<Role, Paint>,
 }
 
-struct Source<'a> {
-    file: &'a str,
-    text: &'a str,
-}
-
 impl Source<'_> {
-    fn wrong(&self, at: usize, what: impl Into<String>) -> ThemeError {
-        let line = self.text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
-        ThemeError::File { file: clean(self.file, 200), line, what: clean(&what.into(), 300) }
-    }
-
-    fn rgb(&self, written: &Spanned<String>) -> Result<(u8, u8, u8), ThemeError> {
+    fn rgb(&self, written: &Spanned<String>) -> Result<Rgb, FileError> {
         let text = written.get_ref();
         let wrong = || self.wrong(written.span().start, format!("'{text}' is not a colour; write #rrggbb"));
         let digits = text.strip_prefix('#').filter(|digits| digits.len() == 6).ok_or_else(wrong)?;
@@ -283,12 +250,12 @@ impl Source<'_> {
         Ok((red, green, blue))
     }
 
-    fn colour(&self, written: Option<&Spanned<String>>) -> Result<Option<Color>, ThemeError> {
+    fn colour(&self, written: Option<&Spanned<String>>) -> Result<Option<Color>, FileError> {
         let rgb = written.map(|written| self.rgb(written)).transpose()?;
         Ok(rgb.map(|(red, green, blue)| Color::Rgb(red, green, blue)))
     }
 
-    fn style(&self, paint: &Paint) -> Result<Style, ThemeError> {
+    fn style(&self, paint: &Paint) -> Result<Style, FileError> {
         let (fg, bg) = (self.colour(paint.fg.as_ref())?, self.colour(paint.bg.as_ref())?);
         let wanted = [
             (paint.bold, Modifier::BOLD),
@@ -303,19 +270,16 @@ impl Source<'_> {
 
 /// A theme from the text of its file; what it does not name is as in its base among `known`. If none is known, it must
 /// be complete.
-pub fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, ThemeError> {
+fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, FileError> {
     let source = Source { file, text };
-    let parsed: ThemeFile = toml::from_str(text).map_err(|error| {
-        let at = error.span().map_or(0, |span| span.start);
-        source.wrong(at, error.message().trim().replace('\n', "; "))
-    })?;
+    let parsed: ThemeFile = source.parsed()?;
     let name = clean(&parsed.name, 30);
     let base = base(&source, parsed.base.as_ref(), known)?;
     let mut styles = base.map_or_else(Default::default, |base| base.styles);
     for (role, paint) in &parsed.roles {
         styles[*role as usize] = source.style(paint)?;
     }
-    if let (None, Some(role)) = (base, Role::ALL.into_iter().find(|role| !parsed.roles.contains_key(role))) {
+    if let (None, Some(role)) = (base, Role::all().find(|role| !parsed.roles.contains_key(role))) {
         return Err(source.wrong(0, format!("the theme does not define the role {}", role.word())));
     }
     let assumed = parsed.assumed.as_ref().map(|assumed| source.rgb(assumed)).transpose()?;
@@ -327,13 +291,11 @@ fn base<'a>(
     source: &Source,
     wanted: Option<&Spanned<String>>,
     known: &'a [Theme],
-) -> Result<Option<&'a Theme>, ThemeError> {
+) -> Result<Option<&'a Theme>, FileError> {
     let find = |name: &str| known.iter().find(|theme| theme.name == name);
     let Some(wanted) = wanted else { return Ok(find(BASE)) };
-    let found = find(wanted.get_ref());
-    found
-        .map(Some)
-        .ok_or_else(|| source.wrong(wanted.span().start, format!("there is no theme '{}'", wanted.get_ref())))
+    let missing = || source.wrong(wanted.span().start, format!("there is no theme '{}'", wanted.get_ref()));
+    find(wanted.get_ref()).map(Some).ok_or_else(missing)
 }
 
 #[cfg(test)]
@@ -367,7 +329,7 @@ mod tests {
         for (name, _) in EMBEDDED {
             let theme = Theme::named(name).expect("embedded");
             assert_eq!(theme.name, name);
-            for role in Role::ALL {
+            for role in Role::all() {
                 let style = theme.style(role);
                 let Some(text) = parts(style.fg) else { continue };
                 let ground = parts(style.bg).or(theme.assumed).expect("a background");
@@ -382,7 +344,7 @@ mod tests {
             assert_eq!(Theme::named(name).expect("embedded").style(Role::Body), Style::default());
         }
         let mono = Theme::named("mono").expect("embedded");
-        assert!(Role::ALL.iter().all(|role| mono.style(*role).fg.is_none() && mono.style(*role).bg.is_none()));
+        assert!(Role::all().all(|role| mono.style(role).fg.is_none() && mono.style(role).bg.is_none()));
     }
 
     fn one(text: &str) -> Result<Theme, ThemeError> {
@@ -392,7 +354,7 @@ mod tests {
 
     fn line_of(text: &str) -> (usize, String) {
         match one(text) {
-            Err(ThemeError::File { file, line, what }) if file == "mine.toml" => (line, what),
+            Err(ThemeError::File(FileError { file, line, what })) if file == "mine.toml" => (line, what),
             other => panic!("{other:?}"),
         }
     }
@@ -402,7 +364,7 @@ mod tests {
         let own = one("name = 'sea'\nbase = 'day'\n[roles]\naccent = { fg = '#003366' }\n").expect("a theme");
         let day = Theme::named("day").expect("embedded");
         assert_eq!((own.name.as_str(), own.assumed), ("sea", day.assumed));
-        for role in Role::ALL {
+        for role in Role::all() {
             assert_eq!(own.style(role) == day.style(role), role != Role::Accent, "{role:?}");
         }
         let files = [("a.toml".to_owned(), "name = 'night'\n[roles]\nbody = { bold = true }\n".to_owned())];
@@ -431,7 +393,7 @@ mod tests {
 
     #[test]
     fn every_role_has_its_word() {
-        for role in Role::ALL {
+        for role in Role::all() {
             let text = format!("name = 'x'\n[roles]\n{} = {{ underline = true }}\n", role.word());
             assert!(one(&text).expect("known").style(role).add_modifier.contains(ratatui::style::Modifier::UNDERLINED));
         }

@@ -1,8 +1,8 @@
 //! A request to the chain that a gateway passes on, and the outcome. JSON is carried as plain text: its user parses it,
 //! and each text has exactly one encoding here.
 
-use crate::chain::RelayError;
 use crate::error::{Code, Refusal};
+use crate::model::relay::RelayError;
 use crate::model::wire::{Reader, WireError, put_text};
 
 /// The longest parameters, bytes of JSON: a raw transaction of 32 KiB in hex, and a little more.

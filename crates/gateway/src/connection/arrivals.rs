@@ -5,12 +5,12 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep, sleep_until};
 
 use super::{Connection, End, Waiting};
-use crate::chain::relay::weight;
 use crate::error::{Code, Refusal};
 use crate::frame::Message;
 use crate::gateway::command::{Command, Request};
 use crate::gateway::frame::FrameKind;
 use crate::gateway::server::stopped;
+use crate::model::relay::weight;
 
 /// Frames that announce a greater length are charged before they are read, bytes.
 const CHARGED: usize = 16 * 1024;

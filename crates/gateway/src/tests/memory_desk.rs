@@ -9,13 +9,14 @@ use serde_json::Value;
 use tokio::sync::watch;
 
 use super::fixtures::{Member, network};
-use authros_chain::merkle::{Inclusion, Leaf};
-use authros_chain::{AnchorProof, RelayError};
+use authros_crypto::AnchorProof;
+use authros_crypto::merkle::{Inclusion, Leaf};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Notice, RevokeNotice};
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::feed::{FeedEntry, MOST_ENTRIES, Place};
 use authros_gateway::{Code, Feed, FeedPage, NetworkName, Refusal};
+use authros_model::relay::{self, RelayError};
 use authros_model::{
     Address, Digest, Fact, Hash, Header, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token,
 };
@@ -300,7 +301,7 @@ impl Desk for MemoryDesk {
 
     /// A chain that echoes the request, however long; `eth_gasPrice` fails, `net_version` is silent.
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
-        authros_chain::relay::check(method, parameters)?;
+        relay::check(method, parameters)?;
         self.state().relayed.push((caller.map(|caller| caller.account), method.to_owned()));
         match method {
             "eth_gasPrice" => Err(RelayError::Answered {

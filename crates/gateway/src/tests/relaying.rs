@@ -115,7 +115,7 @@ fn line(stage: &Stage, trust: KeptTrust) -> ChainLine {
 
 #[tokio::test]
 async fn a_line_to_the_chain_heals_and_proves_itself_as_soon_as_it_can() {
-    use crate::chain::{Relay as _, RelayError};
+    use crate::model::relay::{Relay as _, RelayError};
     let home = tempfile::tempdir().expect("folder");
     let (stage, alice) = (Stage::new().await, Member::new("alice", 0x11));
     let credentials = stage.enrol(&alice).await;

@@ -13,20 +13,16 @@ use crate::model::{Address, Hash, Timestamp};
 pub struct Succession {
     /// The account whose key is lost or stolen; suspended permanently.
     pub lost: Address,
-    /// The successor.
     pub successor: Address,
     /// Block in which the administrator named it.
     pub block: u64,
-    /// The transaction.
     pub transaction: Hash,
 }
 
-/// A pending succession.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Proposal {
     /// The account whose key is said to be lost or stolen.
     pub lost: Address,
-    /// The proposed successor.
     pub successor: Address,
     /// Who may stop it, besides the administrator; `None` if its owner had named nobody.
     pub recovery: Option<Address>,
@@ -41,7 +37,6 @@ pub struct Proposal {
 pub struct Recovery {
     /// Until `from`.
     pub current: Option<Address>,
-    /// From then on.
     pub next: Option<Address>,
     /// When `next` takes effect, or took.
     pub from: Timestamp,
@@ -80,7 +75,6 @@ pub struct Administration {
     pub delay: u64,
     /// Pending successions, oldest first.
     pub proposals: Vec<Proposal>,
-    /// Suspended accounts.
     pub suspended: BTreeSet<Address>,
     /// Named successors, oldest first.
     pub successions: Vec<Succession>,

@@ -13,13 +13,10 @@ use crate::store::{KeptEnvelope, KeptRight, RightEvent, RightKind, Rights, Store
 /// An event with what follows from it alone.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Told {
-    /// Its block.
     pub block: u64,
     /// Its index among the block's events.
     pub place: u64,
-    /// Its transaction.
     pub transaction: Hash,
-    /// What happened.
     pub event: Event,
     /// Whether the identity in it has a valid proof.
     pub proven: bool,
@@ -75,9 +72,6 @@ impl Told {
     }
 
     /// From a row; without its envelope.
-    ///
-    /// # Errors
-    /// [`StoreError::Corrupt`] if it cannot be read.
     pub(crate) fn from_row(rights: &Rights, row: &KeptRight) -> Result<Self, StoreError> {
         let Written { transaction, proven, event } = serde_json::from_str(&row.event).map_err(|_| {
             let detail = format!("the event {} of block {} cannot be read", row.place, row.block);
@@ -105,17 +99,11 @@ pub fn read_back(rights: &Rights, directory: &Directory) -> Result<bool, StoreEr
 }
 
 /// Stores events applied to the directory; those already stored are skipped.
-///
-/// # Errors
-/// Errors of the ledger; then nothing more is stored.
 pub fn keep(rights: &Rights, told: &[Told]) -> Result<(), StoreError> {
     rights.keep_rights(told.iter().map(Told::to_row).collect())
 }
 
 /// The identity of an account with this version of its keys, as registered; `None` if the chain's events have none.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn identity(rights: &Rights, account: Address, version: u64) -> Result<Option<Identity>, StoreError> {
     for row in rights.other_rights(account)? {
         match Told::from_row(rights, &row)?.event {
@@ -128,9 +116,6 @@ pub fn identity(rights: &Rights, account: Address, version: u64) -> Result<Optio
 }
 
 /// The grants that an account gave or received, including revoked ones, oldest first.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn history(rights: &Rights, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
     let mut revoked: BTreeMap<(Address, Address, u64), Granted> = BTreeMap::new();
     for row in rights.revoked_grants(account)? {
@@ -160,9 +145,6 @@ pub fn history(rights: &Rights, directory: &Directory, account: Address) -> Resu
 
 /// The envelopes of a grant, the newest epoch first. For each epoch, those that may open are returned: the newest, made
 /// for the grantee's latest keys, and the first, which may carry keys of earlier epochs too.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn envelopes(rights: &Rights, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
     let terms = &grant.terms;
     let all = rights.envelopes_between(terms.owner, terms.grantee, grant.revoked)?;
@@ -179,9 +161,6 @@ pub fn envelopes(rights: &Rights, grant: &Granted) -> Result<Vec<KeptEnvelope>, 
 
 /// The identities that an account rotated to, with the envelope that hands each over to the keys before it, in the
 /// chain's order.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn handed_over(rights: &Rights, account: Address) -> Result<Vec<(Identity, Vec<u8>)>, StoreError> {
     let mut found = Vec::new();
     for row in rights.other_rights(account)? {
@@ -195,9 +174,6 @@ pub fn handed_over(rights: &Rights, account: Address) -> Result<Vec<(Identity, V
 }
 
 /// The token that an account registered for an epoch.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn token(rights: &Rights, directory: &Directory, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
     let now = directory.with_account(owner, |account| {
         account.filter(|account| account.epoch == epoch).and_then(|account| account.token)
@@ -206,9 +182,6 @@ pub fn token(rights: &Rights, directory: &Directory, owner: Address, epoch: u64)
 }
 
 /// Whether an account ever registered this token.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn has_token(rights: &Rights, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
     let now = directory.with_account(owner, |account| account.is_some_and(|account| account.token == Some(token)));
     Ok(now || rights.ever_had_token(owner, token)?)

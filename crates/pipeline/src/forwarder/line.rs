@@ -192,7 +192,7 @@ impl<'a> Line<'a> {
         match client.upload(uploads).await {
             Ok(receipt) => {
                 let kept = KeptReceipt { time: receipt.time, digests: receipt.digests, signature: receipt.signature };
-                block_in_place(|| self.outbox.plant.ledger.forwarding.accept(kept))?;
+                self.outbox.plant.ledger.forwarding.accept(kept)?;
                 self.moved = true;
                 self.outbox.plant.observer.records_changed();
             }

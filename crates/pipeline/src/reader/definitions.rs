@@ -44,9 +44,6 @@ pub struct Definitions(HashMap<Key, Arc<str>>);
 
 impl Definitions {
     /// Like [`Reader::definition_text`].
-    ///
-    /// # Errors
-    /// Errors of the store.
     pub async fn text(
         &mut self,
         reader: &Reader<'_>,
@@ -82,9 +79,6 @@ fn hash_of(head: &Head) -> Option<String> {
 impl Reader<'_> {
     /// The text of the definition that an opened message names, from its owner's definition records, as its publisher
     /// gave it; for a message that names an empty one, a text that has its type's hash.
-    ///
-    /// # Errors
-    /// Errors of the store. `None` if no readable record holds it.
     pub async fn definition_text(
         &self,
         row: &RecordRow,
@@ -93,7 +87,7 @@ impl Reader<'_> {
     ) -> Result<Option<String>, PipelineError> {
         let wanted = Wanted::of(opened);
         for query in wanted.attempts(row) {
-            let listed = block_in_place(|| self.plant.ledger.records.list(&query))?.rows;
+            let listed = self.plant.ledger.records.list(&query)?.rows;
             let may_open = |candidate: &&RecordRow| by == Opening::Own || candidate.epoch == row.epoch;
             for candidate in listed.iter().filter(may_open).take(MOST_OPENED) {
                 let found = match by {

@@ -25,7 +25,6 @@ const RECEIPTS_KEPT: u64 = 100_000;
 /// How far the clocks of a chain and of this machine may be apart, seconds.
 const CLOCKS: u64 = 5;
 
-/// Compares all batches.
 pub(super) fn compare(
     plant: &Plant,
     network: Option<&Network>,

@@ -20,13 +20,11 @@ use crate::crypto::Provider;
 use crate::model::{RecordState, Timestamp, clean};
 use crate::store::{AuditedRecord, StoreError};
 
-/// Rows per page.
 const PAGE: usize = 512;
 /// Bytes in one piece of work, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
 /// Simultaneous queries to the chain.
 const AT_ONCE: usize = 32;
-/// The most threads.
 const MOST_THREADS: usize = 16;
 
 /// What is compared, the same for every record.
@@ -46,9 +44,7 @@ pub(super) struct Bench<'a> {
 pub(super) enum Uploaded {
     /// It was not queried: the record is in a batch, in no block, or there is no chain.
     NotAsked,
-    /// Nowhere.
     Nowhere,
-    /// In this block.
     In(u64),
 }
 
@@ -301,6 +297,9 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
     if !record.as_retained {
         return Some("its row and retention disagree on when its ciphertext was deleted".to_owned());
     }
+    if record.place.as_ref().is_some_and(|place| place.inclusion.is_none()) {
+        return Some("its batch is missing from the ledger".to_owned());
+    }
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
     if settled && row.block.is_none() && bench.network.is_some() {
         return Some(format!("is {} but not in a block", row.state.word()));
@@ -308,8 +307,7 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
     if row.state.is_before_block() && row.block.is_some() {
         return Some(format!("is {} but in a block", row.state.word()));
     }
-    if let Some(place) = &record.place {
-        let Some(inclusion) = &place.inclusion else { return Some("its batch is missing from the ledger".to_owned()) };
+    if let Some((place, inclusion)) = record.place.as_ref().and_then(|place| Some((place, place.inclusion.as_ref()?))) {
         let root = root_of(row.leaf().hash(), inclusion.index, inclusion.count, &inclusion.path);
         if root != Some(inclusion.root) {
             return Some("its row does not lead to its batch's root: a field of it was changed".to_owned());

@@ -41,7 +41,6 @@ impl FindingKind {
 /// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordFinding {
-    /// Its kind.
     pub kind: FindingKind,
     /// Its subject: a record's id, a batch's root, a topic, `audit log`, `chain`.
     pub subject: String,
@@ -56,7 +55,6 @@ pub struct RecordAudit {
     pub ok: bool,
     /// Whether stored bytes and signatures were checked too.
     pub deep: bool,
-    /// Records examined.
     pub records: u64,
     /// Stored bytes hashed (deep), or bytes of the messages.
     pub bytes: u64,
@@ -66,9 +64,7 @@ pub struct RecordAudit {
     pub tampered: u64,
     /// Records whose signers wrote false names into them; everything else about them is as it was sealed.
     pub false_names: u64,
-    /// Missing sequence numbers.
     pub gaps: u64,
-    /// Batches compared.
     pub batches: u64,
     /// Lines of the audit log with correct hashes.
     pub audit_lines: u64,
@@ -79,7 +75,6 @@ pub struct RecordAudit {
     pub given_up: u64,
     /// Records whose signature could not be checked: the signer's key is not on any chain known here (deep).
     pub unchecked: u64,
-    /// The duration.
     pub seconds: f64,
     /// Records a second, while records were examined.
     pub records_per_second: f64,
@@ -87,7 +82,6 @@ pub struct RecordAudit {
     pub megabytes_per_second: f64,
     /// The speed of SM3 alone on as many threads, megabytes a second, measured in this run.
     pub sm3_megabytes_per_second: f64,
-    /// Threads used.
     pub threads: usize,
     /// The first hundred findings.
     pub findings: Vec<RecordFinding>,
@@ -193,7 +187,6 @@ impl Tally {
         &self.findings
     }
 
-    /// The answer.
     pub fn report(self, deep: bool, seconds: f64, reading: Reading, sm3: f64) -> RecordAudit {
         let rate = |count: u64| {
             #[expect(clippy::cast_precision_loss, reason = "a rate for people")]

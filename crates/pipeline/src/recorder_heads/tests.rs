@@ -11,7 +11,6 @@ use crate::store::RecordQuery;
 
 const NOW: Duration = Duration::ZERO;
 
-/// A running home.
 struct Home {
     plant: Plant,
     owner: Owner,

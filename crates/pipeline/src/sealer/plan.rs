@@ -19,7 +19,6 @@ pub type Stream = (Address, SignerId, TopicId);
 
 /// What is sealed of a message.
 pub enum Content {
-    /// Its definition.
     Definition(StoredDefinition),
     /// Itself; compressed, where that is tried and pays.
     Message(Option<Try>),
@@ -34,17 +33,13 @@ impl Content {
 
 /// One record to be sealed.
 pub struct Task<'a> {
-    /// The message.
     pub item: &'a CapturedMessage,
     /// Which part of it.
     pub content: Content,
-    /// The epoch's keys.
     pub keys: Arc<EpochKeys>,
-    /// The topic's keys.
     pub topic: Arc<TopicKeys>,
     /// The ledger or ring that numbers it.
     pub recorder: RecorderPrefix,
-    /// Its seq.
     pub seq: u64,
     /// SM3 of the message's definition.
     pub definition: Digest,
@@ -104,9 +99,6 @@ impl Planner {
     }
 
     /// The plan for these messages. Numbers count only once [`Self::seqs`] has them.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
         let mut plan = Plan::default();
         let recorder = plant.ledger.records.recorder();

@@ -29,9 +29,6 @@ pub struct Ready {
 }
 
 /// Seals a whole round, on as many cores as is worthwhile.
-///
-/// # Errors
-/// The error of the first record, in order, that cannot be sealed.
 pub fn seal_all(plant: &Plant, boot_id: [u8; 16], tasks: &[Task<'_>]) -> Result<Vec<Ready>, PipelineError> {
     let bytes = tasks.iter().map(|task| task.body().len()).sum();
     each(tasks, helpers_for(tasks.len(), bytes), |task| task.seal(plant, boot_id)).into_iter().collect()

@@ -5,7 +5,6 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use tokio::sync::OwnedMutexGuard;
-use tokio::task::block_in_place;
 
 use super::Sender;
 use super::tend::Memory;
@@ -18,7 +17,6 @@ use crate::store::{Anchors, NewTransaction};
 /// A call to be signed, stored and sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outgoing {
-    /// The call.
     pub call: Call,
     /// Its purpose, in a word: `anchor`, `grant`, ….
     pub purpose: String,
@@ -66,42 +64,29 @@ pub struct Lane<'a> {
 }
 
 impl Lane<'_> {
-    /// The account.
     pub fn account(&self) -> Address {
         self.account
     }
 
     /// The state of the lane.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn state(&self) -> Result<LaneState, PipelineError> {
         self.sender.state_of(self.account)
     }
 
     /// How many more transactions it accepts now; 0 while it is paused.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn room(&self) -> Result<usize, PipelineError> {
         self.sender.room(self.account)
     }
 
     /// The lane's open transactions by nonce, without their bytes.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>, PipelineError> {
-        Ok(block_in_place(|| self.sender.ledger.lanes.open_lane(self.account))?)
+        Ok(self.sender.ledger.lanes.open_lane(self.account)?)
     }
 
     /// The next nonce, after everything mined, pending at the node (signed here or elsewhere), or open here.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger.
     pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
         let pending = self.sender.nonces(self.chain, self.account).await?.pending;
-        let open = block_in_place(|| self.sender.ledger.lanes.lane_count(self.account))?;
+        let open = self.sender.ledger.lanes.lane_count(self.account)?;
         Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending))
     }
 
@@ -138,7 +123,7 @@ impl Lane<'_> {
         }
         let sent: Vec<(Hash, Vec<u8>)> = rows.iter().map(|row| (row.hash, row.raw.clone())).collect();
         fault::point("signed");
-        block_in_place(|| self.sender.ledger.lanes.submit_many(rows))?;
+        self.sender.ledger.lanes.submit_many(rows)?;
         fault::point("signed-kept");
         let (sender, chain, account) = (self.sender, self.chain, self.account);
         drop(self.held);
@@ -158,9 +143,6 @@ impl Lane<'_> {
 
 impl Lane<'_> {
     /// Signs and stores a transfer of ether, releases the lane, then sends it.
-    ///
-    /// # Errors
-    /// See [`Lane::submit`]; `NoEther` if the account holds too little.
     pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash, PipelineError> {
         let (price, nonce) = (self.price().await?, self.next_nonce().await?);
         let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
@@ -179,7 +161,7 @@ impl Lane<'_> {
             purpose: purpose.to_owned(),
             anchors: Anchors::Nothing,
         };
-        block_in_place(|| self.sender.ledger.lanes.submit(row))?;
+        self.sender.ledger.lanes.submit(row)?;
         let (sender, chain) = (self.sender, self.chain);
         drop(self.held);
         sender.hand_in(chain, account, hash, &raw).await;
@@ -232,7 +214,6 @@ impl Sender {
 
 /// Transactions that others may have sent from the account without a second question.
 const JUMP: u64 = 32;
-/// Between two questions.
 const PAUSE: Duration = Duration::from_millis(500);
 
 impl Sender {
@@ -242,7 +223,7 @@ impl Sender {
     /// # Errors
     /// Errors of chain and ledger; [`ChainError::Answer`] if the second answer contradicts the first.
     pub(super) async fn nonces(&self, chain: &Chain, account: Address) -> Result<Nonces, PipelineError> {
-        let known = block_in_place(|| self.ledger.lanes.highest_nonce(account))?.map_or(0, |nonce| nonce + 1);
+        let known = self.ledger.lanes.highest_nonce(account)?.map_or(0, |nonce| nonce + 1);
         let first = chain.nonces(account).await?;
         if first.pending <= known.saturating_add(JUMP) {
             return Ok(first);
@@ -268,7 +249,6 @@ pub enum PauseReason {
     NoEther(Shortfall),
     /// The node says that it cannot pay, and is behind a block that it had before.
     CatchingUp {
-        /// Its newest block.
         block: u64,
         /// The newest block that it had.
         highest: u64,
@@ -282,7 +262,6 @@ pub enum PauseReason {
     },
     /// Blocks are made, and pass by the account's next transaction. Its price is raised meanwhile.
     PassedBy {
-        /// How many.
         blocks: u64,
         /// The price per gas that it offers.
         price: Wei,
@@ -345,7 +324,6 @@ impl PauseReason {
 /// A nonce lane at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LaneState {
-    /// Its account.
     pub account: Address,
     /// Signed transactions in no block yet.
     pub open: u64,

@@ -14,8 +14,6 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::task::block_in_place;
-
 use self::lane::Cell;
 use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
 use crate::crypto::EoaSecret;
@@ -58,19 +56,13 @@ impl Sender {
     }
 
     /// The state of an account's lane.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn state_of(&self, account: Address) -> Result<LaneState, PipelineError> {
-        let count = block_in_place(|| self.ledger.lanes.lane_count(account))?;
+        let count = self.ledger.lanes.lane_count(account)?;
         let paused = self.cell(account).memory().paused.clone();
         Ok(LaneState { account, open: count.open, oldest: count.oldest, paused })
     }
 
     /// How many more transactions an account's lane accepts now; 0 while it is paused.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn room(&self, account: Address) -> Result<usize, PipelineError> {
         let state = self.state_of(account)?;
         let room = if state.paused.is_some() { 0 } else { MOST_OPEN.saturating_sub(state.open) };
@@ -78,9 +70,6 @@ impl Sender {
     }
 
     /// Signs, stores and sends `outgoing` in order.
-    ///
-    /// # Errors
-    /// See [`Lane::submit`].
     pub async fn submit(
         &self,
         chain: &Chain,
@@ -110,9 +99,6 @@ impl Sender {
     }
 
     /// Sends ether, and waits until it is mined.
-    ///
-    /// # Errors
-    /// See [`Sender::send`]; `NoEther` if the account holds too little.
     pub async fn transfer(
         &self,
         chain: &Chain,
@@ -126,9 +112,6 @@ impl Sender {
     }
 
     /// Waits until a transaction signed here is mined, even if it was signed again with another nonce or price.
-    ///
-    /// # Errors
-    /// See [`Sender::send`].
     pub async fn wait_mined(
         &self,
         chain: &Chain,
@@ -176,7 +159,7 @@ impl Sender {
     /// Follows a transaction to its last replacement.
     fn newest(&self, mut hash: Hash) -> Result<Option<TransactionRow>, PipelineError> {
         for _ in 0..1000 {
-            let row = block_in_place(|| self.ledger.lanes.transaction(hash))?;
+            let row = self.ledger.lanes.transaction(hash)?;
             let is_replaced = |row: &&TransactionRow| row.state == TransactionState::Replaced;
             match row.as_ref().filter(is_replaced).and_then(|row| row.replaced_by) {
                 Some(next) => hash = next,
@@ -271,7 +254,7 @@ impl Sender {
     /// Why the account cannot pay so much. A node that is behind its own earlier head does not know what it holds.
     async fn shortage(&self, chain: &Chain, account: Address, needed: u128) -> Result<PauseReason, PipelineError> {
         // Before the head is asked for; where the chain became shorter, the watcher goes back itself.
-        let read = block_in_place(|| self.ledger.trail.cursor())?.map(|(block, _)| block);
+        let read = self.ledger.trail.cursor()?.map(|(block, _)| block);
         let block = chain.head().await?.number;
         let seen = self.see_head(block).max(read.filter(|read| *read > block));
         if let Some(highest) = seen {
@@ -301,9 +284,7 @@ const PURPOSE: &str = "cancel";
 /// A transaction that was cancelled, unless the chain takes it all the same.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cancelled {
-    /// Its nonce.
     pub nonce: u64,
-    /// Its purpose.
     pub purpose: String,
     /// Whether it anchored records; they wait to be anchored again.
     pub anchors: bool,
@@ -325,7 +306,7 @@ impl Sender {
         let account = eoa.address();
         let cell = self.cell(account);
         let _alone = cell.tending.lock().await;
-        let open = block_in_place(|| self.ledger.lanes.open_lane(account))?;
+        let open = self.ledger.lanes.open_lane(account)?;
         let Some(row) = open.into_iter().find(|row| row.nonce == nonce) else {
             return Err(PipelineError::Refused(format!(
                 "{account} has no transaction with nonce {nonce} waiting here; `authros chain status` lists those that wait"
@@ -335,7 +316,7 @@ impl Sender {
             let text = format!("the transaction with nonce {nonce} ({}) is in a block already", row.purpose);
             return Err(PipelineError::Refused(format!("{text}; nothing was cancelled")));
         }
-        let raw = block_in_place(|| self.ledger.lanes.raw_transaction(row.hash))?.unwrap_or_default();
+        let raw = self.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
         let price = match self.policy().replacement(offered(&raw)?.price, &chain.market().await?) {
             Priced::At(price) => price,
             Priced::Capped { needed, cap } => {
@@ -352,16 +333,13 @@ impl Sender {
         }
         let (hash, raw, purpose) = (signed.hash, signed.raw, PURPOSE.to_owned());
         let new = NewTransaction { hash, account, nonce, raw: raw.clone(), purpose, anchors: Anchors::Nothing };
-        block_in_place(|| self.ledger.lanes.replace_transaction(row.hash, new))?;
+        self.ledger.lanes.replace_transaction(row.hash, new)?;
         self.hand_in(chain, account, hash, &raw).await;
         Ok(Cancelled { nonce, purpose: row.purpose, anchors: row.anchors, hash, price: Wei(price) })
     }
 
     /// Waits until the chain has used a cancelled transaction's nonce; returns the block of the one in its place, or
     /// `None` if the cancelled one was mined after all.
-    ///
-    /// # Errors
-    /// `NotMined` after two minutes; errors of chain and ledger.
     pub async fn wait_cancelled(
         &self,
         chain: &Chain,
@@ -380,8 +358,8 @@ impl Sender {
             }
             head = seen;
         }
-        for (hash, _) in block_in_place(|| self.ledger.lanes.of_nonce(account, cancelled.nonce))? {
-            let row = block_in_place(|| self.ledger.lanes.transaction(hash))?;
+        for (hash, _) in self.ledger.lanes.of_nonce(account, cancelled.nonce)? {
+            let row = self.ledger.lanes.transaction(hash)?;
             if row.is_some_and(|row| row.purpose == PURPOSE)
                 && let Some(receipt) = chain.receipt(hash).await?
             {

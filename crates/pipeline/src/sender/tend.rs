@@ -124,14 +124,11 @@ enum Decided {
 impl Sender {
     /// Checks every open transaction of the account, and does what is needed for each. Called after every block seen by
     /// the watcher, and while none comes. Returns the reasons of refused ones.
-    ///
-    /// # Errors
-    /// Errors of chain and ledger; the next call does what is left.
     pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>, PipelineError> {
         let account = eoa.address();
         let cell = self.cell(account);
         let Ok(_alone) = cell.tending.try_lock() else { return Ok(Vec::new()) };
-        let open = block_in_place(|| self.ledger.lanes.open_lane(account))?;
+        let open = self.ledger.lanes.open_lane(account)?;
         cell.memory().forget_all_but(&open);
         if open.is_empty() {
             let capped = matches!(cell.memory().paused, Some(PauseReason::FeeCap { .. }));
@@ -159,7 +156,7 @@ impl Sender {
         eoa: &EoaSecret,
         used: Vec<OpenTransaction>,
     ) -> Result<Vec<String>, PipelineError> {
-        let Some((seen, hash)) = block_in_place(|| self.ledger.trail.cursor())? else { return Ok(Vec::new()) };
+        let Some((seen, hash)) = self.ledger.trail.cursor()? else { return Ok(Vec::new()) };
         let mut found = Vec::with_capacity(used.len());
         for row in used {
             let decided = self.look_up(chain, eoa.address(), &row).await?;
@@ -187,7 +184,7 @@ impl Sender {
         }
         // At once, before the chain is queried again: these receipts are of the chain just examined.
         if !closings.is_empty() {
-            block_in_place(|| self.ledger.lanes.close_transactions(closings))?;
+            self.ledger.lanes.close_transactions(closings)?;
         }
         for (row, decided) in others {
             match decided {
@@ -210,7 +207,7 @@ impl Sender {
         if !self.cell(account).memory().was_raised(row.nonce) {
             return Ok(());
         }
-        let raw = block_in_place(|| self.ledger.lanes.raw_transaction(row.hash))?;
+        let raw = self.ledger.lanes.raw_transaction(row.hash)?;
         if let Some(offer) = raw.and_then(|raw| offered(&raw).ok()) {
             self.note_needed(offer.price);
         }
@@ -229,7 +226,7 @@ impl Sender {
         if let Some(receipt) = chain.receipt(row.hash).await? {
             return Ok(Decided::Own(receipt));
         }
-        for (kin, raw) in block_in_place(|| self.ledger.lanes.of_nonce(account, row.nonce))? {
+        for (kin, raw) in self.ledger.lanes.of_nonce(account, row.nonce)? {
             if kin == row.hash {
                 continue;
             }
@@ -250,11 +247,11 @@ impl Sender {
         raw: &[u8],
         receipt: &Receipt,
     ) -> Result<(), PipelineError> {
-        let own = block_in_place(|| self.ledger.lanes.raw_transaction(row.hash))?.unwrap_or_default();
+        let own = self.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
         if is_same_call(&own, raw) {
-            return Ok(block_in_place(|| self.ledger.lanes.decide_nonce(row.hash, kin, outcome(receipt)))?);
+            return Ok(self.ledger.lanes.decide_nonce(row.hash, kin, outcome(receipt))?);
         }
-        block_in_place(|| self.ledger.lanes.close_transactions(vec![(kin, outcome(receipt))]))?;
+        self.ledger.lanes.close_transactions(vec![(kin, outcome(receipt))])?;
         self.give_way(chain, eoa, row).await
     }
 
@@ -263,13 +260,13 @@ impl Sender {
     async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
         if row.anchors || [waiting::HOLE, sender::PURPOSE].contains(&row.purpose.as_str()) {
             let closing = vec![(row.hash, TransactionOutcome::Replaced)];
-            return Ok(block_in_place(|| self.ledger.lanes.close_transactions(closing))?);
+            return Ok(self.ledger.lanes.close_transactions(closing)?);
         }
         let lane = self.lane(chain, eoa).await;
-        let raw = block_in_place(|| self.ledger.lanes.raw_transaction(row.hash))?.unwrap_or_default();
+        let raw = self.ledger.lanes.raw_transaction(row.hash)?.unwrap_or_default();
         let signed = chain.resign(eoa, &raw, lane.next_nonce().await?, lane.price().await?).await?;
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
-        block_in_place(|| self.ledger.lanes.reissue(row.hash, reissue))?;
+        self.ledger.lanes.reissue(row.hash, reissue)?;
         drop(lane);
         self.hand_in(chain, eoa.address(), signed.hash, &signed.raw).await;
         Ok(())

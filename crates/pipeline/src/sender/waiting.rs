@@ -4,8 +4,6 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::task::block_in_place;
-
 use crate::chain::{Chain, ChainError, Market, Nonces, Offered, Priced, SignedTransaction, Wait, is_outbid, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
@@ -64,7 +62,7 @@ impl Round<'_> {
 
     /// The first waiting transaction at its present price, which may just have been raised.
     fn passed_by(&self, blocks: u64, nonce: u64) -> Result<PauseReason, PipelineError> {
-        let newest = block_in_place(|| self.sender.ledger.lanes.of_nonce(self.account, nonce))?;
+        let newest = self.sender.ledger.lanes.of_nonce(self.account, nonce)?;
         let offer = newest.first().and_then(|(_, raw)| offered(raw).ok());
         Ok(PauseReason::PassedBy { blocks, price: Wei(offer.map_or(0, |offer| offer.price)) })
     }
@@ -106,7 +104,7 @@ impl Round<'_> {
                 purpose: HOLE.to_owned(),
                 anchors: Anchors::Nothing,
             };
-            block_in_place(|| self.sender.ledger.lanes.submit(row))?;
+            self.sender.ledger.lanes.submit(row)?;
             self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
         }
         cell.memory().hole = None;
@@ -157,7 +155,7 @@ impl Round<'_> {
     }
 
     fn offer_of(&self, cell: &Arc<Cell>, row: &OpenTransaction) -> Result<Option<(Vec<u8>, Offered)>, PipelineError> {
-        let Some(raw) = block_in_place(|| self.sender.ledger.lanes.raw_transaction(row.hash))? else { return Ok(None) };
+        let Some(raw) = self.sender.ledger.lanes.raw_transaction(row.hash)? else { return Ok(None) };
         let known = cell.memory().prices.get(&row.hash).copied();
         let offer = match known {
             Some(offer) => offer,
@@ -174,7 +172,7 @@ impl Round<'_> {
 
     async fn put_in_place(&self, row: &OpenTransaction, signed: SignedTransaction) -> Result<(), PipelineError> {
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
-        block_in_place(|| self.sender.ledger.lanes.reissue(row.hash, reissue))?;
+        self.sender.ledger.lanes.reissue(row.hash, reissue)?;
         self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
         Ok(())
     }

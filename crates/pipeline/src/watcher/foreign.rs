@@ -25,9 +25,6 @@ pub fn text(found: &ForeignAnchors) -> String {
 }
 
 /// Those seen within the last day.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
     let now = Timestamp::now().0;
     let seen = plant.ledger.notes.read(&SeenForeign {})?;

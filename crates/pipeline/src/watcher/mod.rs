@@ -32,7 +32,6 @@ const PAUSE: Duration = Duration::from_millis(200);
 
 /// How far a scan came.
 enum Reached {
-    /// The head.
     Head,
     /// Not to the head: the chain changed while it was read.
     Changed,
@@ -42,9 +41,6 @@ enum Reached {
 
 /// Binds the ledger to the contract and reads the directory back from it; if nothing was stored yet, or it cannot be
 /// read, it is scanned from the contract's first block.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
     let pin = network.chain.pin().ok_or(ChainError::NoContract)?;
     plant.ledger.rights.bind_contract(network.domain, &serde_json::to_string(&pin).unwrap_or_default())?;
@@ -113,7 +109,7 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
 
 fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
     let deep = (head + 1).saturating_sub(network.confirmations);
-    let confirmed = block_in_place(|| plant.ledger.batches.confirm(deep))?;
+    let confirmed = plant.ledger.batches.confirm(deep)?;
     if !confirmed.is_empty() {
         if let Some(stages) = plant.observer.stages() {
             stages.reached(Milestone::Confirmed, confirmed);
@@ -165,7 +161,7 @@ async fn scan(
     shown: Option<&Directory>,
 ) -> Result<Reached, PipelineError> {
     let first = first_block(network);
-    let cursor = block_in_place(|| plant.ledger.trail.cursor())?;
+    let cursor = plant.ledger.trail.cursor()?;
     let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
     let mut below = cursor.filter(|(number, _)| *number >= first);
     let near = network.chain.first_near(head.number);

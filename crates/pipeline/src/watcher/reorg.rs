@@ -41,7 +41,7 @@ pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> 
         return Ok(Standing::Holds);
     }
     let identified = network.chain.identify().await;
-    let trail = block_in_place(|| plant.ledger.trail.blocks())?;
+    let trail = plant.ledger.trail.blocks()?;
     let is_replaced = is_replaced(plant, network, head, &trail).await?;
     // A node that is behind may not have the contract yet.
     let may_lack_it = head.number < first_block(network) + NEAR;
@@ -115,8 +115,8 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
 async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
     let from = common.0 + 1;
     network.times.forget_from(from);
-    let (moved, deep) = block_in_place(|| plant.ledger.batches.take_back(from))?;
-    block_in_place(|| plant.ledger.trail.walk_back(common))?;
+    let (moved, deep) = plant.ledger.batches.take_back(from)?;
+    plant.ledger.trail.walk_back(common)?;
     let depth = was_at.saturating_sub(common.0);
     let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");
     if deep > 0 {
@@ -180,18 +180,18 @@ pub(super) fn note(plant: &Plant, read: &[BlockEvents]) -> Result<(), PipelineEr
 /// Reads again what is due at this head, and goes back to the first block of which something was missed.
 pub(super) async fn look(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
     let notes = &plant.ledger.notes;
-    if let Some(block) = block_in_place(|| notes.read(&MissedFrom {}))? {
+    if let Some(block) = notes.read(&MissedFrom {})? {
         block_in_place(|| go_back_before(plant, network, block))?;
         // What was noted meanwhile stays.
-        block_in_place(|| notes.forget(&MissedFrom {}, &block))?;
+        notes.forget(&MissedFrom {}, &block)?;
     }
-    let known = block_in_place(|| notes.read(&UnsureBlocks {}))?.unwrap_or_default();
+    let known = notes.read(&UnsureBlocks {})?.unwrap_or_default();
     let mut left = Vec::with_capacity(known.len());
     for unsure in &known {
         left.extend(look_at(plant, network, head, unsure.clone()).await?);
     }
     if left != known {
-        block_in_place(|| notes.write(&UnsureBlocks {}, &left))?;
+        notes.write(&UnsureBlocks {}, &left)?;
     }
     Ok(())
 }

@@ -9,7 +9,7 @@ use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, s
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
-    TOO_LARGE, go_to, read_at, unpack,
+    RecordingReader, TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -50,6 +50,35 @@ pub struct BagReader<R> {
     ended: bool,
 }
 
+impl<R: BufRead + Seek> RecordingReader for BagReader<R> {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        loop {
+            if let Some(message) = self.next_in_chunk() {
+                return Ok(Some(message));
+            }
+            if self.ended {
+                if let Some(place) = std::mem::take(&mut self.places).first() {
+                    let text = format!("the index at the end names a chunk at byte {place}, but there is none");
+                    self.findings.note(self.length, &text);
+                }
+                self.findings.compare(self.length, "messages", self.counted.take(), self.met);
+                return Ok(None);
+            }
+            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
+                return Ok(Some(message));
+            }
+        }
+    }
+
+    fn findings(&self) -> &Findings {
+        &self.findings
+    }
+
+    fn progress(&self) -> (u64, u64) {
+        (self.position.min(self.length), self.length)
+    }
+}
+
 impl<R: BufRead + Seek> BagReader<R> {
     /// Starts reading a bag.
     ///
@@ -80,39 +109,6 @@ impl<R: BufRead + Seek> BagReader<R> {
         };
         reader.read_index()?;
         Ok(reader)
-    }
-
-    /// What has been skipped so far.
-    pub fn findings(&self) -> &Findings {
-        &self.findings
-    }
-
-    /// Bytes of the file read so far, and its size.
-    pub fn progress(&self) -> (u64, u64) {
-        (self.position.min(self.length), self.length)
-    }
-
-    /// The next readable message; `None` at the end.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if the file itself cannot be read.
-    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
-        loop {
-            if let Some(message) = self.next_in_chunk() {
-                return Ok(Some(message));
-            }
-            if self.ended {
-                if let Some(place) = std::mem::take(&mut self.places).first() {
-                    let text = format!("the index at the end names a chunk at byte {place}, but there is none");
-                    self.findings.note(self.length, &text);
-                }
-                self.findings.compare(self.length, "messages", self.counted.take(), self.met);
-                return Ok(None);
-            }
-            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
-                return Ok(Some(message));
-            }
-        }
     }
 
     /// The connections listed in the index at the end: a damaged chunk may have held the only other copy.

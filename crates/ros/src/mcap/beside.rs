@@ -329,7 +329,7 @@ mod tests {
     use super::*;
     use crate::model::Timestamp;
     use crate::ros::mcap::{Beside, McapReader, McapWriter};
-    use crate::ros::recording::{ChunkCompression, RecordedMessage};
+    use crate::ros::recording::{ChunkCompression, RecordedMessage, RecordingReader as _};
 
     fn recorded(messages: u64) -> Vec<u8> {
         let channel = words();

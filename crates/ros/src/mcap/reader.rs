@@ -15,7 +15,7 @@ use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
-    Sent, TOO_LARGE, go_to, read_at, unpack, unpacked_body,
+    RecordingReader, Sent, TOO_LARGE, go_to, read_at, unpack, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -99,6 +99,34 @@ pub struct McapReader<R> {
     growing: Growing,
 }
 
+impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        loop {
+            if let Some(message) = self.next_in_chunk() {
+                return Ok(Some(message));
+            }
+            if self.ended {
+                self.compare();
+                return Ok(None);
+            }
+            if !self.may_go_on().map_err(|error| RosError::unreadable(&error))? {
+                return Ok(None);
+            }
+            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
+                return Ok(Some(message));
+            }
+        }
+    }
+
+    fn findings(&self) -> &Findings {
+        &self.findings
+    }
+
+    fn progress(&self) -> (u64, u64) {
+        (self.position.min(self.length), self.length)
+    }
+}
+
 impl<R: BufRead + Seek> McapReader<R> {
     /// Starts reading a file.
     ///
@@ -135,38 +163,6 @@ impl<R: BufRead + Seek> McapReader<R> {
             return Err(RosError::recording("it does not start like MCAP"));
         }
         Ok(reader)
-    }
-
-    /// What has been skipped so far.
-    pub fn findings(&self) -> &Findings {
-        &self.findings
-    }
-
-    /// Bytes of the file read so far, and its size.
-    pub fn progress(&self) -> (u64, u64) {
-        (self.position.min(self.length), self.length)
-    }
-
-    /// The next readable message, attachment or metadata record; `None` at the end.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if the file itself cannot be read.
-    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
-        loop {
-            if let Some(message) = self.next_in_chunk() {
-                return Ok(Some(message));
-            }
-            if self.ended {
-                self.compare();
-                return Ok(None);
-            }
-            if !self.may_go_on().map_err(|error| RosError::unreadable(&error))? {
-                return Ok(None);
-            }
-            if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
-                return Ok(Some(message));
-            }
-        }
     }
 
     fn compare(&mut self) {

@@ -47,8 +47,9 @@ pub struct Advertised {
     pub latching: bool,
 }
 
-/// A node that publishes into a graph of ROS 1. It leaves the graph when dropped.
-pub trait Publishing: Send + Sync {
+/// A node that publishes into a graph of ROS 1: our own, in this process, or rosrust, in a process without keys. It leaves the
+/// graph when dropped.
+pub trait GraphPublisher: Send + Sync {
     /// Announces a topic, and waits for the subscribers that the master knows, at most for `patience`.
     ///
     /// # Errors
@@ -99,9 +100,6 @@ pub trait Publishing: Send + Sync {
     /// Ends without further waiting. Returns the total messages that a subscriber missed.
     fn end(self: Box<Self>) -> u64;
 }
-
-/// A publishing node: our own, in this process, or rosrust, in a process without keys.
-pub type GraphPublisher = Box<dyn Publishing>;
 
 /// The longest connection header of a subscriber, bytes.
 const LONGEST_REQUEST: usize = 64 << 10;
@@ -194,18 +192,6 @@ impl Publisher {
         self.identity.outlet_of(topic).map_or(0, |outlet| outlet.subscribers())
     }
 
-    /// Withdraws topics: no subscriber gets any more of them, however late the master learns of it.
-    pub fn cut(&self, topics: &[String]) {
-        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
-        let gone: Vec<Arc<Outlet>> = self.identity.outlets().into_iter().filter(is_meant).collect();
-        lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
-        for outlet in &gone {
-            outlet.close(Duration::ZERO);
-            self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
-        }
-        self.tell_gone(&gone);
-    }
-
     /// Unregisters and ends, after sending what is queued, for at most five seconds. Returns the total messages that a
     /// subscriber missed.
     pub fn finish(self) -> u64 {
@@ -250,7 +236,7 @@ impl Publisher {
     }
 }
 
-impl Publishing for Publisher {
+impl GraphPublisher for Publisher {
     fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
         let known = Self::advertise(self, topic)?;
         let begun = Instant::now();
@@ -276,8 +262,16 @@ impl Publishing for Publisher {
         self.identity.outlets().iter().try_for_each(|outlet| self.register(outlet).map(drop))
     }
 
+    /// No subscriber gets any more of them, however late the master learns of it.
     fn cut(&mut self, topics: &[String]) {
-        Self::cut(self, topics);
+        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
+        let gone: Vec<Arc<Outlet>> = self.identity.outlets().into_iter().filter(is_meant).collect();
+        lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
+        for outlet in &gone {
+            outlet.close(Duration::ZERO);
+            self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
+        }
+        self.tell_gone(&gone);
     }
 
     fn silence(&mut self, topic: &str, source: u64) {
@@ -477,7 +471,7 @@ impl RosrustPublisher {
     }
 }
 
-impl Publishing for RosrustPublisher {
+impl GraphPublisher for RosrustPublisher {
     fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
         if self.announced.contains_key(&topic.topic) {
             return Ok(());

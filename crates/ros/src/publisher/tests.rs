@@ -83,7 +83,7 @@ fn what_is_published_arrives_whole_in_order_and_as_it_was_described() {
 #[test]
 fn a_topic_that_is_cut_is_gone_from_the_graph_and_late_subscribers_get_nothing_of_it() {
     let master = EmbeddedMaster::start().expect("master");
-    let publisher = Publisher::start(master.uri(), None, "/mouth").expect("publisher");
+    let mut publisher = Publisher::start(master.uri(), None, "/mouth").expect("publisher");
     for name in ["/kept", "/cut"] {
         publisher.advertise(&topic(name, true)).expect("advertised");
         publisher.publish(name, 1, b"last");

@@ -484,27 +484,42 @@ pub fn content_of(path: &Path) -> Result<File, RosError> {
     Ok(whole.and_then(|whole| whole.reopen().ok()).unwrap_or_else(|| file.into_inner()))
 }
 
-/// A recording being read, message by message in file order.
-pub enum Recording {
-    Bag(BagReader<BufReader<File>>),
-    Mcap(McapReader<BufReader<File>>),
-    /// A closed `.db3` file of rosbag2.
-    Db3(Box<Db3Reader>),
-    /// A folder of rosbag2.
-    Folder(Box<FolderReader>),
+/// Reads a recording message by message, in file order.
+pub trait RecordingReader {
+    /// The next readable message, or what is beside the messages; `None` at the end. Damage is not an error: see
+    /// [`Self::findings`].
+    ///
+    /// # Errors
+    /// [`RosError::Recording`] if the file itself cannot be read.
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError>;
+
+    /// What has been skipped so far; of the files of a folder that are still read, later.
+    fn findings(&self) -> &Findings;
+
+    /// Bytes read so far, as far as messages have any, and of all.
+    fn progress(&self) -> (u64, u64);
+
+    /// The file of a folder that the last message is from, as `rosbag2::files_of` names it; `None` where the recording is one
+    /// file.
+    fn file(&self) -> Option<&Path> {
+        None
+    }
 }
+
+/// A recording of any format.
+pub type Recording = dyn RecordingReader + Send;
 
 impl Recording {
     /// Opens a file of any format, or a folder of rosbag2.
     ///
     /// # Errors
     /// [`RosError::Recording`] if it cannot be read or is not a recording.
-    pub fn open(path: &Path) -> Result<Self, RosError> {
-        if path.is_dir() { FolderReader::open(path).map(Box::new).map(Self::Folder) } else { Self::open_file(path) }
+    pub fn open(path: &Path) -> Result<Box<Self>, RosError> {
+        if path.is_dir() { Ok(Box::new(FolderReader::open(path)?)) } else { Self::open_file(path) }
     }
 
     /// Opens a single file. One that is compressed as a whole is unpacked into a temporary file, which is gone at the end.
-    pub(crate) fn open_file(path: &Path) -> Result<Self, RosError> {
+    pub(crate) fn open_file(path: &Path) -> Result<Box<Self>, RosError> {
         let (file, magic) = begin(path)?;
         if !magic.starts_with(&ZSTD) {
             return Self::of(path, file, &magic);
@@ -516,58 +531,17 @@ impl Recording {
         Self::of(whole.path(), file, &magic)
     }
 
-    fn of(path: &Path, file: BufReader<File>, magic: &[u8]) -> Result<Self, RosError> {
+    fn of(path: &Path, file: BufReader<File>, magic: &[u8]) -> Result<Box<Self>, RosError> {
         if magic.starts_with(mcap::MAGIC) {
-            return McapReader::open(file).map(Self::Mcap);
+            return Ok(Box::new(McapReader::open(file)?));
         }
         if magic.starts_with(bag::MAGIC) {
-            return BagReader::open(file).map(Self::Bag);
+            return Ok(Box::new(BagReader::open(file)?));
         }
         if magic.starts_with(SQLITE) {
-            return Db3Reader::open(path).map(Box::new).map(Self::Db3);
+            return Ok(Box::new(Db3Reader::open(path)?));
         }
         Err(RosError::recording(&format!("{} is {}", path.display(), other_than_a_recording(magic))))
-    }
-
-    /// The next readable message; `None` at the end. Damage is not an error: see [`Self::findings`].
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if the file itself cannot be read.
-    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
-        match self {
-            Self::Bag(reader) => reader.next_message(),
-            Self::Mcap(reader) => reader.next_message(),
-            Self::Db3(reader) => reader.next_message(),
-            Self::Folder(reader) => reader.next_message(),
-        }
-    }
-
-    /// What has been skipped so far.
-    pub fn findings(&self) -> &Findings {
-        match self {
-            Self::Bag(reader) => reader.findings(),
-            Self::Mcap(reader) => reader.findings(),
-            Self::Db3(reader) => reader.findings(),
-            Self::Folder(reader) => reader.findings(),
-        }
-    }
-
-    /// The file of a folder that the last message is from; `None` where the recording is one file.
-    pub fn file(&self) -> Option<&Path> {
-        match self {
-            Self::Folder(reader) => Some(reader.file()),
-            Self::Bag(_) | Self::Mcap(_) | Self::Db3(_) => None,
-        }
-    }
-
-    /// Bytes of the file read so far, and its size.
-    pub fn progress(&self) -> (u64, u64) {
-        match self {
-            Self::Bag(reader) => reader.progress(),
-            Self::Mcap(reader) => reader.progress(),
-            Self::Db3(reader) => reader.progress(),
-            Self::Folder(reader) => reader.progress(),
-        }
     }
 }
 

@@ -41,7 +41,9 @@ fn find(program: Option<&Path>) -> Result<PathBuf, RosError> {
 fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
     let arguments = ["--domain".to_owned(), domain.to_string()];
     let arguments = arguments.into_iter().chain(publishes.then(|| "--publish".to_owned())).collect();
-    Errand { program: program.to_owned(), arguments, environment: Vec::new() }
+    // What rustdds receives into goes back to the system when it is freed (decision 072).
+    let environment = vec![("MALLOC_MMAP_THRESHOLD_", (128 << 10).to_string())];
+    Errand { program: program.to_owned(), arguments, environment }
 }
 
 /// A topic of the domain.
@@ -308,10 +310,8 @@ impl Shared {
                 drop(child.kill());
                 child.wait().is_ok_and(|status| status.success())
             };
-            let participant = self.state().participant.take();
-            if let Some(participant) = participant.filter(|_| !has_left) {
-                participant.bury(&self.program);
-            }
+            let participants = std::mem::take(&mut self.state().participants);
+            participants.into_iter().filter(|_| !has_left).for_each(|participant| participant.bury(&self.program));
         }
         reason
     }

@@ -25,6 +25,8 @@ const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
 const MOST_HELD: usize = if cfg!(test) { 4 << 20 } else { 256 << 20 };
 /// What a message takes beside its bytes.
 const HELD_OVERHEAD: usize = 256;
+/// The most participants that a program has at once: one, and the one that replaces it.
+const MOST_PARTICIPANTS: usize = 2;
 /// The longest reason taken.
 const LONGEST_REASON: usize = 400;
 
@@ -64,7 +66,7 @@ pub struct State {
     /// Bytes of messages that wait.
     held: usize,
     /// Itself in the domain, to be buried if it is killed.
-    pub participant: Option<Participant>,
+    pub participants: Vec<Participant>,
 }
 
 impl State {
@@ -85,7 +87,10 @@ impl State {
                 self.confined = Some(confined);
             }
             Told::WriterHere(writer) => self.here(writer, now, &mut outcome),
-            Told::Joined { participant } => self.participant = Participant::new(self.domain, participant),
+            Told::Joined { participants } => {
+                let named = participants.into_iter().take(MOST_PARTICIPANTS);
+                self.participants = named.filter_map(|named| Participant::new(self.domain, named)).collect();
+            }
             Told::WriterGone { id } => self.gone(&id, now, &mut outcome),
             Told::Sample { writer, number, sent, arrived } => {
                 self.sample(&writer, (number, sent, arrived), payload, now, &mut outcome);
@@ -456,6 +461,21 @@ mod tests {
             _ => 0,
         };
         notices.iter().map(count).sum()
+    }
+
+    #[test]
+    fn a_program_may_have_two_participants_to_be_buried_while_one_replaces_the_other() {
+        let (mut state, now) = (State::new(3), Instant::now());
+        let mut joined = |prefixes: &[&str]| {
+            let participants = prefixes.iter().map(|prefix| prefix.repeat(12)).collect();
+            state.take(Told::Joined { participants }, Vec::new(), now).expect("taken");
+            state.participants.clone()
+        };
+        let named = |prefix: &str| Participant::new(3, prefix.repeat(12)).expect("a name");
+        assert_eq!(joined(&["01"]), [named("01")]);
+        assert_eq!(joined(&["01", "ab"]), [named("01"), named("ab")]);
+        assert_eq!(joined(&["ab"]), [named("ab")]);
+        assert_eq!(joined(&["no", "01", "02"]), [named("01")]);
     }
 
     #[test]

@@ -18,8 +18,8 @@ use crate::model::{Timestamp, clean};
 use crate::ros::RosError;
 use crate::ros::mcap::{Beside, metadata_record};
 use crate::ros::recording::{
-    Channel, Encoding, Findings, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, TOO_LARGE, TYPE_HASH, kept_about,
-    unpacked_body,
+    Channel, Encoding, Findings, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, RecordingReader, TOO_LARGE,
+    TYPE_HASH, kept_about, unpacked_body,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -78,6 +78,33 @@ pub struct Db3Reader {
     ended: bool,
 }
 
+impl RecordingReader for Db3Reader {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        while !self.ended {
+            let Some(place) = self.next_place()? else {
+                self.ended = true;
+                if stamp(&self.path).is_ok_and(|now| now != self.stamp) {
+                    self.findings.note(0, "the file changed while it was read: a recorder still writes it");
+                }
+                break;
+            };
+            if let Some(message) = self.message(place) {
+                return Ok(Some(message));
+            }
+        }
+        let beside = self.beside.pop_front();
+        Ok(beside.map(|message| RecordedMessage { time: self.latest, ..message }))
+    }
+
+    fn findings(&self) -> &Findings {
+        &self.findings
+    }
+
+    fn progress(&self) -> (u64, u64) {
+        (self.done.min(self.stamp.0), self.stamp.0)
+    }
+}
+
 impl Db3Reader {
     /// Opens a file that no recorder writes any more.
     ///
@@ -122,37 +149,6 @@ impl Db3Reader {
             reader.ended = true;
         }
         Ok(reader)
-    }
-
-    /// What has been skipped so far.
-    pub fn findings(&self) -> &Findings {
-        &self.findings
-    }
-
-    /// Bytes read so far, as far as messages have any, and the size of the file.
-    pub fn progress(&self) -> (u64, u64) {
-        (self.done.min(self.stamp.0), self.stamp.0)
-    }
-
-    /// The next message by time; behind the last, what the file holds beside them; `None` at the end.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if SQLite cannot go on at all.
-    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
-        while !self.ended {
-            let Some(place) = self.next_place()? else {
-                self.ended = true;
-                if stamp(&self.path).is_ok_and(|now| now != self.stamp) {
-                    self.findings.note(0, "the file changed while it was read: a recorder still writes it");
-                }
-                break;
-            };
-            if let Some(message) = self.message(place) {
-                return Ok(Some(message));
-            }
-        }
-        let beside = self.beside.pop_front();
-        Ok(beside.map(|message| RecordedMessage { time: self.latest, ..message }))
     }
 
     /// Lets SQLite look whether its trees are sound; `false` if nothing can be read safely.

@@ -12,7 +12,9 @@ use std::sync::Arc;
 use crate::model::clean;
 use crate::ros::RosError;
 use crate::ros::mcap::{AttachedFile, Beside};
-use crate::ros::recording::{Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, SPOILT, why};
+use crate::ros::recording::{
+    Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, RecordingReader, SPOILT, why,
+};
 use metadata::Metadata;
 use tempfile::NamedTempFile;
 
@@ -38,7 +40,7 @@ const MOST_ENTRIES: usize = 65_536;
 struct Part {
     name: String,
     path: Arc<Path>,
-    recording: Recording,
+    recording: Box<Recording>,
     next: RecordedMessage,
 }
 
@@ -95,6 +97,50 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, RosError> {
     Ok(std::iter::once(path.join(METADATA)).chain(files).collect())
 }
 
+impl RecordingReader for FolderReader {
+    fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
+        if let Some(described) = self.described.take() {
+            return Ok(Some(described));
+        }
+        while self.parts.len() < AT_ONCE {
+            let Some(name) = self.left.pop_front() else { break };
+            self.begin(name)?;
+        }
+        let first = self.parts.iter().enumerate().min_by_key(|(_, part)| part.next.time).map(|(number, _)| number);
+        let Some((number, part)) = first.and_then(|number| Some((number, self.parts.get_mut(number)?))) else {
+            self.compare();
+            return Ok(None);
+        };
+        self.file = Arc::clone(&part.path);
+        let message = match part.recording.next_message()? {
+            Some(next) => std::mem::replace(&mut part.next, next),
+            None => {
+                let part = self.parts.remove(number);
+                self.done += part.recording.progress().1;
+                self.findings.add(&part.name, part.recording.findings());
+                part.next
+            }
+        };
+        if !matches!(message.channel.encoding, Encoding::Beside(_)) {
+            *self.met.entry(Arc::clone(&message.channel.topic)).or_default() += 1;
+        }
+        Ok(Some(message))
+    }
+
+    fn findings(&self) -> &Findings {
+        &self.findings
+    }
+
+    fn progress(&self) -> (u64, u64) {
+        let now: u64 = self.parts.iter().map(|part| part.recording.progress().0).sum();
+        ((self.done + now).min(self.size), self.size)
+    }
+
+    fn file(&self) -> Option<&Path> {
+        Some(&self.file)
+    }
+}
+
 impl FolderReader {
     /// Opens a folder whose recorder has ended.
     ///
@@ -141,55 +187,6 @@ impl FolderReader {
         for name in others {
             self.findings.note(0, &format!("{name} is in the folder, but not in {METADATA}: it was not read"));
         }
-    }
-
-    /// The file that the last message is from, as [`files_of`] names it.
-    pub fn file(&self) -> &Path {
-        &self.file
-    }
-
-    /// What has been skipped so far; of the files that are still read, later.
-    pub fn findings(&self) -> &Findings {
-        &self.findings
-    }
-
-    /// Bytes of its files read so far, and of all.
-    pub fn progress(&self) -> (u64, u64) {
-        let now: u64 = self.parts.iter().map(|part| part.recording.progress().0).sum();
-        ((self.done + now).min(self.size), self.size)
-    }
-
-    /// The next message by time; `None` at the end.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if a file cannot be read any further.
-    pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
-        if let Some(described) = self.described.take() {
-            return Ok(Some(described));
-        }
-        while self.parts.len() < AT_ONCE {
-            let Some(name) = self.left.pop_front() else { break };
-            self.begin(name)?;
-        }
-        let first = self.parts.iter().enumerate().min_by_key(|(_, part)| part.next.time).map(|(number, _)| number);
-        let Some((number, part)) = first.and_then(|number| Some((number, self.parts.get_mut(number)?))) else {
-            self.compare();
-            return Ok(None);
-        };
-        self.file = Arc::clone(&part.path);
-        let message = match part.recording.next_message()? {
-            Some(next) => std::mem::replace(&mut part.next, next),
-            None => {
-                let part = self.parts.remove(number);
-                self.done += part.recording.progress().1;
-                self.findings.add(&part.name, part.recording.findings());
-                part.next
-            }
-        };
-        if !matches!(message.channel.encoding, Encoding::Beside(_)) {
-            *self.met.entry(Arc::clone(&message.channel.topic)).or_default() += 1;
-        }
-        Ok(Some(message))
     }
 
     /// Opens a file of the recording; one that cannot be read is damage.

@@ -176,7 +176,7 @@ impl<'a, W: Write> Child<'a, W> {
             self.departures.go_on(self.audience.present());
             self.leave()?;
             if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
-                if !threads::run() {
+                if !threads::run(1) {
                     return Err(Ros2Error::Threads);
                 }
                 self.tell();

@@ -15,7 +15,6 @@ use sha2::Sha256;
 use zeroize::Zeroizing;
 
 use super::{Delivery, News, Undelivered};
-use crate::chain::web;
 use crate::config::AlertForm;
 use crate::crypto::private_file;
 use crate::failure::{input, refused};
@@ -53,7 +52,7 @@ impl Webhook {
         // Redirects are not followed: only the named server gets the alert.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let client = if url.scheme() == "https" {
-            let tls = web::tls(roots).map_err(|why| input(format!("{why}; check alerts.roots")))?;
+            let tls = authros_tls::tls(roots).map_err(|why| input(format!("{why}; check alerts.roots")))?;
             client.use_preconfigured_tls(tls)
         } else {
             client.tls_built_in_root_certs(false)
@@ -118,8 +117,8 @@ impl Webhook {
 
     fn unreachable(&self, error: &reqwest::Error) -> Failure {
         let host = self.host();
-        let why = if error.is_timeout() { "no answer within 10 s".to_owned() } else { web::innermost(error) };
-        let text = match web::tls_fault(error, "alerts.roots") {
+        let why = if error.is_timeout() { "no answer within 10 s".to_owned() } else { authros_tls::innermost(error) };
+        let text = match authros_tls::tls_fault(error, "alerts.roots") {
             Some(fault) => format!("the webhook at {host} {}; {}", fault.reason, fault.advice),
             None => {
                 format!("the webhook at {host} cannot be reached: {why}; check that it is running, and alerts.webhook")
@@ -133,7 +132,7 @@ impl Webhook {
 fn redirect(asked: &reqwest::Url, answer: &reqwest::Response) -> Option<String> {
     let location = answer.headers().get(reqwest::header::LOCATION).and_then(|place| place.to_str().ok());
     let is_redirect = matches!(answer.status().as_u16(), 301..=303 | 307 | 308);
-    is_redirect.then(|| web::redirected(asked, location))
+    is_redirect.then(|| authros_tls::redirected(asked, location))
 }
 
 /// The beginning of an answer, for people; a server cannot hold us up with a long one.

@@ -4,7 +4,7 @@ pub use crate::pipeline::record_audit::{FindingKind, RecordAudit, RecordFinding}
 
 use serde::{Deserialize, Serialize};
 
-use super::{AdministrationView, RecordView};
+use super::{AdministrationView, AlarmView, RecordView};
 use crate::chain::{Pin, Sealing, Shortfall};
 use crate::model::{Address, Digest, Domain, Hash, PinMode, Publisher, SignerId, Timestamp, Wei};
 use crate::pipeline::sender::LaneState;
@@ -212,21 +212,6 @@ pub struct PinView {
     pub source: String,
     /// Pinned since; `None` for the settings.
     pub at: Option<Timestamp>,
-}
-
-/// An alarm about a publisher.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct AlarmView {
-    /// The topic, cleaned.
-    pub topic: String,
-    /// Its subject, cleaned: a publisher as `topics pin` takes it, or a URI.
-    pub publisher: String,
-    /// `new`, `host`, `type`, `replaced`, `undecided` or `unconfirmed`.
-    pub reason: String,
-    /// When it was raised.
-    pub at: Timestamp,
-    /// Whether nobody has decided about the topic since.
-    pub open: bool,
 }
 
 /// A profile's pins and alarms.

@@ -33,6 +33,17 @@ impl PlayEnd {
         }
     }
 
+    /// What ended it, if nobody asked for that and not everything was played.
+    pub fn cut_short(self) -> Option<&'static str> {
+        match self {
+            Self::Whole | Self::Asked => None,
+            Self::Revoked => Some("the grant was revoked"),
+            Self::Expired => Some("the grant has expired"),
+            Self::Locked => Some("the keyring was locked"),
+            Self::Site => Some("the site stopped"),
+        }
+    }
+
     /// Whether it ended for want of a right to read.
     pub fn is_by_right(self) -> bool {
         matches!(self, Self::Revoked | Self::Expired | Self::Locked)

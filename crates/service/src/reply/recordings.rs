@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Answer, Reply};
+use super::{Answer, LeftOut, Reply};
 use crate::model::{Digest, TopicRule};
 use crate::ros::recording::{Damage, RecordingFormat};
 
@@ -17,17 +17,6 @@ pub struct ImportedTopic {
     pub verified: u64,
     /// Messages imported earlier.
     pub already: u64,
-}
-
-/// Messages of one topic that an import left out.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LeftOut {
-    /// Topic as it was recorded, cleaned.
-    pub topic: String,
-    /// The reason.
-    pub why: String,
-    /// How many.
-    pub messages: u64,
 }
 
 /// The result of an import.

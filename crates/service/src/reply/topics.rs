@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::UnreachedView;
 use crate::model::{Timestamp, TopicName};
 use crate::store::CoveragePart;
 
@@ -16,7 +17,7 @@ pub enum HeldUp {
 }
 
 /// One topic of the graph.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct TopicRow {
     /// Its name, cleaned.
     pub topic: String,
@@ -61,23 +62,6 @@ pub struct TopicRow {
     pub quarantined: u64,
     /// Whether an alarm about a publisher of it is open.
     pub alarm: bool,
-}
-
-/// A publisher that is listed and cannot be read.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct UnreachedView {
-    /// Its node, cleaned.
-    pub node: String,
-    /// Host and port that it gave, cleaned.
-    pub place: String,
-    /// Why, and what to do if that is known; cleaned.
-    pub reason: String,
-}
-
-impl std::fmt::Display for UnreachedView {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} at {}: {}", self.node, self.place, self.reason)
-    }
 }
 
 /// When there are records of a topic.

@@ -13,7 +13,6 @@ use tokio::task::{JoinHandle, block_in_place};
 
 use self::policy::{AgentPolicy, PolicyFigures, warn_of_key};
 use super::Site;
-use super::capture::ros::RosState;
 use crate::config::RingSettings;
 use crate::crypto::{Enrolment, SealedEnrolment, random_bytes};
 use crate::event::NoticeLevel;
@@ -531,10 +530,7 @@ fn possible(site: &Site, author: &Author) -> Vec<String> {
     if let Some(covered) = keys.names() {
         return covered;
     }
-    let link = match &*site.ros.state() {
-        RosState::Up(link) | RosState::Down { link: Some(link), .. } => Some(Arc::clone(link)),
-        RosState::Off | RosState::Starting | RosState::Down { link: None, .. } => None,
-    };
+    let link = site.ros.state().link().cloned();
     let of_one = link.map(|link| link.topics()).unwrap_or_default().into_iter().map(|info| info.name);
     of_one.chain(site.ros.second.topics().into_iter().map(|topic| topic.name)).collect()
 }

@@ -101,7 +101,7 @@ impl Site {
             }
             Command::Recording { with } => self.recordings.answer(&owner()?, with, until_released(claims)).await,
             Command::ListUploads(query) => self.reading.list_own(&profile, query).await.map(ask::ListUploads::told),
-            Command::ShowUpload { id } => self.reading.provenance(&profile, &id).await.map(ask::ShowUpload::told),
+            Command::ShowUpload { id } => self.reading.provenance(&profile, &id).map(ask::ShowUpload::told),
             Command::ExportUpload { id, addresses } => {
                 self.reading.export_upload(&owner()?, &id, addresses).await.map(ask::ExportUpload::told)
             }
@@ -269,7 +269,7 @@ impl Site {
                 .await
                 .map(Box::new)
                 .map(ask::AuditRecords::told),
-            StoreCommand::ListAllUploads(query) => self.reading.list_all(query).await.map(ask::ListAllUploads::told),
+            StoreCommand::ListAllUploads(query) => self.reading.list_all(query).map(ask::ListAllUploads::told),
             StoreCommand::EraseRecords(wishes) => {
                 let owner = self.parts.owners.unlocked(profile)?;
                 self.reading.learn_own_names(profile).await?;
@@ -307,7 +307,7 @@ impl Site {
     async fn owner_with(self: &Arc<Self>, profile: &ProfileName, id: &str) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         let more = self.joined.arriving(profile, LISTING).await?.is_some();
-        if more && self.reading.find_record(id).await.is_err() {
+        if more && self.reading.find_record(id).is_err() {
             self.joined.caught_up(profile).await?;
         }
         Ok(owner)

@@ -247,23 +247,23 @@ impl Site {
             recorder: &recorder,
             watches: &watches,
         };
-        let (profiles, devices) =
-            (Arc::new(Profiles::new(of, &asked)), Arc::new(Devices::new(of, &sharing, &enrolments)));
+        let profiles = Arc::new(Profiles::new(of, &asked));
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
         let evidence = Arc::new(Evidence::new(of, &reading, &stamps));
-        let asked = recordings::Asked {
-            contacts: &contacts,
-            reading: &reading,
-            capture: &capture,
-            profiles: &profiles,
-            joined: &joined,
-            sealer: &sealer,
-            rings: &rings,
-            evidence: &evidence,
-        };
         Ok(Self {
-            recordings: Arc::new(Recordings::new(of, &asked)),
-            devices,
+            recordings: Arc::new(Recordings {
+                parts: parts.clone(),
+                contacts: Arc::clone(&contacts),
+                reading: Arc::clone(&reading),
+                capture: Arc::clone(&capture),
+                profiles: Arc::clone(&profiles),
+                joined: Arc::clone(&joined),
+                sealer: Arc::clone(&sealer),
+                rings: Arc::clone(&rings),
+                evidence: Arc::clone(&evidence),
+                claims: Arc::default(),
+            }),
+            devices: Arc::new(Devices::new(of, &sharing, &enrolments)),
             administering: Arc::new(Administering::new(of, &contacts)),
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),

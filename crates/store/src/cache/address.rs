@@ -8,7 +8,6 @@ use crate::model::clean;
 /// A cache's URL, parsed.
 #[derive(Clone)]
 pub(super) struct Address {
-    /// Without secrets.
     pub shown: String,
     /// Whether its servers speak TLS.
     pub is_tls: bool,
@@ -21,7 +20,6 @@ pub(super) struct Address {
 /// The kind of address.
 #[derive(Clone)]
 pub(super) enum Place {
-    /// One server.
     Server(Box<ConnectionInfo>),
     /// Sentinels, their name for the master, its database.
     Sentinels(Vec<ConnectionInfo>, String, String),
@@ -31,9 +29,6 @@ pub(super) enum Place {
 
 impl Address {
     /// Parses a URL, see [`super::CacheSettings::url`].
-    ///
-    /// # Errors
-    /// [`StoreError::CacheUrl`].
     pub(super) fn parse(url: &str) -> Result<Self, StoreError> {
         let shown = redact(url);
         let wrong = |detail: &str| StoreError::CacheUrl { url: shown.clone(), detail: clean(detail, 120) };

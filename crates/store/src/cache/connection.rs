@@ -29,7 +29,6 @@ const PIECE: u64 = 64 << 10;
 
 const _: () = assert!(LARGEST_BODY + (4 << 20) < MOST_BYTES as u64);
 
-/// A connection.
 pub(super) struct Connection {
     stream: BufReader<Stream>,
     database: i64,
@@ -178,7 +177,6 @@ impl Connection {
         Err(RedisError::from((redis::ErrorKind::AuthenticationFailed, "it does not accept the user name and password")))
     }
 
-    /// Sends packed commands.
     fn send(&mut self, commands: &[u8]) -> RedisResult<()> {
         let stream = self.stream.get_mut();
         stream.begin();

@@ -15,7 +15,6 @@ use super::address::{Address, Place};
 use super::connection::Connection;
 use super::{Away, CacheSettings, KEPT};
 use crate::StoreError;
-use crate::chain::web;
 use crate::model::{Digest, Timestamp, clean};
 
 /// Connections kept open to a server.
@@ -54,14 +53,14 @@ struct Slots {
 
 impl Servers {
     /// The servers at a URL; none is asked yet.
-    ///
-    /// # Errors
-    /// [`StoreError::CacheUrl`].
     pub(super) fn new(settings: &CacheSettings) -> Result<Self, StoreError> {
         let address = Address::parse(&settings.url)?;
         let wrong = |detail| StoreError::CacheUrl { url: address.shown.clone(), detail };
-        let tls =
-            address.is_tls.then(|| web::tls(settings.roots.as_deref()).map(Arc::new)).transpose().map_err(wrong)?;
+        let tls = address
+            .is_tls
+            .then(|| authros_tls::tls(settings.roots.as_deref()).map(Arc::new))
+            .transpose()
+            .map_err(wrong)?;
         let one = match &address.place {
             Place::Server(info) => Some(Source::Fixed((**info).clone())),
             Place::Sentinels(hosts, master, database) => Some(Source::Sentinels {
@@ -290,7 +289,6 @@ enum Failure {
     Other,
 }
 
-/// One server.
 struct Node {
     source: Source,
     tls: Option<Arc<ClientConfig>>,
@@ -359,7 +357,7 @@ impl Node {
     /// From now on it is left alone.
     fn failed(&self, error: &RedisError) -> Failure {
         self.idle().clear();
-        let fault = self.tls.as_ref().and_then(|_| web::tls_fault(io_error(error)?, "cache.roots"));
+        let fault = self.tls.as_ref().and_then(|_| authros_tls::tls_fault(io_error(error)?, "cache.roots"));
         let is_nonsense = fault.is_none() && is_nonsense(error);
         let why = match fault {
             Some(fault) => format!("{} {}; {}", self.shown, fault.reason, fault.advice),

@@ -20,7 +20,8 @@ type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 pub(crate) struct KnownNames {
     topics: HashMap<TopicKey, (i64, String)>,
     streams: HashMap<StreamKey, i64>,
-    filters: HashSet<(FilterId, i64)>,
+    filters: HashMap<FilterId, i64>,
+    filter_streams: HashSet<(i64, i64)>,
 }
 
 impl KnownNames {
@@ -29,15 +30,13 @@ impl KnownNames {
         self.topics.clear();
         self.streams.clear();
         self.filters.clear();
+        self.filter_streams.clear();
     }
 }
 
 impl Records {
     /// The highest acknowledged sequence number of a topic that `signer` gave in this ledger, plus 1. Records from
     /// elsewhere never count.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn next_seq(&self, owner: Address, signer: SignerId, topic: TopicId) -> Result<u64, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         self.0.read(|connection| {
@@ -67,9 +66,6 @@ impl Records {
     }
 
     /// Moves those of the records that are in state `from` to state `to`; returns how many.
-    ///
-    /// # Errors
-    /// [`StoreError::IllegalEdge`] if no worker may make this transition.
     pub fn advance(&self, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
         if !may(By::Worker, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
@@ -137,16 +133,23 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
 }
 
 fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream: i64) -> Result<(), StoreError> {
-    let mut add = session.connection.prepare_cached("INSERT INTO filters VALUES (?1, ?2) ON CONFLICT DO NOTHING")?;
+    let connection = session.connection;
     for filter in &record.filters {
-        add.execute(params![filter.0, row])?;
-        if session.names.filters.insert((*filter, stream)) {
-            session
-                .connection
-                .run("INSERT INTO filter_streams VALUES (?1, ?2) ON CONFLICT DO NOTHING", params![filter.0, stream])?;
+        let filter = match session.names.filters.entry(*filter) {
+            Entry::Occupied(found) => *found.get(),
+            Entry::Vacant(place) => *place.insert(filter_key(connection, *filter)?),
+        };
+        connection.run("INSERT INTO filters VALUES (?1, ?2) ON CONFLICT DO NOTHING", [filter, row])?;
+        if session.names.filter_streams.insert((filter, stream)) {
+            connection.run("INSERT INTO filter_streams VALUES (?1, ?2) ON CONFLICT DO NOTHING", [filter, stream])?;
         }
     }
     Ok(())
+}
+
+fn filter_key(connection: &Connection, filter: FilterId) -> Result<i64, StoreError> {
+    connection.run("INSERT INTO filter_ids (id) VALUES (?1) ON CONFLICT DO NOTHING", [filter.0])?;
+    Ok(connection.one("SELECT key FROM filter_ids WHERE id = ?1", [filter.0], |row| row.get(0))?)
 }
 
 fn store(connection: &Connection, record: &NewRecord, row: i64) -> Result<(), StoreError> {

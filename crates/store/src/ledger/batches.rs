@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::rows::{self, By, LEARNED_NAME, TOPIC_NAME, may, unsigned};
 use super::{Batches, Counts, RecordRow, Records, branches, directory, sightings};
 use crate::StoreError;
-use crate::chain::merkle::{Inclusion, Leaf};
+use crate::crypto::merkle::{Inclusion, Leaf};
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, Hash, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 
@@ -26,9 +26,7 @@ pub struct NewBatch {
 /// A closed batch that no transaction anchors yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WaitingBatch {
-    /// Merkle root.
     pub root: Hash,
-    /// Leaves.
     pub count: u64,
 }
 
@@ -37,15 +35,12 @@ pub struct WaitingBatch {
 pub struct RootSighting {
     /// The account that anchored it.
     pub account: Address,
-    /// The root.
     pub root: Hash,
     /// The number of its leaves, as the chain says.
     pub count: u64,
     /// The transaction that anchored it.
     pub transaction: Hash,
-    /// Its block's number.
     pub block: u64,
-    /// Its block's hash.
     pub block_hash: Hash,
 }
 
@@ -60,17 +55,17 @@ pub struct BatchPlace {
     pub account: Option<Address>,
     /// The block of the root's first anchoring.
     pub block: Option<u64>,
-    /// That block's hash.
     pub block_hash: Option<Hash>,
     /// The transaction that anchored it, or is to.
     pub transaction: Option<Hash>,
+    /// Whether what else the ledger knows of this block is of another one.
+    pub is_contradicted: bool,
 }
 
 /// A record with its place, read in one transaction. Code that compares the two takes them from here: read one after the
 /// other, an honest ledger contradicts itself whenever the watcher writes in between.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PlacedRecord {
-    /// The record.
     pub row: RecordRow,
     /// Its place, if it is in a batch.
     pub place: Option<BatchPlace>,
@@ -81,7 +76,6 @@ pub struct PlacedRecord {
 pub enum Anchors {
     /// No records: it is a grant, a registration, ….
     Nothing,
-    /// These records, individually.
     Digests(Vec<Digest>),
     /// All records of the batch with this root.
     Batch(Hash),
@@ -91,17 +85,11 @@ impl Batches {
     /// Closes a batch: stores its root and every record's path, and moves its records from stored to batched, in one
     /// commit. Closing the same batch again changes nothing, unless its records have left it: then it waits to be
     /// anchored again.
-    ///
-    /// # Errors
-    /// [`StoreError::NotReady`] if a record is not stored; then nothing is written.
     pub fn close(&self, batch: NewBatch) -> Result<(), StoreError> {
         self.0.write_many(batch.leaves.len(), move |session| close(session.connection, &batch))
     }
 
     /// Closed batches of an owner that no transaction anchors, oldest first.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn waiting(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
         let sql = "SELECT root, count FROM batches INDEXED BY batches_waiting
             WHERE owner = ?1 AND tx IS NULL AND EXISTS (SELECT 1 FROM leaves WHERE batch = key)
@@ -112,9 +100,6 @@ impl Batches {
     }
 
     /// Roots anchored by an account's open transactions, by nonce.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
         let sql =
             "SELECT batch FROM transactions WHERE state = 0 AND account = ?1 AND batch IS NOT NULL ORDER BY nonce";
@@ -123,9 +108,6 @@ impl Batches {
 
     /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and
     /// when the first captured of them was acknowledged.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
         self.0.read(|connection| {
             // Usually none waits. Then no stream is looked at: a gateway may have ten thousand, and this is asked at each block.
@@ -146,9 +128,6 @@ impl Batches {
 
     /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by
     /// topic in the order of capture.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
             JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
@@ -161,9 +140,6 @@ impl Batches {
     /// those in a block individually stay there. A root already in a block keeps that block: the earliest counts. Roots
     /// of other ledgers, or over another number of leaves, are skipped. Returns how many records changed; seeing the
     /// same again changes none.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing is recorded.
     pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
         self.0.write(move |session| {
@@ -172,9 +148,6 @@ impl Batches {
     }
 
     /// Which of these roots, of batches of this ledger, it has not taken in: they still wait for a block.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn waiting_roots(&self, sightings: &[RootSighting]) -> Result<Vec<Hash>, StoreError> {
         self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
@@ -191,17 +164,11 @@ impl Batches {
 
 impl Records {
     /// A record and its place in its batch, of one moment; `None` if the record is not here.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn placed(&self, digest: Digest) -> Result<Option<PlacedRecord>, StoreError> {
         Ok(self.placed_all(&[digest])?.pop().flatten())
     }
 
     /// The same for several records, in their order, all of one moment.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn placed_all(&self, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
         self.0.read(|connection| placed_in(connection, digests))
     }
@@ -214,12 +181,20 @@ pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
     Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
 }
 
+/// Whether what else this ledger knows of a batch's block is of another one: the chain's proof, the blocks that the watcher
+/// has read, or the transaction.
+const CONTRADICTED: &str = "(
+    proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
+    OR batches.block_hash <> (SELECT hash FROM trail WHERE trail.block = batches.block)
+    OR batches.block <> (SELECT block FROM transactions WHERE transactions.hash = batches.tx AND state = 1)) IS TRUE";
+
 /// See [`Records::placed_all`].
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
     let rows = rows::rows_of(connection, digests)?;
     let mut find = connection.prepare_cached(&format!(
         "SELECT leaf, count, branches.path, root, closed_at, account, batches.block, batches.block_hash,
-            batches.tx FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
+            batches.tx, {CONTRADICTED}
+            FROM records JOIN leaves ON record = n JOIN batches ON key = leaves.batch {}
             WHERE digest = ?1",
         branches::JOINED
     ))?;
@@ -240,6 +215,7 @@ fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
         block: row.get::<_, Option<i64>>(6)?.map(i64::cast_unsigned),
         block_hash: row.get::<_, Option<_>>(7)?.map(Hash),
         transaction: row.get::<_, Option<_>>(8)?.map(Hash),
+        is_contradicted: row.get(9)?,
     })
 }
 
@@ -282,21 +258,10 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let Some(key) = found else { return Ok(0) };
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
-    let sql = "UPDATE records SET tx = ?2, block = ?3, block_hash = ?4,
-        state = CASE WHEN state IN (?5, ?6) THEN ?7 ELSE state END
+    let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
-    let changed = connection.run(
-        sql,
-        params![
-            key,
-            sighting.transaction.0,
-            block,
-            sighting.block_hash.0,
-            RecordState::Batched.code(),
-            RecordState::Submitted.code(),
-            RecordState::Mined.code(),
-        ],
-    )?;
+    let [batched, submitted, mined] = [RecordState::Batched, RecordState::Submitted, RecordState::Mined];
+    let changed = connection.run(sql, params![key, batched.code(), submitted.code(), mined.code()])?;
     Ok(count(changed))
 }
 
@@ -311,8 +276,7 @@ pub(super) fn see_record(
     if seen > 0 {
         return Ok(());
     }
-    let sql = "UPDATE records SET (tx, block, block_hash) = (SELECT tx, block, block_hash FROM batches WHERE key = ?2),
-        state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
+    let sql = "UPDATE records SET state = ?3 WHERE n = ?1 AND (SELECT block FROM batches WHERE key = ?2) IS NOT NULL";
     connection.run(sql, params![record, batch, RecordState::Mined.code()])?;
     Ok(())
 }
@@ -331,9 +295,9 @@ pub(super) fn submit(
     if taken == 0 {
         return Err(detail("anchors a batch that another transaction anchors"));
     }
-    let sql = "UPDATE records SET tx = ?2, state = CASE state WHEN ?3 THEN ?4 ELSE state END
+    let sql = "UPDATE records SET tx = NULL, state = CASE state WHEN ?2 THEN ?3 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
-    connection.run(sql, params![key, transaction.0, RecordState::Batched.code(), RecordState::Submitted.code()])?;
+    connection.run(sql, params![key, RecordState::Batched.code(), RecordState::Submitted.code()])?;
     Ok(())
 }
 
@@ -345,9 +309,9 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
     if freed == 0 {
         return Ok(());
     }
-    let sql = "UPDATE records SET tx = NULL, state = CASE state WHEN ?3 THEN ?4 ELSE state END
-        WHERE block IS NULL AND tx = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
-    connection.run(sql, params![key, transaction.0, RecordState::Submitted.code(), RecordState::Batched.code()])?;
+    let sql = "UPDATE records SET state = ?3 WHERE state = ?2 AND tx IS NULL
+        AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+    connection.run(sql, params![key, RecordState::Submitted.code(), RecordState::Batched.code()])?;
     Ok(())
 }
 
@@ -458,19 +422,14 @@ fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, Store
 /// The messages of one topic that one key signed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SignerTopic {
-    /// The key.
     pub signer: SignerId,
     /// The topic's name, as far as it is known here.
     pub topic: String,
-    /// Records by state.
     pub records: BTreeMap<RecordState, u64>,
 }
 
 impl Counts {
     /// What keys other than `own` recorded for an owner.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
         self.0.read(|connection| {
             let sql = format!(

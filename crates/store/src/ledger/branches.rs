@@ -1,58 +1,87 @@
-//! Paths of leaves to the root of their batch. Eight leaves beside each other are a branch: it has each node of its own small
-//! tree once, and the steps from there to the root, which are the same for all of them.
+//! Paths of leaves to the root of their batch. Sixteen leaves beside each other are a branch: it has those nodes of its own
+//! small tree that do not follow from others, and the steps from there to the root, which are the same for all of them.
 
 use rusqlite::{Connection, Row, params};
 
 use crate::StoreError;
+use crate::crypto::merkle::node;
 use crate::database::{Statements as _, whole};
 use crate::model::Hash;
 
 /// Levels of a branch's own tree.
-const LEVELS: u32 = 3;
+const LEVELS: u32 = 4;
 
 /// A branch of a batch of this many leaves, as far as its nodes are known.
+#[derive(Clone)]
 pub(super) struct Branch {
     number: u64,
     count: u64,
-    /// The nodes that have siblings, level by level; zeros where one is not known.
-    nodes: Vec<Hash>,
+    /// The nodes that have siblings, level by level.
+    nodes: Vec<Option<Hash>>,
     above: Vec<Hash>,
-}
-
-/// Where the sibling of a leaf's ancestor is among the nodes of its branch; `None` if there is none.
-fn sibling(index: u64, count: u64, level: u32) -> Option<usize> {
-    let sibling = (index >> level) ^ 1;
-    if sibling >= width(count, level) {
-        return None;
-    }
-    let number = index >> LEVELS;
-    let below: u64 = (0..level).map(|level| stored(number, count, level)).sum();
-    usize::try_from(below + (sibling & ((1 << (LEVELS - level)) - 1))).ok()
-}
-
-/// How many nodes a level of the whole tree has.
-fn width(count: u64, level: u32) -> u64 {
-    count.div_ceil(1 << level)
-}
-
-/// How many of them a branch keeps: one alone has no sibling, and is nobody's.
-fn stored(number: u64, count: u64, level: u32) -> u64 {
-    let first = number << (LEVELS - level);
-    let own = width(count, level).saturating_sub(first).min(1 << (LEVELS - level));
-    if own > 1 { own } else { 0 }
 }
 
 impl Branch {
     fn new(number: u64, count: u64) -> Self {
-        let nodes: u64 = (0..LEVELS).map(|level| stored(number, count, level)).sum();
-        let nodes = vec![Hash([0; Hash::LENGTH]); usize::try_from(nodes).unwrap_or_default()];
-        Self { number, count, nodes, above: Vec::new() }
+        let mut branch = Self { number, count, nodes: Vec::new(), above: Vec::new() };
+        branch.nodes = vec![None; branch.first(LEVELS)];
+        branch
+    }
+
+    /// How many nodes of a level are below it.
+    fn width(&self, level: u32) -> usize {
+        let (all, most) = (self.count.div_ceil(1 << level), 1 << (LEVELS - level));
+        usize::try_from(all.saturating_sub(self.number << (LEVELS - level)).min(most)).unwrap_or_default()
+    }
+
+    /// Where a level begins among the nodes: one alone has no sibling, and is nobody's.
+    fn first(&self, level: u32) -> usize {
+        (0..level).map(|level| self.width(level)).filter(|width| *width > 1).sum()
+    }
+
+    /// Where the sibling of a leaf's ancestor is among the nodes; `None` if there is none.
+    fn sibling(&self, index: u64, level: u32) -> Option<usize> {
+        let place = usize::try_from((index >> level) & ((1 << (LEVELS - level)) - 1)).ok()? ^ 1;
+        (place < self.width(level)).then(|| self.first(level) + place)
+    }
+
+    /// What follows from the nodes below a node; `None` if one of them is not known.
+    fn derived(&self, level: u32, place: usize) -> Option<Hash> {
+        let below = level.checked_sub(1)?;
+        let at = |place: usize| self.nodes.get(self.first(below) + place).copied().flatten();
+        let left = at(2 * place)?;
+        if 2 * place + 1 < self.width(below) { Some(node(&left, &at(2 * place + 1)?)) } else { Some(left) }
+    }
+
+    /// Every node with its level and its place there, from the leaves up.
+    fn places(&self) -> Vec<(u32, usize)> {
+        let levels = (0..LEVELS).filter(|level| self.width(*level) > 1);
+        levels.flat_map(|level| (0..self.width(level)).map(move |place| (level, place))).collect()
+    }
+
+    /// The nodes known and not derived, a bit for each of all in the order of the nodes; those nodes, and the steps above.
+    fn to_bytes(&self) -> Vec<u8> {
+        let mut bits = 0_u32;
+        let mut hashes = Vec::new();
+        for (bit, (hash, (level, place))) in self.nodes.iter().zip(self.places()).enumerate() {
+            if let Some(hash) = hash.filter(|_| self.derived(level, place).is_none()) {
+                bits |= 1 << bit;
+                hashes.push(hash);
+            }
+        }
+        let hashes = hashes.iter().chain(&self.above).flat_map(|hash| hash.0);
+        bits.to_be_bytes().into_iter().chain(hashes).collect()
     }
 
     fn from_bytes(number: u64, count: u64, bytes: &[u8]) -> Self {
         let mut branch = Self::new(number, count);
-        let mut hashes = bytes.chunks_exact(Hash::LENGTH).filter_map(Hash::from_slice);
-        branch.nodes.iter_mut().zip(hashes.by_ref()).for_each(|(node, hash)| *node = hash);
+        let Some((bits, hashes)) = bytes.split_first_chunk() else { return branch };
+        let bits = u32::from_be_bytes(*bits);
+        let mut hashes = hashes.chunks_exact(Hash::LENGTH).filter_map(Hash::from_slice);
+        for (bit, (level, place)) in branch.places().into_iter().enumerate() {
+            let known = if bits >> bit & 1 == 1 { hashes.next() } else { branch.derived(level, place) };
+            branch.nodes.get_mut(bit).into_iter().for_each(|node| *node = known);
+        }
         branch.above = hashes.collect();
         branch
     }
@@ -61,26 +90,27 @@ impl Branch {
     fn add(&mut self, index: u64, path: &[Hash]) {
         let mut steps = path.iter();
         for level in 0..LEVELS {
-            let Some(place) = sibling(index, self.count, level) else { continue };
+            let Some(place) = self.sibling(index, level) else { continue };
             if let (Some(node), Some(step)) = (self.nodes.get_mut(place), steps.next()) {
-                *node = *step;
+                *node = Some(*step);
             }
         }
         self.above = steps.copied().collect();
     }
 
-    /// A leaf's path.
+    /// A leaf's path; zeros where a node is not known.
     fn path(&self, index: u64) -> Vec<Hash> {
-        let own = (0..LEVELS).filter_map(|level| self.nodes.get(sibling(index, self.count, level)?).copied());
+        let own = (0..LEVELS).filter_map(|level| self.nodes.get(self.sibling(index, level)?));
+        let own = own.map(|node| node.unwrap_or(Hash([0; Hash::LENGTH])));
         own.chain(self.above.iter().copied()).collect()
     }
 
     fn write(&self, connection: &Connection, batch: i64) -> Result<(), StoreError> {
-        let bytes: Vec<u8> = self.nodes.iter().chain(&self.above).flat_map(|node| node.0).collect();
-        if !bytes.is_empty() {
-            let sql = "REPLACE INTO branches VALUES (?1, ?2, ?3)";
-            connection.run(sql, params![batch, whole("branch", self.number)?, bytes])?;
+        if self.nodes.is_empty() && self.above.is_empty() {
+            return Ok(());
         }
+        let sql = "REPLACE INTO branches VALUES (?1, ?2, ?3)";
+        connection.run(sql, params![batch, whole("branch", self.number)?, self.to_bytes()])?;
         Ok(())
     }
 }
@@ -121,7 +151,7 @@ pub(super) fn keep_one(
 
 /// What a query joins for [`path_of`]: the branch of a row of `leaves`.
 pub(super) const JOINED: &str =
-    "LEFT JOIN branches ON branches.batch = leaves.batch AND branches.branch = leaves.leaf >> 3";
+    "LEFT JOIN branches ON branches.batch = leaves.batch AND branches.branch = leaves.leaf >> 4";
 
 /// The path of a leaf, from the column of its branch, see [`JOINED`].
 pub(super) fn path_of(row: &Row<'_>, column: usize, (index, count): (u64, u64)) -> rusqlite::Result<Vec<Hash>> {
@@ -132,7 +162,7 @@ pub(super) fn path_of(row: &Row<'_>, column: usize, (index, count): (u64, u64)) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chain::merkle::Tree;
+    use crate::crypto::merkle::Tree;
 
     #[test]
     fn every_path_of_every_small_tree_is_kept_whole_alone_and_with_the_others() {
@@ -154,16 +184,18 @@ mod tests {
                     assert_eq!(alone.path(index), path(index), "{index} of {count}");
                     branch.add(index, &path(index));
                 }
-                let encoded: Vec<u8> = branch.nodes.iter().chain(&branch.above).flat_map(|node| node.0).collect();
+                let encoded = branch.to_bytes();
                 bytes += encoded.len();
                 let again = Branch::from_bytes(number, count, &encoded);
                 of_branch.for_each(|index| assert_eq!(again.path(index), path(index), "{index} of {count}"));
             }
             if count == 1_000 {
-                assert!(bytes < 90 * 1_000, "{bytes}: a path alone has 320");
+                assert!(bytes < 46 * 1_000, "{bytes}: a path alone has 320");
             }
         }
         // Damaged bytes are a wrong path, and no panic.
-        assert_eq!(Branch::from_bytes(0, 9, &[1; 33]).path(3).len(), 3);
+        for length in 0..700 {
+            assert!(Branch::from_bytes(0, 9, &vec![0xff; length]).path(3).len() >= 4, "{length}");
+        }
     }
 }

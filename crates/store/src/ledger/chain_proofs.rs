@@ -21,11 +21,9 @@ pub struct UnprovenBatch {
     pub key: u64,
     /// The account that anchored it.
     pub account: Address,
-    /// Merkle root.
     pub root: Hash,
     /// The block of its anchor.
     pub block: u64,
-    /// That block's hash.
     pub block_hash: Hash,
     /// Owners of its records, each with a signer.
     pub signers: Vec<(Address, SignerId)>,
@@ -37,7 +35,6 @@ pub type HashedNode = (Hash, Vec<u8>);
 /// What is kept of the state after a block.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptProof {
-    /// The block's hash.
     pub hash: Hash,
     /// Nodes of the tries of state and storage.
     pub nodes: Vec<Vec<u8>>,
@@ -54,9 +51,6 @@ pub struct ProofCounts {
 
 impl Proofs {
     /// Anchored batches in blocks up to this one that lack their proof, newest block first.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn unproven_batches(&self, up_to_block: u64, limit: usize) -> Result<Vec<UnprovenBatch>, StoreError> {
         let (up_to, limit) = (whole("block", up_to_block)?, capped(limit));
         self.0.read(|connection| {
@@ -77,9 +71,6 @@ impl Proofs {
 
     /// Stores the nodes that prove these batches, all in this block, and the block's header; nodes of the same block
     /// stay. A batch that is not in that block any more is left as it is.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing is stored.
     pub fn keep_chain_proof(
         &self,
         (block, hash): (u64, Hash),
@@ -109,36 +100,24 @@ impl Proofs {
     }
 
     /// Stores the header of a block, RLP.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it is not stored.
     pub fn keep_chain_header(&self, block: u64, header: Vec<u8>) -> Result<(), StoreError> {
         let block = whole("block", block)?;
         self.0.write(move |session| keep_header(session.connection, block, &header))
     }
 
     /// The header of a block, RLP, if it is kept.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn chain_header(&self, block: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let block = whole("block", block)?;
         self.0.find("SELECT header FROM chain_headers WHERE block = ?1", [block], |row| row.get(0))
     }
 
     /// The proofs of these batches could not be had: they are counted, and not requested again.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is counted.
     pub fn miss_chain_proof(&self, batches: Vec<u64>) -> Result<(), StoreError> {
         let sql = "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block IS NOT NULL AND proof IS NULL";
         self.0.run_each(sql, batches.into_iter().map(|batch| (capped(batch), MISSED)).collect()).map(drop)
     }
 
     /// What is kept of the state after a block.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn chain_proof(&self, block: u64) -> Result<Option<KeptProof>, StoreError> {
         let block = whole("block", block)?;
         self.0.read(|connection| {
@@ -160,9 +139,6 @@ impl Proofs {
     }
 
     /// The state of the proofs.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
         let sql = "SELECT (SELECT max(block) FROM chain_proofs),
             (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)";
@@ -216,7 +192,6 @@ pub struct KeptStamp {
 pub struct StampCounts {
     /// Stamps that at least one authority gave a token for.
     pub stamped: u64,
-    /// Stamps without any.
     pub waiting: u64,
     /// When the newest was begun.
     pub newest: Option<Timestamp>,
@@ -227,9 +202,6 @@ pub struct StampCounts {
 impl Proofs {
     /// Puts the batches closed since the last time under a new stamp made `at`, the oldest `most` of them; returns how
     /// many.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing is begun.
     pub fn begin_stamp(&self, most: usize, at: Timestamp) -> Result<u64, StoreError> {
         let (most, at) = (capped(most), whole("time", at.0)?);
         self.0.write(move |session| {
@@ -250,9 +222,6 @@ impl Proofs {
 
     /// The oldest stamps to request from this authority: those that nobody stamped, and of the newest ones those that
     /// others did.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn waiting_stamps(&self, authority: Hash, limit: usize) -> Result<Vec<KeptStamp>, StoreError> {
         let sql = "SELECT key, roots FROM stamps
             WHERE NOT EXISTS (SELECT 1 FROM stamp_tokens WHERE stamp = key AND authority = ?1)
@@ -265,9 +234,6 @@ impl Proofs {
     }
 
     /// Stores an authority's token over a stamp's roots; an existing one stays.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it is requested again.
     pub fn keep_token(&self, stamp: u64, authority: Hash, before: Timestamp, token: Vec<u8>) -> Result<(), StoreError> {
         let (stamp, before) = (whole("stamp", stamp)?, whole("time", before.0)?);
         let sql = "INSERT OR IGNORE INTO stamp_tokens VALUES (?1, ?2, ?3, ?4)";
@@ -275,17 +241,11 @@ impl Proofs {
     }
 
     /// The number of the stamp that a root is under.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn stamp_of(&self, root: Hash) -> Result<Option<u64>, StoreError> {
         self.0.find("SELECT stamp FROM stamped_roots WHERE root = ?1", [root.0], |row| unsigned(row, 0))
     }
 
     /// A stamp with its tokens.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn stamp(&self, key: u64) -> Result<Option<KeptStamp>, StoreError> {
         let number = whole("stamp", key)?;
         self.0.read(|connection| {
@@ -298,9 +258,6 @@ impl Proofs {
     }
 
     /// The state of the stamps.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn stamp_counts(&self) -> Result<StampCounts, StoreError> {
         let sql = "SELECT (SELECT count(*) FROM stamps), (SELECT count(DISTINCT stamp) FROM stamp_tokens),
             (SELECT max(made_at) FROM stamps), (SELECT max(before) FROM stamp_tokens)";

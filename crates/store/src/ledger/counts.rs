@@ -15,9 +15,7 @@ use crate::model::{Address, LossReason, RecordKind, RecordState, RecorderId, Sig
 /// tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicCounts {
-    /// The topic's owner.
     pub owner: Address,
-    /// Its name.
     pub topic: String,
     /// Its pseudonym; none if all messages were dropped.
     pub topic_id: Option<TopicId>,
@@ -26,13 +24,11 @@ pub struct TopicCounts {
     pub type_name: String,
     /// Messages captured, including dropped ones; counted independently, not summed.
     pub captured: u64,
-    /// Verified records.
     pub verified: u64,
     /// Records on their way to verified.
     pub pending: u64,
     /// Records waiting for their signer's right.
     pub right_ended: u64,
-    /// Quarantined records.
     pub quarantined: u64,
     /// Records whose stored bytes are wrong.
     pub tampered: u64,
@@ -103,9 +99,6 @@ impl StateCounts {
 
 impl Counts {
     /// Counts per state and topic; costs the same whatever the number of records.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn by_state(&self, owner: Option<Address>) -> Result<StateCounts, StoreError> {
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
@@ -119,9 +112,6 @@ impl Counts {
 
     /// Messages of an owner that are sealed in an epoch, of these topics or of all: how many, and when the first of them
     /// was captured.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn sealed_in_epoch(
         &self,
         owner: Address,
@@ -140,9 +130,6 @@ impl Counts {
     }
 
     /// Records of all owners and kinds in each state.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn in_each_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {
         let sql = "SELECT state, sum(records) FROM counters GROUP BY state HAVING sum(records) > 0";
         self.0.list(sql, [], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))
@@ -270,16 +257,13 @@ const MOST_LOSSES: i64 = 10_000;
 /// A span of time of one topic, in parts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CoverageQuery {
-    /// Whose topic.
     pub owner: Address,
-    /// Its name.
     pub topic: String,
     /// Only what these keys signed, as those of one robot, without losses: what is counted here was lost by this
     /// site's own capture. `None` = of any recorder.
     pub signers: Option<BTreeSet<SignerId>>,
     /// From this time; `None` = from its first record.
     pub since: Option<Timestamp>,
-    /// Before this time.
     pub until: Timestamp,
     /// Divided into this many parts, 1 to [`MOST_PARTS`].
     pub parts: usize,
@@ -288,7 +272,6 @@ pub struct CoverageQuery {
 /// The records in a part of the span.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoveragePart {
-    /// Its beginning.
     pub at: Timestamp,
     /// Records that are neither quarantined nor altered.
     pub data: bool,
@@ -318,7 +301,6 @@ impl CoveragePart {
 pub struct Coverage {
     /// Beginning of the span.
     pub since: Timestamp,
-    /// Its end.
     pub until: Timestamp,
     /// Capture of the first record ever.
     pub first: Option<Timestamp>,
@@ -332,9 +314,6 @@ pub struct Coverage {
 
 impl Counts {
     /// When there are data records of a topic: one lookup for each part and each of its streams and states.
-    ///
-    /// # Errors
-    /// [`StoreError::TooBig`] if a time is not valid, [`StoreError::Database`] and its kin.
     pub fn coverage(&self, query: &CoverageQuery) -> Result<Coverage, StoreError> {
         self.0.read(|connection| {
             let mut lanes = lanes(connection, query)?;
@@ -466,7 +445,6 @@ fn add_losses(connection: &Connection, query: &CoverageQuery, parts: &mut [Cover
 
 // What an owner uses in this ledger: streams and bytes, from the counters; a gateway compares it with its quotas.
 
-/// An owner's usage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct OwnerUsage {
     /// Bytes of plaintext of all its records, including those whose ciphertext was deleted.
@@ -477,9 +455,6 @@ pub struct OwnerUsage {
 
 impl Counts {
     /// An owner's usage here. The cost is proportional to its streams.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn usage(&self, owner: Address) -> Result<OwnerUsage, StoreError> {
         let sql = "SELECT count(DISTINCT s.key), coalesce(sum(c.bytes), 0)
             FROM topics t JOIN streams s ON s.topic = t.key LEFT JOIN counters c ON c.stream = s.key
@@ -488,9 +463,6 @@ impl Counts {
     }
 
     /// Whether an owner already has such a stream.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn has_stream(
         &self,
         owner: Address,

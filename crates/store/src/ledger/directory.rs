@@ -7,18 +7,17 @@ use std::path::Path;
 use rusqlite::{Connection, Row, params};
 
 use super::query::Glance;
-use super::rows::{By, may, unsigned};
+use super::rows::{By, anchored, may, of_its_batch, unsigned};
 use super::writer::Session;
 use super::{Batches, Rights, batches};
 use crate::StoreError;
-use crate::chain::merkle::Leaf;
+use crate::crypto::merkle::Leaf;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, Domain, RecordState, SignerId, Token};
 
 /// The subject of an event, as far as it matters here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RightKind {
-    /// A grant.
     Grant = 1,
     /// An envelope of another epoch.
     Envelope = 2,
@@ -26,7 +25,6 @@ pub enum RightKind {
     Extension = 3,
     /// An epoch began; if a grantee is named, by the revocation of its grant.
     Epoch = 4,
-    /// Anything else.
     Other = 5,
     /// The key of an epoch, wrapped for its own owner. It is history from the start: only its owner ever reads it.
     Own = 6,
@@ -35,11 +33,9 @@ pub enum RightKind {
 /// An event to be stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RightEvent {
-    /// Its block.
     pub block: u64,
     /// Its index among the block's events.
     pub place: u64,
-    /// Its subject.
     pub kind: RightKind,
     /// The owner of the right.
     pub owner: Option<Address>,
@@ -51,18 +47,14 @@ pub struct RightEvent {
     pub token: Option<Token>,
     /// Everything but the envelope, encoded by its reader.
     pub event: String,
-    /// The envelope.
     pub envelope: Option<Vec<u8>>,
 }
 
-/// A stored event.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptRight {
-    /// Its block.
     pub block: u64,
     /// Its index among the block's events.
     pub place: u64,
-    /// Its encoding.
     pub event: String,
     /// The epoch that began when its grant was revoked.
     pub revoked: Option<u64>,
@@ -84,7 +76,6 @@ pub struct KeptEnvelope {
     pub epoch: u64,
     /// The block of the event.
     pub block: u64,
-    /// Its bytes.
     pub bytes: Vec<u8>,
 }
 
@@ -113,9 +104,6 @@ impl Rights {
     }
 
     /// Binds the ledger to one contract for good; `pin` says how it is found again.
-    ///
-    /// # Errors
-    /// [`StoreError::Bound`] if it belongs to another one.
     pub fn bind_contract(&self, domain: Domain, pin: &str) -> Result<(), StoreError> {
         let pin = pin.to_owned();
         self.0.write(move |session| {
@@ -129,17 +117,11 @@ impl Rights {
     }
 
     /// The pin of the contract that the ledger is bound to; `None` if it is bound to none yet.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
         self.0.find(PIN, [], |row| row.get(0))
     }
 
     /// The same of a ledger that is not opened, because it may be in use or damaged; nothing is written.
-    ///
-    /// # Errors
-    /// [`StoreError::Corrupt`] and the like.
     pub fn contract_pin_in(path: &Path) -> Result<Option<String>, StoreError> {
         if !path.exists() {
             return Ok(None);
@@ -148,17 +130,10 @@ impl Rights {
     }
 
     /// Stores events in the chain's order, all in one commit; those already there are skipped.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing is stored.
     pub fn keep_rights(&self, events: Vec<RightEvent>) -> Result<(), StoreError> {
         self.0.write_many(events.len(), move |session| keep_all(session, &events))
     }
 
-    /// The current events.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn standing_rights(&self) -> Result<StandingRights, StoreError> {
         self.0.read(|connection| {
             let (block, place) = last_event(connection)?;
@@ -171,9 +146,6 @@ impl Rights {
     }
 
     /// The events about an account that are neither grants nor epochs, in the chain's order.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
             WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
@@ -181,9 +153,6 @@ impl Rights {
     }
 
     /// Undoes the events of all blocks from `from` on, and what they superseded, in one commit.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing is undone.
     pub fn take_back_rights(&self, from: u64) -> Result<(), StoreError> {
         let from = whole("block", from)?;
         self.0.write_many(super::writer::MANY + 1, move |session| {
@@ -205,9 +174,6 @@ impl Rights {
     }
 
     /// Every event of blocks `from` to `to`, in the chain's order.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn rights_in(&self, from: u64, to: u64) -> Result<Vec<KeptRight>, StoreError> {
         let (from, to) = (whole("block", from)?, whole("block", to)?);
         let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2 ORDER BY block, place";
@@ -215,9 +181,6 @@ impl Rights {
     }
 
     /// Which of these events, by block and index, are not stored.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn unknown_rights(&self, places: &[(u64, u64)]) -> Result<Vec<(u64, u64)>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT 1 FROM rights WHERE block = ?1 AND place = ?2";
@@ -226,9 +189,6 @@ impl Rights {
     }
 
     /// Deletes all events, so that they are read again.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing is deleted.
     pub fn forget_rights(&self) -> Result<(), StoreError> {
         self.0.write_many(super::writer::MANY + 1, move |session| {
             session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
@@ -238,9 +198,6 @@ impl Rights {
     }
 
     /// Grants that an account gave or received and that were revoked, with their extensions, in the chain's order.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn revoked_grants(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         self.0.read(|connection| {
             let mut found: Vec<KeptRight> = Vec::new();
@@ -260,9 +217,6 @@ impl Rights {
 
     /// The envelopes of a current grant, or of the one whose revocation began the epoch `revoked`; in the chain's
     /// order.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn envelopes_between(
         &self,
         owner: Address,
@@ -286,9 +240,6 @@ impl Rights {
     }
 
     /// The envelopes that an owner made for itself, from one epoch to another; in the chain's order.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn own_envelopes(&self, owner: Address, from: u64, to: u64) -> Result<Vec<KeptEnvelope>, StoreError> {
         let (from, to) = (whole("epoch", from)?, whole("epoch", to)?);
         let sql = "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY rights_own
@@ -300,9 +251,6 @@ impl Rights {
     }
 
     /// The envelope of one event.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn envelope_at(&self, block: u64, place: u64) -> Result<Option<Vec<u8>>, StoreError> {
         let at = (whole("block", block)?, whole("place", place)?);
         let sql = "SELECT envelope FROM envelopes WHERE block = ?1 AND place = ?2";
@@ -310,9 +258,6 @@ impl Rights {
     }
 
     /// The token that an owner registered for an epoch.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
         let sql = "SELECT token FROM rights INDEXED BY rights_tokens
@@ -322,9 +267,6 @@ impl Rights {
     }
 
     /// Whether an owner ever registered this token.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn ever_had_token(&self, owner: Address, token: Token) -> Result<bool, StoreError> {
         let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
         self.0.has(sql, params![owner.0, token.0])
@@ -414,7 +356,6 @@ const MOST: usize = 8192;
 pub struct WaitingSigner {
     /// The owner it signed for.
     pub owner: Address,
-    /// The key's id.
     pub signer: SignerId,
     /// Some of them are waiting for the right.
     pub held: bool,
@@ -429,9 +370,6 @@ const STREAMS: &str =
 
 impl Batches {
     /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
         let [held, stored, batched] =
             [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
@@ -449,9 +387,6 @@ impl Batches {
     /// A signer's right has ended: those of its records that no transaction anchors now wait. Unsent batches that
     /// contain one of them are dissolved, and their other records are stored again. Returns how many records began to
     /// wait; 0 once all do.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn hold_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
             for batch in unsent_batches(session.connection, keeper, owner, signer)? {
@@ -463,9 +398,6 @@ impl Batches {
 
     /// A signer's right is back: its records are stored, and anchored like all others. Returns how many; 0 once none
     /// waits any more.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn free_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.0.write_many(MOST, move |session| {
             shift(session.connection, (keeper, owner, signer), RecordState::RightEnded, RecordState::Stored)
@@ -474,9 +406,6 @@ impl Batches {
 
     /// The blocks of these confirmed records do not count, because their signers had no right at that time: they leave
     /// their batches and are stored, to be anchored again. Returns how many were confirmed.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn pass_over(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
@@ -485,9 +414,6 @@ impl Batches {
     }
 
     /// Stored records that an account anchors and whose blocks were ignored, as leaves.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         let sql = "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
             JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
@@ -549,11 +475,12 @@ fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreEr
     if !may(By::Right, confirmed, stored) {
         return Err(StoreError::IllegalEdge { from: confirmed, to: stored });
     }
-    let sql = "SELECT n FROM records WHERE digest = ?1 AND state = ?2 AND block IS NOT NULL";
+    let sql =
+        concat!("SELECT n FROM records WHERE digest = ?1 AND state = ?2 AND ", anchored!("block"), " IS NOT NULL");
     let found: Option<i64> = connection.find(sql, params![digest.0, confirmed.code()], |row| row.get(0))?;
     let Some(record) = found else { return Ok(0) };
     for step in [
-        "REPLACE INTO passed_over SELECT n, tx, block FROM records WHERE n = ?1",
+        concat!("REPLACE INTO passed_over SELECT n, ", anchored!("block"), " FROM records WHERE n = ?1"),
         "REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE record = ?1",
         "DELETE FROM leaves WHERE record = ?1",
     ] {

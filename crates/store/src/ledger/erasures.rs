@@ -13,8 +13,8 @@ use super::retention::{is_held, name};
 use super::rows::{LEARNED_NAME, state, unsigned};
 use super::{Erasures, NewRecord, RootSighting};
 use crate::StoreError;
-use crate::chain::merkle::Inclusion;
 use crate::crypto::ErasedStatement;
+use crate::crypto::merkle::Inclusion;
 use crate::database::{Statements as _, capped, whole};
 use crate::model::{Address, Digest, PublicKey, RecordState, Timestamp, clean};
 use crate::notes::{self, Erased};
@@ -22,7 +22,6 @@ use crate::notes::{self, Erased};
 /// What an owner of this home states of an erased record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StatedErasure {
-    /// The record.
     pub digest: Digest,
     /// What is stated, signed by d_C.
     pub statement: Vec<u8>,
@@ -44,11 +43,9 @@ pub struct KeptErasure {
 /// An erased record of an owner of this home about which the owner states nothing that holds today.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Unstated {
-    /// The record.
     pub digest: Digest,
     /// The retention record that names it.
     pub report: Digest,
-    /// Its public header.
     pub header: Vec<u8>,
     /// Who had it erased, when and why.
     pub erasure: Erasure,
@@ -80,9 +77,6 @@ pub enum ToldErased {
 
 impl Erasures {
     /// Notes what owners of this home state of records that they had erased; what was noted before is replaced.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is noted.
     pub fn keep(&self, stated: Vec<StatedErasure>) -> Result<(), StoreError> {
         let sql = "REPLACE INTO erasures (record, statement, account, taken)
             SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
@@ -93,18 +87,12 @@ impl Erasures {
     }
 
     /// What is stated of an erased record.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn kept(&self, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
         self.0.read(|connection| kept(connection, digest))
     }
 
     /// What was erased here and may be told to the gateway after a number, in order: what its owner's account has signed for, and
     /// whose bytes are gone.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn list(&self, after: u64, limit: usize) -> Result<ErasurePage, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT erasures.n, digest, statement, account FROM erasures JOIN records one ON one.n = record
@@ -119,9 +107,6 @@ impl Erasures {
 
     /// Records that an owner of this home had erased and does not state with this key and the account, at most `limit`. Looks
     /// at all that is deleted: not to be asked often.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn unstated(&self, owner: Address, key: &PublicKey, limit: usize) -> Result<Vec<Unstated>, StoreError> {
         self.0.read(|connection| {
             // P_C is behind the retention record (32) and the time (8) of a statement.
@@ -145,9 +130,6 @@ impl Erasures {
 
     /// Takes what an owner told of an erased record, after everything about it was checked: its row with its anchor if it
     /// was never here, otherwise its bytes are named to be overwritten; the statement with it, in one commit.
-    ///
-    /// # Errors
-    /// See [`Records::append`] and [`Batches::take_in`]; then nothing changes.
     pub fn take_told(
         &self,
         record: NewRecord,
@@ -187,9 +169,6 @@ impl Erasures {
 
     /// Records whose owners told that they were erased, whose bytes are still here, and that no incident holds. What is not
     /// verified yet is left until it is: its bytes are what is verified.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn told_to_delete(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (verified, tampered) = (RecordState::Verified.code(), RecordState::Tampered.code());
         let values = params![verified, tampered, capped(limit)];
@@ -202,9 +181,6 @@ impl Erasures {
     }
 
     /// How many records whose owners told that they were erased stay here, because an incident of their owner holds them.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn held_although_erased(&self) -> Result<u64, StoreError> {
         let sql = format!("SELECT count(*) FROM {} AND {}", told(), is_held());
         self.0.one(&sql, [], |row| unsigned(row, 0))
@@ -286,9 +262,7 @@ fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Resu
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Erasure {
-    /// When.
     pub at: Timestamp,
-    /// The profile.
     pub by: String,
     /// Why, in its words.
     pub reason: String,
@@ -369,9 +343,6 @@ impl Erasures {
 
     /// Notes a record that its owner had erased before it came here: its row, its public header, and the owner's
     /// statement, in one commit. `false` if it is here with its bytes: then nothing changes.
-    ///
-    /// # Errors
-    /// See [`Records::append`].
     pub fn take(&self, record: NewRecord, taken: TakenErased) -> Result<bool, StoreError> {
         self.0.takes_records()?;
         self.0.write(move |session| {
@@ -398,9 +369,6 @@ impl Erasures {
     }
 
     /// Those of these records that somebody had erased, here or elsewhere.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn erased_among(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT 1 FROM retained JOIN records ON records.n = retained.record WHERE digest = ?1
@@ -411,9 +379,6 @@ impl Erasures {
     }
 
     /// Whether ciphertext of any owner is named and not deleted yet.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn has_named(&self) -> Result<bool, StoreError> {
         self.0.has("SELECT record FROM retained WHERE deleted_at IS NULL LIMIT 1", [])
     }

@@ -18,7 +18,6 @@ const MOST_LOOKED_AT: i64 = 20_000;
 /// An owner whose records are wanted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeedPlace {
-    /// The owner.
     pub owner: Address,
     /// Rows up to this number are not wanted.
     pub after: u64,
@@ -40,9 +39,7 @@ pub struct FeedFilter {
 /// A row with its record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeedRow {
-    /// Its number.
     pub number: u64,
-    /// What it says.
     pub fact: Fact,
     /// The record, with its place in its batch.
     pub placed: PlacedRecord,
@@ -65,9 +62,6 @@ pub struct FeedPage {
 
 impl Feed {
     /// The next rows, at most `limit`, after places that were told under `id`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn page(&self, id: &[u8; 16], filter: &FeedFilter, limit: usize) -> Result<FeedPage, StoreError> {
         self.0.read(|connection| page(connection, id, filter, limit))
     }

@@ -16,7 +16,6 @@ use crate::model::{
 /// A gateway's signed receipt for records.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptReceipt {
-    /// Its time.
     pub time: Timestamp,
     /// All digests it covers, in order.
     pub digests: Vec<Digest>,
@@ -34,7 +33,8 @@ pub struct ForwardedPage {
 }
 
 /// Records of no transaction and no block of this ledger.
-const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL AND block IS NULL";
+const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL
+    AND NOT EXISTS (SELECT 1 FROM leaves WHERE record = n)";
 
 impl Forwarding {
     /// The gateway took records over: its receipt is stored, and those in state stored become submitted. Returns how many
@@ -59,9 +59,6 @@ impl Forwarding {
     }
 
     /// The submitted records that the gateway signed for, after a page whose `next` was this.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn undecided(&self, after: Option<i64>, limit: usize) -> Result<ForwardedPage, StoreError> {
         let limit = limit.max(1);
         self.0.read(|connection| {
@@ -81,9 +78,6 @@ impl Forwarding {
     }
 
     /// Who numbered the records that wait here, to be passed on or for the gateway's word.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn recorders(&self) -> Result<BTreeSet<RecorderId>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT DISTINCT r.id FROM counters c JOIN streams s ON s.key = c.stream
@@ -97,9 +91,6 @@ impl Forwarding {
 
     /// A gateway's standings of records it took over: verified, tampered, or, if it no longer knows them, stored again.
     /// Receipts whose records are all verified are deleted. Returns how many records changed.
-    ///
-    /// # Errors
-    /// [`StoreError::IllegalEdge`] if no gateway may cause this transition, [`StoreError::DiskFull`] and the like.
     pub fn settle(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Submitted;
         if !may(By::Gateway, from, to) {
@@ -119,9 +110,6 @@ impl Forwarding {
     }
 
     /// The newest receipt that covers a record not yet verified.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT at, digests, signature FROM receipts WHERE key = (SELECT receipt FROM receipted
@@ -162,7 +150,6 @@ fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreErro
 /// The binding of a name at a gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptBinding {
-    /// Addr.
     pub account: Address,
     /// P_C when the transport key was allocated.
     pub signing: PublicKey,
@@ -177,9 +164,6 @@ pub struct KeptBinding {
 
 impl Bindings {
     /// Stores a device's public key under its id.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
     pub fn keep_signer(&self, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
         // It comes with every record of the device, and a commit for each would be what takes the time.
         if self.signer(id)?.is_some() {
@@ -189,17 +173,11 @@ impl Bindings {
     }
 
     /// The public key of a device, if it is known.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn signer(&self, id: SignerId) -> Result<Option<PublicKey>, StoreError> {
         self.0.find("SELECT key FROM signers WHERE id = ?1", [id.0], |row| row.get(0).map(PublicKey))
     }
 
     /// Binds a name, replacing its previous binding.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let name = name.to_string();
         let sql = "REPLACE INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
@@ -218,9 +196,6 @@ impl Bindings {
     }
 
     /// Replaces the sealed form of a name's transport key; does nothing if another key has been bound meanwhile.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn reseal_binding(&self, name: &str, before: Vec<u8>, after: Vec<u8>) -> Result<(), StoreError> {
         let name = name.to_owned();
         let sql = "UPDATE bindings SET sealed_key = ?3 WHERE name = ?1 AND sealed_key = ?2";
@@ -229,9 +204,6 @@ impl Bindings {
 
     /// From now on a name of `account` belongs to a device, whose notices are filed under `notices`; its transport key
     /// is unchanged. Returns whether there was such a name.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn bind_device(
         &self,
         name: &str,
@@ -245,9 +217,6 @@ impl Bindings {
     }
 
     /// The binding of a name.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT account, signing, envelope, sealed_key, device, notices FROM bindings WHERE name = ?1";
@@ -268,9 +237,6 @@ impl Bindings {
     }
 
     /// Every bound name with its account, by name.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
         self.0
             .list("SELECT name, account FROM bindings ORDER BY name", [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
@@ -280,17 +246,11 @@ impl Bindings {
 impl Names {
     /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id); the caller must have
     /// derived one from the other.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
     pub fn keep(&self, owner: Address, id: String, name: String) -> Result<(), StoreError> {
         self.0.run("INSERT INTO names VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", (owner.0, id, name))
     }
 
     /// The name of a topic of an owner, derived by who asks; nothing happens if the topic is not here, or has a name.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn keep_topic(&self, owner: Address, topic: TopicId, name: String) -> Result<(), StoreError> {
         let is_here = self.0.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name = '')
@@ -301,9 +261,6 @@ impl Names {
     }
 
     /// Every name that a topic of an owner ever had here: captured, learnt or given; none of them is proven.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn of_topic(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
         let sql = "SELECT name FROM topics WHERE owner = ?1 AND topic_id = ?2 AND name <> ''
             UNION SELECT name FROM names WHERE owner = ?1 AND id = lower(hex(?2))";
@@ -311,9 +268,6 @@ impl Names {
     }
 
     /// Up to `most` records of each of an owner's streams whose topic or type is known only by its pseudonym.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn unnamed(&self, owner: Address, most: usize) -> Result<Vec<Vec<Digest>>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic

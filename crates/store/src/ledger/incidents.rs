@@ -36,20 +36,17 @@ pub struct IncidentNote {
 pub struct IncidentRow {
     /// Its name, unique for an owner.
     pub name: IncidentName,
-    /// Its scope.
     pub span: IncidentSpan,
     /// When it was opened.
     pub opened_at: Timestamp,
     /// When it was closed.
     pub closed_at: Option<Timestamp>,
-    /// Oldest first.
     pub notes: Vec<IncidentNote>,
 }
 
 /// One topic's records in a span.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SpanCoverage {
-    /// Topic name.
     pub topic: String,
     /// Captured messages that are records, without quarantined ones.
     pub records: u64,
@@ -61,7 +58,6 @@ pub struct SpanCoverage {
     pub last: Option<Timestamp>,
     /// How many of them have lost their ciphertext to retention already.
     pub deleted: u64,
-    /// Messages in quarantine.
     pub quarantined: u64,
     /// Messages that were lost in stretches of time that overlap the span.
     pub lost: u64,
@@ -82,9 +78,6 @@ impl SpanCoverage {
 
 impl Incidents {
     /// Stores a new incident; `false` if the owner has one of this name already.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it is not stored.
     pub fn open(
         &self,
         owner: Address,
@@ -116,9 +109,6 @@ impl Incidents {
     }
 
     /// The incidents of an owner, the newest span last.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn list(&self, owner: Address) -> Result<Vec<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents WHERE owner = ?1
@@ -130,9 +120,6 @@ impl Incidents {
     }
 
     /// One incident of an owner.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn find(&self, owner: Address, name: &IncidentName) -> Result<Option<IncidentRow>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT key, name, since, until, opened_at, closed_at FROM incidents
@@ -144,9 +131,6 @@ impl Incidents {
     }
 
     /// Adds a note; `false` if there is no such incident.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it is not added.
     pub fn note(&self, owner: Address, name: &IncidentName, text: &str) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "INSERT INTO incident_notes SELECT key,
@@ -156,9 +140,6 @@ impl Incidents {
     }
 
     /// Closes an open incident: its span ends now, if it did not end before. `false` if none of this name is open.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it stays open.
     pub fn close(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let (name, now) = (name.as_str().to_owned(), whole("time", Timestamp::now().0)?);
         let sql = "UPDATE incidents SET closed_at = ?3, until = min(coalesce(until, ?3), ?3)
@@ -167,9 +148,6 @@ impl Incidents {
     }
 
     /// Removes an incident; its records are subject to retention again. `false` if there is none of this name.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it stays.
     pub fn remove(&self, owner: Address, name: &IncidentName) -> Result<bool, StoreError> {
         let name = name.clone();
         self.0.write(move |session| {
@@ -186,9 +164,6 @@ impl Incidents {
     }
 
     /// Each topic's records in a span of an owner's records: of the named topics, or of all that have any.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn span_coverage(&self, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
         self.0.read(|connection| {
             let mut found: BTreeMap<String, SpanCoverage> =
@@ -202,9 +177,6 @@ impl Incidents {
     }
 
     /// Bytes of a topic's captured messages in a stretch of time whose ciphertext retention has not deleted.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn bytes_between(&self, topic: i64, (since, until): (Timestamp, Timestamp)) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(r.bytes), 0) FROM streams s JOIN counters c ON c.stream = s.key
             JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key

@@ -9,7 +9,7 @@ use super::Inspection;
 use super::branches;
 use super::rows::{self, RecordRow, Stream, unsigned};
 use crate::StoreError;
-use crate::chain::merkle::Inclusion;
+use crate::crypto::merkle::Inclusion;
 use crate::database::{Statements as _, capped, count, whole};
 use crate::model::{Address, Digest, FilterId, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId, clean};
 
@@ -23,9 +23,7 @@ pub struct AuditedPlace {
     pub inclusion: Option<Inclusion>,
     /// The transaction of the batch.
     pub transaction: Option<Hash>,
-    /// Its block.
     pub block: Option<u64>,
-    /// That block's hash.
     pub block_hash: Option<Hash>,
 }
 
@@ -33,9 +31,7 @@ pub struct AuditedPlace {
 #[allow(clippy::struct_excessive_bools, reason = "each says another thing of the row")]
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedRecord {
-    /// Its row number.
     pub number: u64,
-    /// The record.
     pub row: RecordRow,
     /// Its place in a batch.
     pub place: Option<AuditedPlace>,
@@ -59,9 +55,7 @@ pub struct AuditPage {
 /// A batch as an audit compares it with the chain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedBatch {
-    /// Its number.
     pub key: u64,
-    /// Merkle root.
     pub root: Hash,
     /// Leaves it was closed with.
     pub count: u64,
@@ -71,11 +65,8 @@ pub struct AuditedBatch {
     pub closed_here: bool,
     /// The account that anchored it, or is to.
     pub account: Option<Address>,
-    /// The transaction.
     pub transaction: Option<Hash>,
-    /// Its block.
     pub block: Option<u64>,
-    /// That block's hash.
     pub block_hash: Option<Hash>,
 }
 
@@ -84,7 +75,6 @@ pub struct AuditedBatch {
 pub struct Sequence {
     /// The ledger's own key of the topic.
     pub key: i64,
-    /// Its owner.
     pub owner: Address,
     /// Its name, or its pseudonym if the name is unknown.
     pub name: String,
@@ -94,26 +84,18 @@ pub struct Sequence {
     pub signer: SignerId,
     /// Who gave the numbers.
     pub recorder: RecorderId,
-    /// Records.
     pub count: u64,
-    /// Lowest sequence number.
     pub first: u64,
-    /// Highest sequence number.
     pub last: u64,
 }
 
 impl Inspection {
     /// The records after row `after`, captured at `since` or later, at most `limit`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
         let (after, since) = (whole("row", after)?, whole("time", since.0)?);
         let limit = capped(limit);
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
-            let columns: Vec<String> =
-                rows::COLUMNS.split(',').map(|name| format!("records.{}", name.trim())).collect();
             let sql = format!(
                 "SELECT {}, n, leaves.batch, leaf, branches.path, root, batches.count, batches.tx, batches.block,
                     batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
@@ -122,7 +104,7 @@ impl Inspection {
                     FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
                     {}
                     WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
-                columns.join(", "),
+                rows::COLUMNS,
                 branches::JOINED
             );
             let (mut page, mut last) = (AuditPage::default(), 0);
@@ -138,23 +120,18 @@ impl Inspection {
     }
 
     /// How many of these ids find a record, by its row number, in the index of tags and of their streams.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
         let number = whole("row", number)?;
         self.0.read(|connection| {
-            let sql = "SELECT 1 FROM filters WHERE filter = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
-                WHERE filter_streams.filter = ?1 AND stream = (SELECT stream FROM records WHERE n = ?2))";
+            let sql = "SELECT 1 FROM filter_ids JOIN filters ON filters.filter = key
+                WHERE id = ?1 AND record = ?2 AND EXISTS (SELECT 1 FROM filter_streams
+                    WHERE filter_streams.filter = key AND stream = (SELECT stream FROM records WHERE n = ?2))";
             let found = connection.among(sql, filters, |filter: FilterId| Ok((filter.0, number)), true)?;
             Ok(count(found.len()))
         })
     }
 
     /// Entries of the index of tags for rows up to a number.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
         let last = whole("row", last)?;
         self.0.read(|connection| {
@@ -164,9 +141,6 @@ impl Inspection {
     }
 
     /// The batches after number `after`, at most `limit`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like, also if a batch cannot be read.
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
         let sql = "SELECT key, root, count, (SELECT count(*) FROM leaves JOIN records ON n = record WHERE batch = key)
@@ -176,9 +150,6 @@ impl Inspection {
     }
 
     /// When the newest record was acknowledged, by this machine's clock.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn newest_acknowledgement(&self) -> Result<Option<Timestamp>, StoreError> {
         let sql = "SELECT acknowledged_at FROM records ORDER BY n DESC LIMIT 1";
         self.0.read(|connection| {
@@ -188,53 +159,35 @@ impl Inspection {
     }
 
     /// Which of these roots belong to no batch of this ledger.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
         let sql = "SELECT 1 FROM batches WHERE root = ?1";
         self.0.read(|connection| connection.among(sql, roots, |root| Ok([root.0]), false))
     }
 
     /// Which of these digests belong to no record of this ledger.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let sql = "SELECT 1 FROM records WHERE digest = ?1";
         self.0.read(|connection| connection.among(sql, digests, |digest| Ok([digest.0]), false))
     }
 
     /// All records, of any kind and state.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn size(&self) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(records), 0) FROM counters";
         self.0.one(sql, [], |row| unsigned(row, 0))
     }
 
     /// The accounts that this ledger has ever signed for.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
         self.0.list("SELECT DISTINCT account FROM transactions", [], |row| row.get(0).map(Address))
     }
 
     /// Whether this ledger has ever signed for an account.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
         self.0.one(sql, [account.0], |row| row.get(0))
     }
 
     /// Topics with records stamped more than five seconds earlier than the record before them, and how many.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
         let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
             (SELECT topic, count(*) AS held FROM
@@ -245,9 +198,6 @@ impl Inspection {
     }
 
     /// The record with a sequence number of a topic, signed by `signer` in `recorder`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn holder(
         &self,
         owner: Address,
@@ -265,9 +215,6 @@ impl Inspection {
     }
 
     /// Every topic with its range of sequence numbers.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
             FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
@@ -289,9 +236,6 @@ impl Inspection {
     }
 
     /// The first `limit` gaps in a topic's sequence numbers: first and last missing number.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let before = (sequence.first > 1).then(|| (1, sequence.first - 1));
         let sql = "SELECT seq + 1, next - 1 FROM
@@ -383,9 +327,6 @@ impl Inspection {
     }
 
     /// Contradictions in its tables, in words; takes about a second per million records.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
         self.0.read(|connection| {
             let found = RULES.iter().map(|(sql, text)| {
@@ -397,9 +338,6 @@ impl Inspection {
     }
 
     /// The records acknowledged last, at most `limit`, whose ciphertext should be there: retention did not delete it.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
         self.0.read(|connection| newest(connection, limit))
     }

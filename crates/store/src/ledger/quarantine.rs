@@ -28,7 +28,6 @@ pub struct Hold {
 /// A record that is or was quarantined.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldRow {
-    /// The record.
     pub record: RecordRow,
     /// The name of the doubt.
     pub reason: String,
@@ -45,7 +44,6 @@ pub struct HeldRow {
 pub struct HeldMinute {
     /// Pseudonym of the topic.
     pub topic_id: TopicId,
-    /// Its name.
     pub topic: String,
     /// Minutes since 1970 UTC.
     pub minute: u64,
@@ -81,9 +79,6 @@ impl Quarantine {
     }
 
     /// Quarantined records of an owner, oldest first.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.0.read(|connection| {
             let streams = rows::all_streams(connection)?;
@@ -110,9 +105,6 @@ impl Quarantine {
 
     /// What the next quarantine record has to count: the oldest (topic, minute) of an owner before minute `before` with
     /// uncounted records, and all of those.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT topics.key, topic_id, name, minute FROM held INDEXED BY held_unreported
@@ -133,9 +125,6 @@ impl Quarantine {
     }
 
     /// Acknowledges a quarantine record and notes the records it counts, in one commit.
-    ///
-    /// # Errors
-    /// See [`Records::append`]; [`StoreError::NotReady`] if one of the records is already counted.
     pub fn report(&self, report: NewRecord, counted: Vec<Digest>) -> Result<(), StoreError> {
         self.0.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
@@ -152,18 +141,12 @@ impl Quarantine {
     }
 
     /// Releases quarantined records to stored; returns how many.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is released.
     pub fn release(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         self.decide(digests, "released", RecordState::Stored)
     }
 
     /// Drops quarantined records; digests, signatures and reasons stay. The caller discards their ciphertext first.
     /// Returns how many were dropped.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is dropped.
     pub fn discard(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         self.decide(digests, "discarded", RecordState::Dropped)
     }
@@ -220,12 +203,9 @@ impl HeldRow {
 
 // Pinned publishers of topics, and the alarms raised about others.
 
-/// A pinned publisher.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PinRow {
-    /// The topic.
     pub topic: String,
-    /// The publisher.
     pub publisher: Publisher,
     /// `first` (first seen), or `operator`.
     pub source: String,
@@ -236,7 +216,6 @@ pub struct PinRow {
 /// An alarm about a publisher.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlarmRow {
-    /// The topic.
     pub topic: String,
     /// Its publisher, written as in pins, or a URI. Untrusted text: clean it.
     pub publisher: String,
@@ -250,9 +229,6 @@ pub struct AlarmRow {
 
 impl Pins {
     /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is pinned.
     pub fn pin(
         &self,
         owner: Address,
@@ -270,9 +246,6 @@ impl Pins {
     }
 
     /// Removes every pin of a caller id on a topic; returns how many there were.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is removed.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let (topic, caller_id) = (topic.to_owned(), caller_id.to_owned());
         let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3";
@@ -280,9 +253,6 @@ impl Pins {
     }
 
     /// The pins of an owner, of one topic or of all.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn list(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
         let sql = "SELECT topic, caller_id, host, type_name, md5sum, source, at FROM pins
             WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at, caller_id";
@@ -290,17 +260,11 @@ impl Pins {
     }
 
     /// Whether a topic ever had pins.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn was_pinned(&self, owner: Address, topic: &str) -> Result<bool, StoreError> {
         self.0.has("SELECT 1 FROM pinned_topics WHERE owner = ?1 AND topic = ?2", params![owner.0, topic])
     }
 
     /// Raises an alarm; `false` if the same publisher already has an open alarm on this topic.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
     pub fn raise_alarm(
         &self,
         owner: Address,
@@ -317,9 +281,6 @@ impl Pins {
     }
 
     /// The operator has decided about a topic: its alarms are closed but kept. Returns how many were open.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
     pub fn close_alarms(&self, owner: Address, topic: &str) -> Result<u64, StoreError> {
         let topic = topic.to_owned();
         let sql = "UPDATE alarms SET open = 0 WHERE owner = ?1 AND topic = ?2 AND open = 1";
@@ -327,9 +288,6 @@ impl Pins {
     }
 
     /// The alarms of an owner, including closed ones, of one topic or of all.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
         let sql = "SELECT topic, publisher, reason, at, open FROM alarms
             WHERE owner = ?1 AND (?2 IS NULL OR topic = ?2) ORDER BY topic, at";
@@ -378,15 +336,11 @@ fn pin_row(row: &Row<'_>) -> rusqlite::Result<PinRow> {
 /// Messages of one topic and publisher that were lost for one reason.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Loss {
-    /// The owner.
     pub owner: Address,
-    /// Topic name.
     pub topic: String,
     /// The sending node; untrusted text.
     pub publisher: String,
-    /// The reason.
     pub reason: LossReason,
-    /// The number.
     pub count: u64,
     /// `header.seq` of the first and the last, if they have one.
     pub numbers: Option<(u32, u32)>,
@@ -401,13 +355,11 @@ pub struct Loss {
 pub struct GapRow {
     /// The id of the row.
     pub key: i64,
-    /// Topic name.
     pub topic: String,
     /// The sending node; untrusted text: clean it.
     pub publisher: String,
     /// The name of the [`LossReason`].
     pub reason: String,
-    /// The number.
     pub count: u64,
     /// `header.seq` of the first and the last.
     pub numbers: Option<(u32, u32)>,
@@ -424,17 +376,11 @@ const COLUMNS: &str =
 
 impl Losses {
     /// Counts losses durably, all or none; they stay open until a gap record reports them.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is counted yet.
     pub fn count(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
         self.0.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
     }
 
     /// The same, and notes in the same commit up to which text of [`crate::WaitingFile`] its losses are counted.
-    ///
-    /// # Errors
-    /// See [`Self::count`].
     pub fn count_up_to(&self, losses: Vec<Loss>, number: u64) -> Result<(), StoreError> {
         self.0.write(move |session| {
             losses.iter().try_for_each(|loss| count_one(session.connection, loss))?;
@@ -443,9 +389,6 @@ impl Losses {
     }
 
     /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         let sql = format!(
             "SELECT {COLUMNS} INDEXED BY gaps_open WHERE report IS NULL AND owner = ?1 AND first_at <= ?2
@@ -457,9 +400,6 @@ impl Losses {
 
     /// Acknowledges a gap record and notes the losses it reports, in one commit. Losses since the row was read stay
     /// open.
-    ///
-    /// # Errors
-    /// See [`Records::append`]; [`StoreError::NotReady`] if the row is already reported.
     pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
         let gap = gap.clone();
         self.0.write(move |session| {
@@ -470,9 +410,6 @@ impl Losses {
     }
 
     /// The losses of an owner, newest first, at most `limit`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn gaps(&self, owner: Address, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");
         self.0.list(&sql, params![owner.0, capped(limit)], gap_row)

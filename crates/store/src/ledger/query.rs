@@ -53,7 +53,6 @@ impl From<FilterId> for FilterChoice {
 /// Which records to list. All conditions must hold.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RecordQuery {
-    /// Of this owner.
     pub owner: Option<Address>,
     /// Of any of these owners.
     pub owners: Option<Vec<Address>>,
@@ -71,13 +70,10 @@ pub struct RecordQuery {
     pub type_name: Option<String>,
     /// Each of these occurs in the topic's name or in the type's, ignoring case.
     pub words: Vec<String>,
-    /// Of this kind.
     pub kind: Option<RecordKind>,
-    /// In this state.
     pub state: Option<RecordState>,
     /// Captured at or after.
     pub since: Option<Timestamp>,
-    /// Captured before.
     pub until: Option<Timestamp>,
     /// After the page whose `next` was this cursor.
     pub after: Option<String>,
@@ -108,7 +104,6 @@ fn says(stream: &Stream, word: &str) -> bool {
 /// One page of records, in the order of capture.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct RecordPage {
-    /// The records.
     pub rows: Vec<RecordRow>,
     /// Cursor of the next page; none if this is the last.
     pub next: Option<String>,
@@ -118,9 +113,6 @@ impl Records {
     /// A page of records, ordered by capture time (and by acknowledgement within the same time). If no state is
     /// requested, the counters say which states a topic has records in; [`Inspection::contradictions`] compares them with
     /// the records.
-    ///
-    /// # Errors
-    /// [`StoreError::Cursor`] if `after` is not a cursor, [`StoreError::Database`] and the like.
     pub fn list(&self, query: &RecordQuery) -> Result<RecordPage, StoreError> {
         let limit = if query.limit == 0 { USUAL_PAGE } else { query.limit.min(LARGEST_PAGE) };
         let range = Range::of(query)?;
@@ -144,10 +136,27 @@ impl Records {
         })
     }
 
-    /// The oldest records (by capture) in a state, of one owner or of all.
+    /// All records that a query finds, read page by page.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and the like.
+    /// See [`Self::list`]; nothing follows a failure.
+    pub fn all(&self, query: RecordQuery) -> impl Iterator<Item = Result<RecordRow, StoreError>> {
+        let mut query = Some(query);
+        let pages = std::iter::from_fn(move || {
+            let asked = query.take()?;
+            let (rows, failed) = match self.list(&asked) {
+                Ok(RecordPage { rows, next }) => {
+                    query = next.map(|next| RecordQuery { after: Some(next), ..asked });
+                    (rows, None)
+                }
+                Err(error) => (Vec::new(), Some(Err(error))),
+            };
+            Some(rows.into_iter().map(Ok).chain(failed))
+        });
+        pages.flatten()
+    }
+
+    /// The oldest records (by capture) in a state, of one owner or of all.
     pub fn in_state(
         &self,
         owner: Option<Address>,
@@ -249,7 +258,10 @@ impl Range {
         let filters: String = (0..filters)
             .map(|choice| (8 + 2 * choice, 9 + 2 * choice))
             .map(|(one, other)| {
-                format!(" AND EXISTS (SELECT 1 FROM filters WHERE filter IN (?{one}, ?{other}) AND record = n)")
+                format!(
+                    " AND EXISTS (SELECT 1 FROM filters WHERE record = n
+                      AND filter IN (SELECT key FROM filter_ids WHERE id IN (?{one}, ?{other})))"
+                )
             })
             .collect();
         format!(
@@ -273,9 +285,11 @@ struct Lane {
 
 /// Keeps only the streams that ever had records with an id of each of these choices.
 fn narrow(connection: &Connection, streams: &mut Vec<&Stream>, choices: &[FilterChoice]) -> Result<(), StoreError> {
-    let mut on_any = connection.prepare_cached("SELECT stream FROM filter_streams WHERE filter = ?1")?;
-    let mut on_one =
-        connection.prepare_cached("SELECT EXISTS (SELECT 1 FROM filter_streams WHERE filter = ?1 AND stream = ?2)")?;
+    let mut on_any =
+        connection.prepare_cached("SELECT stream FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1")?;
+    let mut on_one = connection.prepare_cached(
+        "SELECT EXISTS (SELECT 1 FROM filter_streams JOIN filter_ids ON key = filter WHERE id = ?1 AND stream = ?2)",
+    )?;
     for choice in choices {
         let having: HashSet<i64> =
             on_any.query_map([choice.id.0], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
@@ -456,17 +470,11 @@ pub(super) fn last_seen() -> String {
 
 impl Counts {
     /// The accounts whose records are here, at most `limit`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
         self.0.list(OWNERS, [capped(limit)], |row| Ok(Address(row.get(0)?)))
     }
 
     /// When an owner's oldest data record that is in no block yet was captured.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn oldest_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, StoreError> {
         self.0.read(|connection| {
             let mut oldest: Option<i64> = None;
@@ -480,9 +488,6 @@ impl Counts {
     }
 
     /// When each signer's newest data record was captured, for the `limit` most recent signers.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
         self.0.list(&last_seen(), params![RecordKind::Data.code(), capped(limit)], |row| {
             let at: i64 = row.get(1)?;
@@ -491,9 +496,6 @@ impl Counts {
     }
 
     /// The record that a signer captured last for an owner, of those with the highest number of their topic.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn newest_of(&self, owner: Address, signer: SignerId) -> Result<Option<NewestRecord>, StoreError> {
         let sql = "SELECT x.epoch, x.captured_at, x.acknowledged_at FROM topics t
             JOIN recorders r ON r.key = t.recorder
@@ -508,9 +510,6 @@ impl Counts {
 
 impl Losses {
     /// Losses not yet reported in a gap record: entries by place and reason, not messages.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn untold(&self) -> Result<u64, StoreError> {
         self.0.one(UNTOLD, [], |row| unsigned(row, 0))
     }
@@ -530,9 +529,6 @@ pub struct Glance(Connection);
 
 impl Glance {
     /// Opens the existing file; none is created.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn at(path: &Path) -> Result<Self, StoreError> {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
         // Without a log nobody has it open, and SQLite would create one to read it.
@@ -549,9 +545,6 @@ impl Glance {
     }
 
     /// Names of topics with this prefix, in order, at most `limit`; they are foreign text, so clean them.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn topics(&self, begun: &str, limit: usize) -> Result<Vec<String>, StoreError> {
         let mut names: Vec<String> = rows::streams(&self.0, &Which::All)?
             .into_iter()
@@ -565,9 +558,6 @@ impl Glance {
     }
 
     /// Ids of records with this prefix, at most `limit`: the newest if the prefix is empty.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn ids(&self, begun: &str, limit: usize) -> Result<Vec<String>, StoreError> {
         let whole = 2 * crate::model::Digest::LENGTH;
         if begun.len() > whole || !begun.bytes().all(|byte| byte.is_ascii_hexdigit()) {
@@ -587,25 +577,15 @@ impl Glance {
     }
 
     /// Reads every note of the home, and says how many there are.
-    ///
-    /// # Errors
-    /// [`StoreError::Note`] for one that is damaged, [`StoreError::Database`] and its kin.
     pub fn check_notes(&self) -> Result<u64, StoreError> {
         notes::check(&self.0).map_err(|error| self.named(error))
     }
 
-    /// What is noted.
-    ///
-    /// # Errors
-    /// [`StoreError::Note`] if it cannot be read, [`StoreError::Database`] and its kin.
     pub fn note<N: Note>(&self, note: &N) -> Result<Option<N::Value>, StoreError> {
         notes::read_in(&self.0, note).map_err(|error| self.named(error))
     }
 
     /// See [`super::Rights::contract_pin`].
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and its kin.
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {
         self.0.find(directory::PIN, [], |row| row.get(0)).map_err(|error| self.named(error.into()))
     }

@@ -18,9 +18,7 @@ use crate::notes::{self, Erased};
 pub struct KeptTopic {
     /// Its key in this ledger.
     pub key: i64,
-    /// Its pseudonym.
     pub topic_id: TopicId,
-    /// Its name.
     pub name: String,
     /// Bytes of the messages whose ciphertext is still there.
     pub bytes: u64,
@@ -38,7 +36,6 @@ impl KeptTopic {
 pub struct OldRecord {
     /// SM3 of its stored bytes.
     pub digest: Digest,
-    /// Its sequence number.
     pub seq: u64,
     /// Length of its message.
     pub bytes: u64,
@@ -66,9 +63,6 @@ pub struct Retained {
 impl Retention {
     /// An owner's topics here: what the owner records, and what its robots bring to a gateway of this home. One whose name
     /// is not known yet has its pseudonym in place of it, which no rule is about.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
         let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
         let sql = format!(
@@ -89,9 +83,6 @@ impl Retention {
 
     /// The oldest verified messages of a topic not yet deleted by retention, captured from `since` on and before
     /// `until`.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn oldest(
         &self,
         topic: &KeptTopic,
@@ -150,9 +141,6 @@ impl Retention {
 
     /// Records of an owner whose retention record stands confirmed, whose ciphertext is still to be deleted, and that no
     /// incident holds.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
         let values = params![owner.0, confirmed, verified, capped(limit)];
@@ -167,9 +155,6 @@ impl Retention {
     }
 
     /// Notes that the ciphertext of these is deleted.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
     pub fn deleted(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let digests = digests.to_vec();
         self.0.write_many(digests.len(), move |session| {
@@ -192,9 +177,6 @@ impl Retention {
     }
 
     /// Whether retention has deleted a record, and what is left of it.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn find(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
@@ -231,9 +213,6 @@ impl Retention {
     }
 
     /// How many messages of an owner retention has deleted.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn given_up(&self, owner: Address) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(records), 0) FROM retained_topics JOIN topics ON key = topic WHERE owner = ?1";
         self.0.one(sql, [owner.0], |row| unsigned(row, 0))

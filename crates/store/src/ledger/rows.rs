@@ -9,8 +9,8 @@ use rusqlite::{Connection, Row, params_from_iter};
 use serde::{Deserialize, Serialize};
 
 use super::{Ledger, Records};
-use crate::chain::merkle::Leaf;
 use crate::crypto::SealedRecord;
+use crate::crypto::merkle::Leaf;
 use crate::database::Statements as _;
 use crate::model::RecordState::{
     self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Stored, Submitted, Tampered, Verified,
@@ -40,7 +40,6 @@ pub struct Foreign {
 pub struct NewRecord {
     /// SM3 of the stored bytes.
     pub digest: Digest,
-    /// The owner.
     pub owner: Address,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
@@ -52,7 +51,6 @@ pub struct NewRecord {
     pub epoch: u64,
     /// The kind of record.
     pub kind: RecordKind,
-    /// The signer.
     pub signer: SignerId,
     /// The raw signature, r || s.
     pub signature: Signature,
@@ -120,7 +118,6 @@ pub struct RecordRow {
     pub id: String,
     /// SM3 of the stored bytes.
     pub digest: Digest,
-    /// The owner.
     pub owner: Address,
     /// The recorder that `seq` belongs to.
     pub recorder: RecorderId,
@@ -132,11 +129,9 @@ pub struct RecordRow {
     pub epoch: u64,
     /// The kind of record.
     pub kind: RecordKind,
-    /// The signer.
     pub signer: SignerId,
     /// The raw signature, r || s.
     pub signature: Signature,
-    /// Topic name.
     pub topic: String,
     /// Message type, `package/Type`.
     #[serde(rename = "type")]
@@ -149,13 +144,11 @@ pub struct RecordRow {
     pub acknowledged_at: Timestamp,
     /// Whether a simulated robot sent it.
     pub simulated: bool,
-    /// Its state.
     pub state: RecordState,
     /// The transaction that anchors it: sent, or seen in a block.
     pub transaction: Option<Hash>,
     /// The block it was seen in.
     pub block: Option<u64>,
-    /// That block's hash.
     pub block_hash: Option<Hash>,
     /// When retention deleted its ciphertext.
     pub deleted_at: Option<Timestamp>,
@@ -187,13 +180,11 @@ pub(super) const LEARNED_NAME: &str =
 pub(super) enum Which {
     /// All; as many as there are combinations of topic, type and signer, not records.
     All,
-    /// One owner's.
     Of(Address),
     /// The one with this key.
     Key(i64),
 }
 
-/// The selected streams.
 pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stream>, StoreError> {
     let (condition, value): (&str, Option<Value>) = match which {
         Which::All => ("", None),
@@ -224,7 +215,6 @@ pub(super) fn all_streams(connection: &Connection) -> Result<HashMap<i64, Stream
     Ok(by_key(streams(connection, &Which::All)?))
 }
 
-/// Streams by key.
 pub(super) fn by_key(streams: Vec<Stream>) -> HashMap<i64, Stream> {
     streams.into_iter().map(|stream| (stream.key, stream)).collect()
 }
@@ -274,9 +264,36 @@ impl RecordRow {
     }
 }
 
+/// What the batch of a record has in a column; NULL where it is in none.
+macro_rules! of_its_batch {
+    ($column:literal) => {
+        concat!(
+            "(SELECT batches.",
+            $column,
+            " FROM leaves JOIN batches ON batches.key = leaves.batch WHERE leaves.record = records.n)"
+        )
+    };
+}
+
+/// What a record's own transaction has in a column, or else its batch's.
+macro_rules! anchored {
+    ($column:literal) => {
+        concat!("iif(records.tx IS NULL, ", of_its_batch!($column), ", records.", $column, ")")
+    };
+}
+pub(super) use {anchored, of_its_batch};
+
 /// Columns of [`record`], in order.
-pub(super) const COLUMNS: &str = "stream, digest, seq, epoch, signature, bytes, captured_at, acknowledged_at,
-    simulated, state, tx, block, block_hash, deleted_at";
+pub(super) const COLUMNS: &str = concat!(
+    "records.stream, records.digest, records.seq, records.epoch, records.signature, records.bytes,
+     records.captured_at, records.acknowledged_at, records.simulated, records.state, ",
+    anchored!("tx"),
+    ", ",
+    anchored!("block"),
+    ", ",
+    anchored!("block_hash"),
+    ", records.deleted_at"
+);
 
 /// The record of a row with [`COLUMNS`].
 pub(super) fn record(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<RecordRow> {
@@ -382,25 +399,16 @@ pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
 
 impl Records {
     /// The record with this digest.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn find(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
         Ok(self.find_all(&[digest])?.pop().flatten())
     }
 
     /// The records with these digests, in this order, as of one moment.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn find_all(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
         self.0.read(|connection| rows_of(connection, digests))
     }
 
     /// The record whose digest begins with `id` (4 to 64 hex characters).
-    ///
-    /// # Errors
-    /// [`StoreError::Id`] if `id` is malformed, [`StoreError::Ambiguous`] if several records match.
     pub fn by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
         let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
         self.0.read(|connection| {
@@ -446,9 +454,6 @@ const MACHINE: &str = "/etc/machine-id";
 impl Ledger {
     /// Opens the ledger of a home, and says whether it is a copy: its file is another one than when it was last opened,
     /// or it is on another machine. It then has a new recorder, and a note of how far the chain was known.
-    ///
-    /// # Errors
-    /// See [`Ledger::open`].
     pub fn open_in_place(path: &Path) -> Result<(Self, bool), StoreError> {
         let ledger = Self::open(path)?;
         let here = place(path)?;

@@ -26,7 +26,8 @@ CREATE TABLE streams (
     UNIQUE (topic, kind, type_name)
 );
 
--- `deleted_at` is set when retention deletes the ciphertext.
+-- `tx`, `block` and `block_hash` are of a transaction that anchors this record by itself; a record without one has those of
+-- its batch. `deleted_at` is set when retention deletes the ciphertext.
 CREATE TABLE records (
     n INTEGER PRIMARY KEY, digest BLOB NOT NULL UNIQUE, topic INTEGER NOT NULL, stream INTEGER NOT NULL,
     seq INTEGER NOT NULL, epoch INTEGER NOT NULL, signature BLOB NOT NULL, bytes INTEGER NOT NULL,
@@ -38,9 +39,11 @@ CREATE INDEX records_by_time ON records (captured_at);
 
 -- What readers may be given, in the order in which it came to be so. A row comes with the commit that verifies a record, and
 -- goes with the one that takes this back; the erasure of a verified record replaces its row, and so does another statement of
--- its owner about it. An owner's notice, which must not wait for the chain, also has a row as long as it waits. A record has at most one row, and no number is used
--- twice: `about.head` is the last one (AUTOINCREMENT would write whenever a trigger could have fired). `fact`: 1 stored,
--- 2 verified, 3 erased.
+-- its owner about it. An owner's notice, which must not wait for the chain, also has a row as long as it waits. A record has
+-- at most one row, and no number is used twice: `about.head` is the last one (AUTOINCREMENT would write whenever a trigger
+-- could have fired). What is taken back uses one too, without a row: a follower who has read past the row that is gone is then
+-- beyond the end of an older copy of this file, which still has the row, and reads that copy anew. `fact`: 1 stored, 2
+-- verified, 3 erased.
 CREATE TABLE feed (
     number INTEGER PRIMARY KEY, record INTEGER NOT NULL UNIQUE, topic INTEGER NOT NULL, fact INTEGER NOT NULL
 );
@@ -51,8 +54,7 @@ CREATE TRIGGER record_verified AFTER UPDATE OF state ON records WHEN NEW.state =
 END;
 CREATE TRIGGER record_taken_back AFTER UPDATE OF state ON records WHEN NEW.state <> 6 AND OLD.state = 6 BEGIN
     DELETE FROM feed WHERE record = NEW.n;
-    UPDATE about SET head = head + 1
-        WHERE NEW.state < 6 AND (SELECT kind FROM streams WHERE key = NEW.stream) = 5;
+    UPDATE about SET head = head + 1;
     INSERT INTO feed SELECT head, NEW.n, NEW.topic, 1 FROM about
         WHERE NEW.state < 6 AND (SELECT kind FROM streams WHERE key = NEW.stream) = 5;
 END;
@@ -65,11 +67,12 @@ END;
 -- Stored bytes of records, written in the commit of their rows. Beside the rows, not in them: lists read rows alone.
 CREATE TABLE ciphertext (record INTEGER PRIMARY KEY, bytes BLOB NOT NULL);
 
--- Filter ids of records, as their headers have them, and the streams that ever had records with one: a search skips
--- all others.
-CREATE TABLE filters (filter BLOB NOT NULL, record INTEGER NOT NULL, PRIMARY KEY (filter, record)) WITHOUT ROWID;
+-- Filter ids of records, as their headers have them, each id once, and the streams that ever had records with one: a
+-- search skips all others.
+CREATE TABLE filter_ids (key INTEGER PRIMARY KEY, id BLOB NOT NULL UNIQUE);
+CREATE TABLE filters (filter INTEGER NOT NULL, record INTEGER NOT NULL, PRIMARY KEY (filter, record)) WITHOUT ROWID;
 CREATE TABLE filter_streams (
-    filter BLOB NOT NULL, stream INTEGER NOT NULL, PRIMARY KEY (filter, stream)
+    filter INTEGER NOT NULL, stream INTEGER NOT NULL, PRIMARY KEY (filter, stream)
 ) WITHOUT ROWID;
 
 -- Counts per stream and state, kept in the same transaction as the records.
@@ -133,8 +136,8 @@ CREATE INDEX batches_anchored ON batches (block) WHERE block IS NOT NULL;
 CREATE INDEX batches_unproven ON batches (block) WHERE block IS NOT NULL AND proof IS NULL;
 CREATE INDEX batches_without_proof ON batches (block) WHERE proof = 2;
 
--- A record's place in its batch, and what leads from there to the root: eight leaves beside each other are a branch, whose
--- `path` has the nodes of its lowest three levels and the steps above them, 32 bytes each.
+-- A record's place in its batch, and what leads from there to the root: sixteen leaves beside each other are a branch, whose
+-- `path` has those nodes of its lowest four levels that do not follow from others, and the steps above them (branches.rs).
 CREATE TABLE leaves (
     record INTEGER PRIMARY KEY, batch INTEGER NOT NULL, leaf INTEGER NOT NULL, UNIQUE (batch, leaf)
 );
@@ -149,7 +152,7 @@ CREATE TABLE left_places (
 ) WITHOUT ROWID;
 
 -- Records anchored by a block in which their signer had no right; they are anchored again, in another batch.
-CREATE TABLE passed_over (record INTEGER PRIMARY KEY, tx BLOB, block INTEGER NOT NULL);
+CREATE TABLE passed_over (record INTEGER PRIMARY KEY, block INTEGER NOT NULL);
 
 -- Nodes of the chain's tries, each once, and the state after a block as far as it is kept: `nodes` are keys of
 -- chain_nodes, 8 bytes each, big-endian.

@@ -2,7 +2,7 @@
 
 use rusqlite::{Connection, params};
 
-use super::rows::{self, By, may, unsigned};
+use super::rows::{self, By, anchored, may, of_its_batch, unsigned};
 use super::{Batches, Counts, Forwarding, Trail, batches};
 use crate::StoreError;
 use crate::database::{Statements as _, capped, count, whole};
@@ -13,13 +13,10 @@ use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Signature, Si
 pub struct Sighting {
     /// The record's owner, as the chain says.
     pub owner: Address,
-    /// The anchored digest.
     pub digest: Digest,
     /// The transaction that anchored it.
     pub transaction: Hash,
-    /// Its block's number.
     pub block: u64,
-    /// Its block's hash.
     pub block_hash: Hash,
 }
 
@@ -34,9 +31,6 @@ impl Batches {
     /// Takes in anchors found on the chain: whatever a pending record's state was, it is now mined, with this
     /// transaction and block. A mined record moves to the block seen last; a tampered one only notes its block. Digests
     /// of other ledgers are skipped. Returns how many records changed; seeing the same again changes none.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing is recorded.
     pub fn mined(&self, sightings: &[Sighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
         self.0.write_many(sightings.len(), move |session| {
@@ -45,9 +39,6 @@ impl Batches {
     }
 
     /// Which of these anchors, of records of this ledger, it has not taken in: their records still wait for a block.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn waiting_digests(&self, sightings: &[Sighting]) -> Result<Vec<Digest>, StoreError> {
         self.0.read(|connection| {
             // An anchor that did not count is no reason to read its block again.
@@ -67,15 +58,15 @@ impl Batches {
     }
 
     /// Mined records in blocks up to this one are now confirmed; returns when each was captured, unordered.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is.
     pub fn confirm(&self, up_to_block: u64) -> Result<Vec<Timestamp>, StoreError> {
         let block = whole("block", up_to_block)?;
         self.0.write(move |session| {
             let (mined, confirmed) = (RecordState::Mined.code(), RecordState::Confirmed.code());
-            let sql = "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND block <= ?1
-                RETURNING captured_at";
+            let sql = concat!(
+                "UPDATE records INDEXED BY records_by_state SET state = ?3 WHERE state = ?2 AND ",
+                anchored!("block"),
+                " <= ?1 RETURNING captured_at"
+            );
             Ok(session.connection.list(sql, params![block, mined, confirmed], |row| unsigned(row, 0).map(Timestamp))?)
         })
     }
@@ -85,9 +76,6 @@ impl Batches {
     /// is stored, or batched, and will be anchored again. The blocks leave the trail; its walker stays where it is. Returns
     /// how many records moved, and how many of them were verified: a block deeper than the required confirmations disappears
     /// only if the chain is broken.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none moves.
     pub fn take_back(&self, from_block: u64) -> Result<(u64, u64), StoreError> {
         let block = whole("block", from_block)?;
         self.0.write(move |session| {
@@ -124,46 +112,45 @@ fn see(connection: &Connection, sighting: &Sighting) -> Result<u64, StoreError> 
 }
 
 fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Standing>, StoreError> {
-    let sql = "SELECT n, state, block, block_hash FROM records JOIN topics ON key = topic
-        WHERE digest = ?1 AND owner = ?2";
+    let sql = concat!(
+        "SELECT n, state, ",
+        anchored!("block"),
+        ", ",
+        anchored!("block_hash"),
+        " FROM records JOIN topics ON key = topic WHERE digest = ?1 AND topics.owner = ?2"
+    );
     let found = connection.find(sql, params![sighting.digest.0, sighting.owner.0], |row| {
         Ok(Standing { n: row.get(0)?, state: rows::state(row, 1)?, block: row.get(2)?, block_hash: row.get(3)? })
     })?;
     Ok(found)
 }
 
-/// Removes the block from the records of one state. Each goes to the best that is left for it: its own open
-/// transaction, its batch's place on the chain, its batch's open transaction, another open upload of it.
+/// Records of one state lose a block that is gone: their own, or the one that their batch has lost. Each goes to the best that
+/// is left for it: its own open transaction, its batch's place on the chain, its batch's open transaction, another open
+/// upload of it.
 fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64, StoreError> {
     const OPEN: &str = "EXISTS (SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
     const LEAF: &str = "EXISTS (SELECT 1 FROM leaves WHERE record = n)";
     const UPLOAD: &str = "(SELECT hash FROM transactions WHERE transactions.state = 0
          AND transactions.digests = records.digest ORDER BY nonce, key LIMIT 1)";
-    let of_batch = |column: &str| {
-        format!("(SELECT batches.{column} FROM leaves JOIN batches ON key = batch WHERE record = records.n)")
-    };
-    let gone = "block = NULL, block_hash = NULL";
-    let (its_tx, its_block, its_hash) = (of_batch("tx"), of_batch("block"), of_batch("block_hash"));
+    const BATCH_IN_BLOCK: &str = concat!(of_its_batch!("block"), " IS NOT NULL");
+    const BATCH_SENT: &str = concat!(of_its_batch!("tx"), " IS NOT NULL");
     let steps = [
-        (RecordState::Submitted, gone.to_owned(), OPEN.to_owned()),
-        (
-            RecordState::Mined,
-            format!("tx = {its_tx}, block = {its_block}, block_hash = {its_hash}"),
-            format!("{its_block} IS NOT NULL"),
-        ),
-        (RecordState::Submitted, format!("tx = {its_tx}, {gone}"), format!("{its_tx} IS NOT NULL")),
-        (RecordState::Batched, format!("tx = NULL, {gone}"), LEAF.to_owned()),
-        (RecordState::Submitted, format!("tx = {UPLOAD}, {gone}"), format!("{UPLOAD} IS NOT NULL")),
-        (RecordState::Stored, format!("tx = NULL, {gone}"), "1".to_owned()),
+        (RecordState::Submitted, "tx", OPEN.to_owned()),
+        (RecordState::Mined, "NULL", BATCH_IN_BLOCK.to_owned()),
+        (RecordState::Submitted, "NULL", BATCH_SENT.to_owned()),
+        (RecordState::Batched, "NULL", LEAF.to_owned()),
+        (RecordState::Submitted, UPLOAD, format!("{UPLOAD} IS NOT NULL")),
+        (RecordState::Stored, "NULL", "1".to_owned()),
     ];
     let mut moved = 0;
-    for (to, values, condition) in steps {
+    for (to, transaction, condition) in steps {
         if from != to && !may(By::Reorg, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
         let sql = format!(
-            "UPDATE records INDEXED BY records_by_state SET state = ?3, {values}
-                WHERE state = ?1 AND block >= ?2 AND {condition}"
+            "UPDATE records INDEXED BY records_by_state SET state = ?3, tx = {transaction}, block = NULL, block_hash = NULL
+                WHERE state = ?1 AND (block >= ?2 OR tx IS NULL AND {LEAF} AND NOT {BATCH_IN_BLOCK}) AND {condition}"
         );
         moved += count(connection.run(&sql, params![from.code(), block, to.code()])?);
     }
@@ -186,26 +173,17 @@ pub(super) fn cursor_in(connection: &Connection) -> Result<Option<(u64, Hash)>, 
 
 impl Trail {
     /// The last block (number and hash) that the watcher has finished.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn cursor(&self) -> Result<Option<(u64, Hash)>, StoreError> {
         self.0.read(cursor_in)
     }
 
     /// Stores the last block that the watcher has finished.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; the previous position is then unchanged.
     pub fn set_cursor(&self, block: u64, hash: Hash) -> Result<(), StoreError> {
         let block = whole("block", block)?;
         self.0.run(SET_CURSOR, (block, hash.0))
     }
 
     /// Moves the cursor to a block, and stores this and other blocks met on the way, in one commit.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing moves.
     pub fn walk_to(&self, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
         self.0.write(move |session| {
@@ -226,27 +204,18 @@ impl Trail {
     }
 
     /// The blocks kept, oldest first.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn blocks(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
         self.0
             .list("SELECT block, hash FROM trail ORDER BY block", [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
     }
 
     /// The newest block kept.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
         let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
         self.0.find(sql, [], |row| Ok((unsigned(row, 0)?, Hash(row.get(1)?))))
     }
 
     /// Moves the cursor back to `to` if it is further, and deletes the blocks after `to`, in one commit.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing moves.
     pub fn walk_back(&self, to: (u64, Hash)) -> Result<(), StoreError> {
         let block = whole("block", to.0)?;
         self.0.write(move |session| {
@@ -263,9 +232,6 @@ impl Trail {
 impl Counts {
     /// The highest acknowledged number that `signer` gave in this ledger in each topic of an owner, by topic id; topics
     /// filed under one of these names are left out.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn heights(&self, owner: Address, signer: SignerId, but: [&str; 2]) -> Result<Vec<(TopicId, u64)>, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         let [one, other] = but;
@@ -281,9 +247,6 @@ impl Counts {
 
     /// The recorder that the one of `signer` follows for an owner: that of the key before, or of the ledger that this one is
     /// a copy of, restored or opened elsewhere.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn predecessor(&self, owner: Address, signer: SignerId) -> Result<Option<RecorderId>, StoreError> {
         let recorder = self.0.shared.recorder.of_signer(&signer);
         let sql = "SELECT id FROM recorders WHERE key < coalesce(
@@ -300,7 +263,6 @@ impl Counts {
 /// A gateway's signed statement of standings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptStanding {
-    /// Its time.
     pub time: Timestamp,
     /// The signed bytes, without label and domain.
     pub statement: Vec<u8>,
@@ -312,9 +274,6 @@ pub struct KeptStanding {
 
 impl Forwarding {
     /// Stores a statement with the proofs of its records; records that already have one keep it.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then nothing is stored.
     pub fn keep_proven(&self, kept: KeptStanding) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let (connection, time) = (session.connection, whole("time", kept.time.0)?);
@@ -329,9 +288,6 @@ impl Forwarding {
     }
 
     /// Verified records that were proven before a given time and whose ciphertext is still here, oldest first.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn proven_before(&self, moment: Timestamp, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (moment, limit) = (whole("time", moment.0)?, capped(limit));
         let verified = crate::model::RecordState::Verified.code();
@@ -341,18 +297,12 @@ impl Forwarding {
     }
 
     /// Notes that the ciphertext of these was deleted; statement and proof stay.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like.
     pub fn proven_gone(&self, digests: &[Digest]) -> Result<(), StoreError> {
         let sql = "UPDATE proven SET gone = 1 WHERE record = (SELECT n FROM records WHERE digest = ?1)";
         self.0.run_each(sql, digests.iter().map(|digest| [digest.0]).collect()).map(drop)
     }
 
     /// The statement that reports a record as verified, with only the proof of its anchor.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn proven(&self, digest: Digest) -> Result<Option<KeptStanding>, StoreError> {
         let sql = "SELECT s.at, statement, signature, proof FROM proven p JOIN standings s ON s.key = p.standing
             WHERE record = (SELECT n FROM records WHERE digest = ?1)";

@@ -27,7 +27,7 @@ use sm3::{Digest as _, Sm3};
 
 pub(super) use self::numbered::numbered;
 use super::*;
-use crate::chain::merkle::{Leaf, Tree};
+use crate::crypto::merkle::{Leaf, Tree};
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
     Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
@@ -490,4 +490,26 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
         stop.store(true, Ordering::Relaxed);
         writers.into_iter().for_each(|writer| writer.join().expect("no panic"));
     });
+}
+
+#[test]
+fn who_waits_for_the_file_keeps_no_other_task_of_a_runtime_waiting() {
+    let (_home, ledger) = open();
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).build().expect("a runtime");
+    for is_writing in [false, true] {
+        let (tell, told) = std::sync::mpsc::channel::<()>();
+        let wait = move || told.recv_timeout(std::time::Duration::from_secs(20)).is_ok();
+        let database = ledger.database.clone();
+        let reading = runtime.spawn(async move {
+            match is_writing {
+                false => database.read(|_| Ok(wait())),
+                true => database.write(move |_| Ok(wait())),
+            }
+        });
+        // The only worker thread is with the file by then, or comes to it after this.
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        let other = runtime.spawn(async move { tell.send(()) });
+        assert_eq!(runtime.block_on(reading).expect("ends"), Ok(true), "writing: {is_writing}");
+        assert_eq!(runtime.block_on(other).expect("ends"), Ok(()));
+    }
 }

@@ -12,11 +12,8 @@ use crate::model::{Address, Digest, Hash, RecordState, Timestamp, clean};
 /// A signed transaction, before it is sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewTransaction {
-    /// Its hash.
     pub hash: Hash,
-    /// The signing account.
     pub account: Address,
-    /// Its nonce.
     pub nonce: u64,
     /// The signed bytes, as sent.
     pub raw: Vec<u8>,
@@ -63,27 +60,19 @@ pub enum TransactionOutcome {
 /// A transaction as the ledger knows it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransactionRow {
-    /// Its hash.
     pub hash: Hash,
-    /// The signing account.
     pub account: Address,
-    /// Its nonce.
     pub nonce: u64,
-    /// The signed bytes.
     pub raw: Vec<u8>,
-    /// Its purpose.
     pub purpose: String,
     /// The records that it anchors.
     pub anchors: Anchors,
     /// When it was stored here.
     pub signed_at: Timestamp,
-    /// Its state.
     pub state: TransactionState,
     /// The block it was mined in.
     pub block: Option<u64>,
-    /// Gas used.
     pub gas_used: Option<u64>,
-    /// Why it failed.
     pub reason: Option<String>,
     /// The transaction that took its nonce, if it was signed here.
     pub replaced_by: Option<Hash>,
@@ -104,9 +93,6 @@ impl Lanes {
     }
 
     /// [`Lanes::submit`] for several, all or none.
-    ///
-    /// # Errors
-    /// See [`Lanes::submit`].
     pub fn submit_many(&self, transactions: Vec<NewTransaction>) -> Result<(), StoreError> {
         self.0.write_many(transactions.len(), move |session| {
             transactions.iter().try_for_each(|new| keep(session.connection, new))
@@ -114,18 +100,12 @@ impl Lanes {
     }
 
     /// The transactions of an account in no block yet, by nonce.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
         self.0.list(&sql, [account.0], transaction_row)
     }
 
     /// The transaction with this hash.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
         let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
         self.0.find(&sql, [hash.0], transaction_row)
@@ -295,11 +275,8 @@ pub struct LaneCount {
 /// An open transaction without its bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OpenTransaction {
-    /// Its hash.
     pub hash: Hash,
-    /// Its nonce.
     pub nonce: u64,
-    /// Its purpose.
     pub purpose: String,
     /// Whether its records go back if it fails; otherwise it is a call of its own, to be signed again.
     pub anchors: bool,
@@ -308,19 +285,14 @@ pub struct OpenTransaction {
 /// An open transaction's call, signed again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reissue {
-    /// The new hash.
     pub hash: Hash,
     /// The new nonce, or the same at another price.
     pub nonce: u64,
-    /// The new bytes.
     pub raw: Vec<u8>,
 }
 
 impl Lanes {
     /// How many transactions of an account are open, read from an index.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn lane_count(&self, account: Address) -> Result<LaneCount, StoreError> {
         self.0.read(|connection| {
             let sql = "SELECT count(*), max(nonce), min(signed_at) FROM transactions WHERE state = 0 AND account = ?1";
@@ -333,9 +305,6 @@ impl Lanes {
     }
 
     /// The highest nonce of an account's transactions signed here, whatever became of them.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn highest_nonce(&self, account: Address) -> Result<Option<u64>, StoreError> {
         self.0.read(|connection| {
             let highest: Option<i64> =
@@ -347,9 +316,6 @@ impl Lanes {
 
     /// The cost of an account's newest `most` anchoring transactions in blocks: their number, their gas, and the
     /// records they anchored. Read from an index, whatever the number of transactions.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn anchoring_gas(&self, account: Address, most: u64) -> Result<(u64, u64, u64), StoreError> {
         let most = whole("transactions", most)?;
         self.0.read(|connection| {
@@ -367,9 +333,6 @@ impl Lanes {
     }
 
     /// The open transactions of an account by nonce, without their bytes.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
         let sql = "SELECT hash, nonce, purpose, length(digests) > 0 OR batch IS NOT NULL FROM transactions
             WHERE state = 0 AND account = ?1 ORDER BY nonce";
@@ -384,17 +347,11 @@ impl Lanes {
     }
 
     /// The signed bytes of a transaction; `None` if the ledger does not hold it.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
         self.0.find("SELECT raw FROM transactions WHERE hash = ?1", [hash.0], |row| row.get(0))
     }
 
     /// Hash and bytes of every transaction ever signed here with this nonce, whatever its outcome, newest first.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
     pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
         let nonce = whole("nonce", nonce)?;
         let sql = "SELECT hash, raw FROM transactions WHERE account = ?1 AND nonce = ?2 ORDER BY key DESC";
@@ -438,9 +395,6 @@ impl Lanes {
 
     /// The chain chose `winner`, which makes the same call with the same nonce as the open `loser`: what the loser
     /// carries passes to the winner, which then ends with `outcome`.
-    ///
-    /// # Errors
-    /// [`StoreError::Transaction`] if the ledger does not hold the winner.
     pub fn decide_nonce(&self, loser: Hash, winner: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
         self.0.write(move |session| {
             let connection = session.connection;
@@ -461,9 +415,6 @@ fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreE
     if let Some(root) = batch {
         connection
             .run("UPDATE batches SET tx = ?3 WHERE root = ?1 AND tx = ?2 AND block IS NULL", [root, from.0, to.0])?;
-        let sql = "UPDATE records SET tx = ?3 WHERE tx = ?2 AND block IS NULL AND n IN
-            (SELECT record FROM leaves JOIN batches ON key = batch WHERE root = ?1)";
-        connection.run(sql, [root, from.0, to.0])?;
     }
     let sql = "UPDATE records SET tx = ?3 WHERE digest = ?1 AND tx = ?2 AND block IS NULL";
     connection.run_each(sql, digests.chunks_exact(Digest::LENGTH).map(|digest| (digest, from.0, to.0)))?;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use authros_model::Timestamp;
 use authros_ros::robot::{COMPRESSED_IMAGE, compressed_image_definition};
-use authros_ros::{Advertised, Publisher, Publishing as _, md5sum};
+use authros_ros::{Advertised, GraphPublisher as _, Publisher, md5sum};
 use authros_service::Failure;
 use authros_service::failure::internal;
 

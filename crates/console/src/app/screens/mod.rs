@@ -14,9 +14,6 @@ use crate::service::reply::{
 };
 use crate::service::{NoticeLevel, UploadQuery};
 
-/// The sort columns, in the order of `s`.
-pub const GATEWAY_SORTS: [&str; 4] = ["connected", "name", "frames", "policy"];
-
 /// Characters of a robot's device id that tell it apart from another one of its name.
 const DEVICE: usize = 8;
 
@@ -201,8 +198,6 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
     }
 }
 
-/// The sort columns, in the order of `s`.
-pub const GRANT_SORTS: [&str; 3] = ["newest", "account", "state"];
 /// The most grants kept.
 const MOST_GRANTS: usize = 2_000;
 
@@ -362,7 +357,7 @@ pub struct LogLine {
 impl LogLine {
     /// All of it in one line.
     pub fn whole(&self) -> String {
-        format!("{} {} {}: {}", self.at, level_word(self.level), self.key, self.text)
+        format!("{} {} {}: {}", self.at, self.level.word(), self.key, self.text)
     }
 }
 
@@ -487,14 +482,6 @@ impl Log {
             NoticeLevel::Warning => NoticeLevel::Error,
             NoticeLevel::Error => NoticeLevel::Info,
         };
-    }
-}
-
-pub fn level_word(level: NoticeLevel) -> &'static str {
-    match level {
-        NoticeLevel::Info => "info",
-        NoticeLevel::Warning => "warning",
-        NoticeLevel::Error => "error",
     }
 }
 

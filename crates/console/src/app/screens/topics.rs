@@ -16,8 +16,6 @@ pub const SAMPLES: usize = 8;
 pub const KEPT_SAMPLES: usize = 60;
 /// Time between two samples, nanoseconds.
 const SAMPLE_EVERY: u64 = 1_000_000_000;
-/// The sort columns, in the order of `s`.
-pub const SORTS: [&str; 4] = ["name", "Hz", "bytes/s", "watched"];
 
 /// Topics of the graph.
 #[derive(Debug, Default)]

@@ -89,7 +89,7 @@ fn lists_without_a_choice_say_so() {
     let mut robot = at("5", 80);
     robot.act(Action::Do(crate::app::Verb::Columns));
     assert!(robot.state.popups.is_empty() && robot.message().contains("columns: other screen"), "{}", robot.message());
-    for screen in Screen::ALL {
+    for screen in Screen::all() {
         let names: Vec<&str> = offered(screen).iter().map(|column| column.name).collect();
         assert!(names.is_empty() || names.contains(&ALWAYS), "{screen:?}");
     }

@@ -35,7 +35,7 @@ fn what_cannot_be_done_comes_last_and_says_why() {
 
 #[test]
 fn every_verb_can_be_tried_on_every_screen_without_harm() {
-    for screen in Screen::ALL {
+    for screen in Screen::all() {
         for entry in VERBS {
             for exists in [false, true] {
                 let mut robot = Robot::at_work(exists);

@@ -2,11 +2,11 @@
 //! picture, fields, bytes); the present state: who can read, who publishes a topic, what is running, how a robot is; and the
 //! incidents: a line for each, and below what the one under the cursor holds.
 
-use super::framed;
+use super::{draw_list, framed, name_role};
 use crate::app::incidents::IncidentList;
 use crate::app::opening::{BYTES_A_LINE, Face, Opening};
 use crate::app::popup::{Lookup, readers};
-use crate::app::screens::{LogLine, day, end, is_active, is_given, level_word, scope};
+use crate::app::screens::{LogLine, day, end, is_active, is_given, scope};
 use crate::app::update::Feed;
 use crate::app::{State, Tag, counted};
 use crate::model::{Timestamp, Verdict, clean};
@@ -20,8 +20,9 @@ use crate::service::reply::{
 use crate::ui::gateway::{self, Fact};
 use crate::ui::lists::{empty, state_role};
 use crate::ui::theme::Role;
-use crate::ui::{self, Canvas, bars, below, columns, count, plot, right_of, row, size, wrap};
+use crate::ui::{self, Canvas, bars, below, columns, count, plot, right_of, row, rows, size, wrap};
 use ratatui::layout::Rect;
+use strum::IntoEnumIterator as _;
 
 /// Its greatest width.
 const WIDEST: u16 = 120;
@@ -33,32 +34,31 @@ const LABEL: u16 = 20;
 pub fn draw_opened(canvas: &mut Canvas, area: Rect, opening: &Opening) {
     let width = WIDEST.min(area.width.saturating_sub(6));
     let title = format!("Record {}", opening.lookup.id);
-    match &opening.lookup.answer {
-        None => text(canvas, area, &title, vec![vec![("Asking…".to_owned(), Role::Dim)]]),
-        Some(Err(failure)) => {
-            let lines = wrap(&clean(&failure.message, 500), width).into_iter().map(|line| vec![(line, Role::Bad)]);
-            text(canvas, area, &title, lines.collect());
-        }
-        Some(Ok(view)) => whole(canvas, area, &title, opening, view),
+    if let Some(view) = opening.lookup.found() {
+        let inner = framed(canvas, area, &title, WIDEST, u16::MAX - 2);
+        return inside(canvas, inner, opening, view);
     }
-}
-
-fn text(canvas: &mut Canvas, area: Rect, title: &str, lines: Vec<Vec<Piece>>) {
-    let height = u16::try_from(lines.len()).unwrap_or(u16::MAX);
-    let inner = framed(canvas, area, title, WIDEST, height);
+    let lines = answered(&opening.lookup, width, |_| Vec::new(), |line| vec![line]);
+    let inner = framed(canvas, area, &title, WIDEST, rows(lines.len()));
     put_lines(canvas, inner, &lines, 0);
 }
 
-fn whole(canvas: &mut Canvas, area: Rect, title: &str, opening: &Opening, view: &OpenedView) {
-    let inner = framed(canvas, area, title, WIDEST, u16::MAX - 2);
-    inside(canvas, inner, opening, view);
+/// The lines of an answer; before it is here, and where there is none, that and why, each line put by `one`.
+fn answered<T, L>(lookup: &Lookup<T>, width: u16, lines: impl FnOnce(&T) -> Vec<L>, one: fn(Piece) -> L) -> Vec<L> {
+    match &lookup.answer {
+        None => vec![one(("Asking…".to_owned(), Role::Dim))],
+        Some(Err(failure)) => {
+            wrap(&clean(&failure.message, 500), width).into_iter().map(|line| one((line, Role::Bad))).collect()
+        }
+        Some(Ok(view)) => lines(view),
+    }
 }
 
 /// An opened record: its description, and below it the face in view.
 pub(in crate::ui) fn inside(canvas: &mut Canvas, inner: Rect, opening: &Opening, view: &OpenedView) {
     let head = if opening.alone && opening.is_drawn() { Vec::new() } else { head(view, inner.height) };
     put_lines(canvas, inner, &head, 0);
-    let taken = u16::try_from(head.len()).unwrap_or(u16::MAX);
+    let taken = rows(head.len());
     faces(canvas, row(inner, taken), opening, view);
     let content = below(inner, taken + 1);
     match opening.shown() {
@@ -115,22 +115,10 @@ fn faces(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedView) 
 fn draw_plot(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedView) {
     let own = view.readable.as_ref().and_then(|readable| readable.plot.as_ref());
     match opening.path.as_ref().map(|path| &path.answer) {
-        Some(None) => {
-            canvas.put(row(area, 0), "Reading the records up to here…", Role::Dim);
-        }
-        Some(Some(Err(failure))) => {
-            canvas.put(row(area, 0), &clean(&failure.message, 300), Role::Bad);
-        }
-        Some(Some(Ok(path))) => {
-            if let Some(found) = &path.plot {
-                plot::draw(canvas, area, found);
-            }
-        }
-        None => {
-            if let Some(own) = own {
-                plot::draw(canvas, area, own);
-            }
-        }
+        Some(None) => drop(canvas.put(row(area, 0), "Reading the records up to here…", Role::Dim)),
+        Some(Some(Err(failure))) => drop(canvas.put(row(area, 0), &clean(&failure.message, 300), Role::Bad)),
+        Some(Some(Ok(path))) => path.plot.iter().for_each(|found| plot::draw(canvas, area, found)),
+        None => own.iter().for_each(|own| plot::draw(canvas, area, own)),
     }
 }
 
@@ -182,17 +170,19 @@ fn bytes(view: &OpenedView) -> Vec<Vec<Piece>> {
 }
 
 pub(in crate::ui) fn put_lines(canvas: &mut Canvas, area: Rect, lines: &[Vec<Piece>], scroll: usize) {
-    let rows = usize::from(area.height);
-    let first = scroll.min(lines.len().saturating_sub(rows));
+    put_lines_above(canvas, area, lines, scroll, row(area, area.height.saturating_sub(1)));
+}
+
+/// The same; `edge` is where it says that there is more.
+fn put_lines_above(canvas: &mut Canvas, area: Rect, lines: &[Vec<Piece>], scroll: usize, edge: Rect) {
+    let height = usize::from(area.height);
+    let first = scroll.min(lines.len().saturating_sub(height));
     for (place, line) in (0..area.height).zip(lines.iter().skip(first)) {
         let pieces: Vec<(&str, Role)> = line.iter().map(|(text, role)| (text.as_str(), *role)).collect();
         canvas.puts(row(area, place), &pieces);
     }
-    if lines.len() > first + rows && rows > 0 {
-        let more = format!(" {} more lines below ", lines.len() - first - rows);
-        let edge = row(area, area.height.saturating_sub(1));
-        let width = columns(&more).min(edge.width);
-        canvas.put(right_of(edge, edge.width - width), &more, Role::Dim);
+    if lines.len() > first + height && height > 0 {
+        canvas.put_right(edge, &format!(" {} more lines below ", lines.len() - first - height), Role::Dim);
     }
 }
 
@@ -205,7 +195,11 @@ pub(in crate::ui) type Piece = (String, Role);
 
 /// Draws a record's provenance and state.
 pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {
-    draw_lookup(canvas, area, lookup, "Provenance of record", provenance_lines);
+    let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
+    let lines = answered(lookup, width, |view| provenance_lines(view, width), |line| vec![line]);
+    let inner = framed(canvas, area, &format!("Provenance of record {}", lookup.id), width, rows(lines.len()));
+    let edge = Rect { y: inner.bottom().min(area.bottom().saturating_sub(1)), height: 1, ..inner };
+    put_lines_above(canvas, inner, &lines, lookup.scroll, edge);
 }
 
 /// The steps of a record, in lines of that width.
@@ -241,56 +235,10 @@ fn fitted(evidence: &str, width: u16) -> String {
 
 /// A step that is done, or the state that a record is in.
 fn step_role(word: &str) -> Role {
-    const DONE: [&str; 11] = [
-        "message",
-        "record",
-        "digest",
-        "signature",
-        "store",
-        "batch",
-        "proof",
-        "anchored by",
-        "transaction",
-        "block",
-        "confirmations",
-    ];
-    if DONE.contains(&word) {
-        return Role::Accent;
-    }
     match ShownState::from_word(word) {
         Some(state) => state_role(state),
         None if word == "missing" => Role::Bad,
         None => Role::Accent,
-    }
-}
-
-fn draw_lookup<T>(
-    canvas: &mut Canvas,
-    area: Rect,
-    lookup: &Lookup<T>,
-    title: &str,
-    lines: impl Fn(&T, u16) -> Vec<Vec<Piece>>,
-) {
-    let width = LOOKUP_WIDEST.min(area.width.saturating_sub(6));
-    let lines = match &lookup.answer {
-        None => vec![vec![("Asking…".to_owned(), Role::Dim)]],
-        Some(Err(failure)) => {
-            wrap(&clean(&failure.message, 500), width).into_iter().map(|line| vec![(line, Role::Bad)]).collect()
-        }
-        Some(Ok(view)) => lines(view, width),
-    };
-    let height = u16::try_from(lines.len()).unwrap_or(u16::MAX);
-    let inner = framed(canvas, area, &format!("{title} {}", lookup.id), width, height);
-    let rows = usize::from(inner.height);
-    let first = lookup.scroll.min(lines.len().saturating_sub(rows));
-    for (place, line) in (0..inner.height).zip(lines.iter().skip(first)) {
-        let pieces: Vec<(&str, Role)> = line.iter().map(|(text, role)| (text.as_str(), *role)).collect();
-        canvas.puts(row(inner, place), &pieces);
-    }
-    if lines.len() > first + rows {
-        let more = format!(" {} more lines below ", lines.len() - first - rows);
-        let edge = Rect { y: inner.bottom().min(area.bottom().saturating_sub(1)), height: 1, ..inner };
-        canvas.put_right(right_of(edge, 0), &more, Role::Dim);
     }
 }
 
@@ -300,9 +248,9 @@ pub(in crate::ui) fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
         type_name.extend([("  ".to_owned(), Role::Body), ("SIMULATED".to_owned(), Role::Badge)]);
     }
     let facts = format!("seq {}, epoch {}, {}", record.seq, record.epoch, size(record.bytes));
-    let mut lines =
-        vec![labelled("topic", record.topic.clone(), Role::Accent), type_name, labelled("record", facts, Role::Body)];
-    lines.push(labelled("captured", record.captured_at.to_string(), Role::Body));
+    let (topic, captured) = (record.topic.clone(), record.captured_at.to_string());
+    let mut lines = vec![labelled("topic", topic, Role::Accent), type_name];
+    lines.extend([labelled("record", facts, Role::Body), labelled("captured", captured, Role::Body)]);
     lines.extend(record.owner.map(|owner| labelled("owner", owner.to_string(), Role::Body)));
     lines.push(labelled("digest", record.digest.to_hex(), Role::Dim));
     lines.extend(record.erased.as_ref().map(|erased| labelled("erased", clean(erased, 600), Role::Warning)));
@@ -331,18 +279,15 @@ fn pad(text: &str, width: u16) -> String {
     format!("{text}{}", " ".repeat(missing))
 }
 
-type Line = (String, Role);
-
 /// Draws lines in a frame, from the `scroll`-th on.
-fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Line], scroll: usize) {
+fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Piece], scroll: usize) {
     let width = area.width.saturating_sub(6).min(100);
-    let wrapped: Vec<Line> = lines
+    let wrapped: Vec<Piece> = lines
         .iter()
         .flat_map(|(text, role)| ui::wrap(&clean(text, 1_000), width).into_iter().map(|line| (line, *role)))
         .collect();
     let widest = wrapped.iter().map(|(line, _)| crate::ui::columns(line)).max().unwrap_or(0);
-    let height = u16::try_from(wrapped.len()).unwrap_or(u16::MAX);
-    let inner = framed(canvas, area, title, widest.max(40), height);
+    let inner = framed(canvas, area, title, widest.max(40), rows(wrapped.len()));
     let first = scroll.min(wrapped.len().saturating_sub(usize::from(inner.height)));
     for (place, (line, role)) in (0..inner.height).zip(wrapped.iter().skip(first)) {
         canvas.put(row(inner, place), line, *role);
@@ -352,7 +297,7 @@ fn draw_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[Line], scro
 /// Draws who can read topics now; no topic = all of them.
 pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[String]) {
     if topics.is_empty() {
-        let lines: Vec<Line> =
+        let lines: Vec<Piece> =
             readers(state, "New records of all topics:", None).into_iter().map(|line| (line, Role::Body)).collect();
         return draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
     }
@@ -373,7 +318,7 @@ pub fn draw_readers(canvas: &mut Canvas, area: Rect, state: &State, topics: &[St
     draw_lines(canvas, area, "Who can read this now?", &with_words(lines), 0);
 }
 
-fn with_words(mut lines: Vec<Line>) -> Vec<Line> {
+fn with_words(mut lines: Vec<Piece>) -> Vec<Piece> {
     lines.push((String::new(), Role::Body));
     let text = "Revoking does not undo reads: anyone who read a record may have kept it.";
     lines.push((text.to_owned(), Role::Dim));
@@ -387,15 +332,16 @@ fn reader(row: &GrantRow) -> String {
 
 /// Draws who publishes a topic: pinned, suspect.
 pub fn draw_publishers(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<PinsView>) {
-    let lines = match &lookup.answer {
-        None => vec![("Asking…".to_owned(), Role::Dim)],
-        Some(Err(failure)) => vec![(failure.message.clone(), Role::Bad)],
-        Some(Ok(view)) => publishers(state, &lookup.id, view),
-    };
+    let lines = answered(
+        lookup,
+        area.width.saturating_sub(6).min(100),
+        |view| publishers(state, &lookup.id, view),
+        |line| line,
+    );
     draw_lines(canvas, area, &format!("Publishers of {}", lookup.id), &lines, lookup.scroll);
 }
 
-fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
+fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Piece> {
     let mut lines = Vec::new();
     let row = state.topics.rows.iter().find(|row| row.topic == topic);
     let now = row.map_or_else(String::new, |row| row.publishers.join(" "));
@@ -413,22 +359,22 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
 }
 
 /// When there are records of a topic: from when to when, a strip of signs, and their meaning.
-pub fn coverage_lines(state: &State, topic: &str) -> Vec<Line> {
+pub fn coverage_lines(state: &State, topic: &str) -> Vec<Piece> {
     let Some((of, answer)) = &state.detail.coverage else { return Vec::new() };
     match answer {
         _ if of != topic => Vec::new(),
         Err(failure) => vec![(clean(&failure.message, 500), Role::Bad)],
-        Ok(view) if view.first.is_none() => vec![("No records of it yet.".to_owned(), Role::Dim), Line::default()],
+        Ok(view) if view.first.is_none() => vec![("No records of it yet.".to_owned(), Role::Dim), Piece::default()],
         Ok(view) => vec![
             (format!("Records from {} to {} UTC", day(view.since), day(view.until)), Role::Title),
             (view.strip(), Role::Accent),
             (view.legend(), Role::Dim),
-            Line::default(),
+            Piece::default(),
         ],
     }
 }
 
-fn pinned(pin: &PinView, now: &str) -> [Line; 2] {
+fn pinned(pin: &PinView, now: &str) -> [Piece; 2] {
     let publisher = &pin.publisher;
     let there =
         if now.split(' ').any(|name| name == publisher.caller_id) { "publishing now" } else { "not publishing" };
@@ -439,7 +385,7 @@ fn pinned(pin: &PinView, now: &str) -> [Line; 2] {
     ]
 }
 
-fn alarm(alarm: &AlarmView) -> [Line; 2] {
+fn alarm(alarm: &AlarmView) -> [Piece; 2] {
     let (word, role) = if alarm.open { ("ALARM", Role::Bad) } else { ("decided", Role::Dim) };
     [
         (format!("{word}  {}: {}", alarm.publisher, reason(&alarm.reason)), role),
@@ -461,14 +407,14 @@ fn reason(word: &str) -> &str {
 
 /// Draws a line of the log, whole.
 pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
-    let about = format!("{}  {}  {}", ui::moment(line.at), level_word(line.level), line.key);
+    let about = format!("{}  {}  {}", line.at.in_milliseconds(), line.level.word(), line.key);
     let role = if line.level == NoticeLevel::Info { Role::Body } else { bars::notice_level(line.level).1 };
     draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
 }
 
 /// Draws what is running, what waits, and for how long.
 pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
-    let mut lines: Vec<Line> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
+    let mut lines: Vec<Piece> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
     lines.extend(state.progress.lines(state.shown_at()).into_iter().map(|line| (line, Role::Accent)));
     if lines.is_empty() {
         lines.push(("no commands running".to_owned(), Role::Dim));
@@ -480,7 +426,7 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
         lines.push((pending, if chain.pending > 0 { Role::Warning } else { Role::Body }));
         lines.extend(chain.lanes.iter().filter_map(paused));
     }
-    for feed in Feed::ALL {
+    for feed in Feed::iter() {
         let slot = state.feeds.slot(feed);
         if let (Some(failure), Some(at)) = (&slot.failure, slot.retry_at) {
             let seconds = at.0.saturating_sub(state.now.0) / 1_000_000_000;
@@ -491,7 +437,7 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
 }
 
 /// The site's background tasks: how many are running, and each that is not or had to be restarted.
-fn workers(state: &State) -> Vec<Line> {
+fn workers(state: &State) -> Vec<Piece> {
     let tasks: &[TaskView] = state.site.as_ref().map_or(&[], |site| &site.tasks);
     let running = tasks.iter().filter(|task| task.state == TaskState::Running).count();
     let mut lines = Vec::new();
@@ -507,7 +453,7 @@ fn workers(state: &State) -> Vec<Line> {
     lines
 }
 
-fn records_on_their_way(state: &State) -> Vec<Line> {
+fn records_on_their_way(state: &State) -> Vec<Piece> {
     let Some(site) = &state.site else { return vec![("the site is starting…".to_owned(), Role::Dim)] };
     let life = &site.life;
     let queue = &site.queue;
@@ -550,12 +496,10 @@ fn left(pending: u64, captured: f64, verified: f64) -> String {
     format!("{count} pending, done in about {:.0} s", records / net.max(0.1))
 }
 
-fn paused(lane: &LaneState) -> Option<Line> {
+fn paused(lane: &LaneState) -> Option<Piece> {
     let cause = lane.paused.as_ref()?.cause(lane.account);
     Some((format!("paused  {cause}"), Role::Bad))
 }
-
-type GatewayLine = (String, Role);
 
 /// Columns of the names of facts.
 const ROBOT_LABEL: u16 = 10;
@@ -565,36 +509,19 @@ const ROBOT_WIDEST: u16 = 110;
 const NUMBER: usize = 9;
 
 pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<RobotView>) {
-    let width = width(area);
-    let lines = match &lookup.answer {
-        None => vec![("Asking…".to_owned(), Role::Dim)],
-        Some(Err(failure)) => {
-            wrap(&clean(&failure.message, 500), width).into_iter().map(|line| (line, Role::Bad)).collect()
-        }
-        Some(Ok(view)) => {
-            let mut lines = told(&gateway::facts(view, state.shown_at()), width);
-            lines.extend(topics(view, width));
-            lines.extend(robot_text(view, width));
-            lines
-        }
+    let width = ROBOT_WIDEST.min(area.width.saturating_sub(6));
+    let whole = |view: &RobotView| {
+        [told(&gateway::facts(view, state.shown_at()), width), topics(view, width), robot_text(view, width)].concat()
     };
+    let lines = answered(lookup, width, whole, |line| line);
     let name = lookup.found().map_or(lookup.id.as_str(), |view| view.row.name.as_str());
-    draw_robot_lines(canvas, area, &format!("Robot {}", clean(name, 64)), &lines, lookup.scroll);
-}
-
-fn width(area: Rect) -> u16 {
-    ROBOT_WIDEST.min(area.width.saturating_sub(6))
-}
-
-fn draw_robot_lines(canvas: &mut Canvas, area: Rect, title: &str, lines: &[GatewayLine], scroll: usize) {
-    let widest = lines.iter().map(|(line, _)| columns(line)).max().unwrap_or(0);
-    let height = u16::try_from(lines.len()).unwrap_or(u16::MAX);
-    let inner = framed(canvas, area, title, widest.clamp(40, width(area).max(40)), height);
-    draw_told(canvas, inner, lines, scroll);
+    let widest = lines.iter().map(|(line, _)| columns(line)).max().unwrap_or(0).clamp(40, width.max(40));
+    let inner = framed(canvas, area, &format!("Robot {}", clean(name, 64)), widest, rows(lines.len()));
+    draw_told(canvas, inner, &lines, lookup.scroll);
 }
 
 /// Names and words; a name that repeats is said once.
-fn told(facts: &[Fact], width: u16) -> Vec<GatewayLine> {
+fn told(facts: &[Fact], width: u16) -> Vec<Piece> {
     let mut lines = Vec::new();
     let mut before = "";
     for (name, text, role) in facts {
@@ -608,26 +535,26 @@ fn told(facts: &[Fact], width: u16) -> Vec<GatewayLine> {
 }
 
 /// What the robot recorded, by topic.
-fn topics(view: &RobotView, width: u16) -> Vec<GatewayLine> {
+fn topics(view: &RobotView, width: u16) -> Vec<Piece> {
     if view.topics.is_empty() {
-        return vec![GatewayLine::default(), ("Nothing of it was recorded yet.".to_owned(), Role::Dim)];
+        return vec![Piece::default(), ("Nothing of it was recorded yet.".to_owned(), Role::Dim)];
     }
     let numbers = |cells: [String; 4]| cells.iter().map(|cell| format!(" {cell:>NUMBER$}")).collect::<String>();
     let name = usize::from(width).saturating_sub(4 * (NUMBER + 1)).min(48);
     let heads = ["messages", "verified", "waiting", "lost"].map(str::to_owned);
-    let mut lines = vec![GatewayLine::default(), (format!("{:name$}{}", "topic", numbers(heads)), Role::Title)];
+    let mut lines = vec![Piece::default(), (format!("{:name$}{}", "topic", numbers(heads)), Role::Title)];
     for topic in &view.topics {
         let cells = [topic.records, topic.verified, topic.waiting, topic.lost].map(count);
         let role = if topic.lost > 0 { Role::Warning } else { Role::Body };
-        let shown = pad(&clean(&topic.topic, name), u16::try_from(name).unwrap_or(u16::MAX));
+        let shown = pad(&clean(&topic.topic, name), rows(name));
         lines.push((format!("{shown}{}", numbers(cells)), role));
     }
     lines
 }
 
 /// The policy as it was set.
-fn robot_text(view: &RobotView, width: u16) -> Vec<GatewayLine> {
-    let mut lines = vec![GatewayLine::default()];
+fn robot_text(view: &RobotView, width: u16) -> Vec<Piece> {
+    let mut lines = vec![Piece::default()];
     if view.policy.is_empty() {
         let why = if view.row.wanted == 0 { "No policy was set" } else { "The policy was cleared" };
         lines.push((format!("{why}: the robot's own settings count alone."), Role::Dim));
@@ -657,29 +584,22 @@ pub fn draw_incidents(canvas: &mut Canvas, area: Rect, state: &State, list: &Inc
         canvas.put(inner, empty(state, Feed::Incidents, nothing), Role::Dim);
         return;
     };
-    let rows = &state.incidents.rows;
-    let told: Vec<Line> = holdings(state, chosen)
+    let incidents = &state.incidents.rows;
+    let told: Vec<Piece> = holdings(state, chosen)
         .into_iter()
         .flat_map(|(text, role)| ui::wrap(&text, width).into_iter().map(move |line| (line, role)))
         .collect();
-    let number = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
     // A third is the list's, however many there are.
-    let listed = number(rows.len()).min((area.height.saturating_sub(4) / 3).max(1));
-    let inner = framed(canvas, area, "Incidents", width, number(told.len()).saturating_add(listed + 1));
-    let selected = list.selected.min(rows.len().saturating_sub(1));
-    let height = usize::from(listed);
-    let first = selected - selected % height.max(1);
-    for (place, (index, incident)) in (0u16..).zip(rows.iter().enumerate().skip(first).take(height)) {
-        draw_incident(canvas, row(inner, place), incident, index == selected);
-    }
+    let listed = rows(incidents.len()).min((area.height.saturating_sub(4) / 3).max(1));
+    let inner = framed(canvas, area, "Incidents", width, rows(told.len()).saturating_add(listed + 1));
+    draw_list(canvas, Rect { height: listed, ..inner }, incidents, list.selected, draw_incident);
     draw_told(canvas, below(inner, listed + 1), &told, list.scroll);
 }
 
 fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here: bool) {
-    canvas.put(line, if here { "▌" } else { " " }, Role::Accent);
-    let name = Rect { width: INCIDENT_NAME.min(line.width.saturating_sub(1)), ..right_of(line, 1) };
-    canvas.put(name, incident.name.as_str(), if here { Role::Selection } else { Role::Body });
-    let rest = right_of(line, INCIDENT_NAME + 2);
+    let name = Rect { width: INCIDENT_NAME.min(line.width), ..line };
+    canvas.put(name, incident.name.as_str(), name_role(here));
+    let rest = right_of(line, INCIDENT_NAME + 1);
     let (word, role) = if incident.open { ("open", Role::Good) } else { ("closed", Role::Dim) };
     canvas.put(rest, word, role);
     let topics = incident.coverage.iter().filter(|one| one.records > 0).count() as u64;
@@ -688,7 +608,7 @@ fn draw_incident(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here:
 }
 
 /// Draws lines from the `scroll`-th on, and says how many are above and below.
-fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Line], scroll: usize) {
+fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Piece], scroll: usize) {
     let height = usize::from(area.height);
     let first = scroll.min(told.len().saturating_sub(height));
     for (place, (line, role)) in (0..area.height).zip(told.iter().skip(first)) {
@@ -706,7 +626,7 @@ fn records(count: u64) -> String {
 }
 
 /// Its span, its notes, and what there is of each topic.
-fn holdings(state: &State, incident: &IncidentView) -> Vec<Line> {
+fn holdings(state: &State, incident: &IncidentView) -> Vec<Piece> {
     let to = match incident.until {
         Some(until) => format!("to {} UTC", day(until)),
         None => "UTC, until it is closed".to_owned(),
@@ -717,7 +637,7 @@ fn holdings(state: &State, incident: &IncidentView) -> Vec<Line> {
     };
     let mut lines = vec![(format!("From {} {to}, {about}", day(incident.since)), Role::Title)];
     lines.extend(incident.notes.iter().flat_map(note));
-    lines.push(Line::default());
+    lines.push(Piece::default());
     if incident.coverage.is_empty() {
         lines.push(("Nothing was recorded in that time.".to_owned(), Role::Dim));
     }
@@ -725,14 +645,14 @@ fn holdings(state: &State, incident: &IncidentView) -> Vec<Line> {
     lines
 }
 
-fn note(note: &IncidentNoteView) -> Vec<Line> {
+fn note(note: &IncidentNoteView) -> Vec<Piece> {
     let mut lines = note.text.lines().map(|line| clean(line, 2_000));
     let first = lines.next().unwrap_or_default();
     let rest = lines.map(|line| (format!("  {line}"), Role::Body));
     std::iter::once((format!("{}  {first}", day(note.at)), Role::Body)).chain(rest).collect()
 }
 
-fn topic(state: &State, one: &SpanCoverageView) -> Vec<Line> {
+fn topic(state: &State, one: &SpanCoverageView) -> Vec<Piece> {
     let name = clean(&one.topic, 255);
     let mut lines = match (one.first, one.last) {
         (Some(first), Some(last)) => {

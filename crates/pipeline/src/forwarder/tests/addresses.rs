@@ -20,7 +20,6 @@ fn start(scene: &Scene, mut forwarder: Forwarder) -> Work {
     Work { link, refused, task: tokio::spawn(async move { forwarder.run(&stored).await }) }
 }
 
-/// Where nobody listens.
 async fn nowhere() -> std::net::SocketAddr {
     tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("port").local_addr().expect("address")
 }

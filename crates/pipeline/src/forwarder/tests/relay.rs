@@ -18,7 +18,6 @@ struct Shared {
     cut: watch::Sender<u64>,
 }
 
-/// A running relay.
 pub struct Relay {
     pub address: SocketAddr,
     shared: Arc<Shared>,

@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use crate::ros::mcap::beside::words;
     use crate::ros::mcap::{Beside, McapWriter};
-    use crate::ros::recording::{ChunkCompression, Sent};
+    use crate::ros::recording::{ChunkCompression, RecordingReader as _, Sent};
 
     fn recorded(compression: ChunkCompression) -> Vec<u8> {
         let channel = words();

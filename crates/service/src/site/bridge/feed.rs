@@ -203,14 +203,9 @@ impl Stream {
     /// Marks verified records as done; returns the newest of them.
     fn skip_verified(&mut self, records: &Records, key: (Address, TopicId)) -> Result<Option<Item>, Failure> {
         let verified = RecordQuery { state: Some(RecordState::Verified), ..of_stream(key) };
-        let mut query = RecordQuery { since: Some(self.low), ..verified.clone() };
-        loop {
-            let page = records.list(&query)?;
-            self.done.extend(page.rows.iter().map(|row| (row.digest, row.captured_at)));
-            query.after = page.next;
-            if query.after.is_none() {
-                break;
-            }
+        for row in records.all(RecordQuery { since: Some(self.low), ..verified.clone() }) {
+            let row = row?;
+            self.done.insert(row.digest, row.captured_at);
         }
         let newest = records.list(&RecordQuery { newest_first: true, limit: 1, ..verified })?;
         Ok(newest.rows.into_iter().next().map(|row| Item { row, only_latched: true }))
@@ -219,27 +214,21 @@ impl Stream {
     /// Gives out settled records, up to the first that is not settled yet: later ones wait behind it, so that their
     /// order stays.
     fn take(&mut self, records: &Records, key: (Address, TopicId), ready: &mut Vec<RecordRow>) -> Result<(), Failure> {
-        let mut query = RecordQuery { since: Some(self.low.max(self.floor)), ..of_stream(key) };
-        let (mut waiting, begun, now) = (None, ready.len(), Timestamp::now());
-        'pages: loop {
-            let page = records.list(&query)?;
-            for row in page.rows {
-                if self.done.contains_key(&row.digest) || is_held(&row) || row.state == RecordState::RightEnded {
-                    continue;
-                }
-                if is_on_its_way(row.state) {
-                    waiting = Some(row.captured_at);
-                    break 'pages;
-                }
-                self.done.insert(row.digest, row.captured_at);
-                // A clock that is ahead does not put the others' records behind any more than ours.
-                self.newest = self.newest.max(row.captured_at.min(now));
-                ready.push(row);
+        let query = RecordQuery { since: Some(self.low.max(self.floor)), ..of_stream(key) };
+        let (mut waiting, most, now) = (None, ready.len() + PAGE, Timestamp::now());
+        for row in records.all(query) {
+            let row = row?;
+            if self.done.contains_key(&row.digest) || is_held(&row) || row.state == RecordState::RightEnded {
+                continue;
             }
-            query.after = page.next;
-            if query.after.is_none() || ready.len() - begun >= PAGE {
+            if is_on_its_way(row.state) || ready.len() >= most {
+                waiting = Some(row.captured_at);
                 break;
             }
+            self.done.insert(row.digest, row.captured_at);
+            // A clock that is ahead does not put the others' records behind any more than ours.
+            self.newest = self.newest.max(row.captured_at.min(now));
+            ready.push(row);
         }
         let settled = Timestamp(self.newest.0.saturating_sub(SLACK)).max(self.low);
         self.low = waiting.map_or(settled, |waiting| settled.min(waiting));

@@ -3,7 +3,6 @@
 
 mod feed;
 mod names;
-mod offer;
 mod pacer;
 mod play;
 mod second;
@@ -13,30 +12,24 @@ mod target;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tokio::sync::{oneshot, watch};
+use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use crate::config::{Config, PublishedBy};
+use crate::config::PublishedBy;
 use crate::crypto::random_bytes;
 use crate::model::bytes::hex;
 use crate::model::{Address, ErrorKind, ProfileName, Scope, clean};
-use crate::pipeline::{Network, Owner, PipelineError, Plant, authority};
+use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::ros::ros2::Ros2Publisher;
 use crate::ros::{Graph, GraphPublisher, Publisher, RosError, RosrustPublisher, UNCONFINED};
 use crate::service::command::{Pace, PlayWishes};
-use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
-use crate::service::hub::Hub;
-use crate::service::reply::{Failure, PlayedView};
-use crate::site::audit::Log;
+use crate::service::reply::Failure;
 use crate::site::capture::ros::RosSide;
-use crate::site::chain::link::Link;
 use crate::site::contacts::Contacts;
-use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 
 use names::Names;
-use play::{Ends, Play};
 use second::Domain;
 use stage::Stage;
 use target::Target;
@@ -44,76 +37,37 @@ use target::Target;
 /// The name prefix of nodes that play; nodes that capture have another.
 const NODE: &str = "/authros_play_";
 
-/// A playback, and how to end it.
-type Running = Mutex<Vec<(ProfileName, Arc<watch::Sender<bool>>)>>;
-
 /// Shared records on their way into ROS graphs.
 pub(in crate::site) struct Bridge {
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
+    parts: Parts,
     contacts: Arc<Contacts>,
     ros: Arc<RosSide>,
-    running: Running,
-}
-
-/// Removes a playback from the list when it ends, however it ends.
-struct Listed<'a> {
-    running: &'a Running,
-    stop: Arc<watch::Sender<bool>>,
-}
-
-impl Drop for Listed<'_> {
-    fn drop(&mut self) {
-        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
-        running.retain(|(_, other)| !Arc::ptr_eq(other, &self.stop));
-    }
+    /// Playbacks, and how to end each.
+    running: Mutex<Vec<(ProfileName, watch::Sender<bool>)>>,
 }
 
 impl Bridge {
     /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>, ros: &Arc<RosSide>) -> Self {
-        let Parts { config, plant, hub, log, link, life, .. } = parts.clone();
-        let (contacts, ros) = (Arc::clone(contacts), Arc::clone(ros));
-        Self { config, plant, hub, log, link, life, contacts, ros, running: Running::default() }
+        let (parts, contacts, ros) = (parts.clone(), Arc::clone(contacts), Arc::clone(ros));
+        Self { parts, contacts, ros, running: Mutex::default() }
     }
 
     /// Ends a profile's playback; the answers follow.
-    pub(in crate::site) fn stop(&self, profile: &ProfileName) {
+    pub fn stop(&self, profile: &ProfileName) {
         let running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.iter().filter(|(owner, _)| owner == profile).for_each(|(_, stop)| {
             stop.send_replace(true);
         });
     }
 
-    /// Plays until all is played, a right ends, or somebody ends it; `gone` resolves when nobody waits any more.
-    pub(in crate::site) async fn play(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: PlayWishes,
-        gone: oneshot::Receiver<()>,
-    ) -> Result<PlayedView, Failure> {
-        let names = Names::of(&wishes)?;
-        consistent(&wishes)?;
-        let network = self.link.network().await?;
-        let givers = self.givers(owner, &network, &wishes)?;
-        let target = match wishes.domain {
-            Some(domain) => Target::Domain(Box::new(self.domain(domain, &names)?)),
-            None => Target::Graph(Box::new(self.stage(&wishes, &names).await?)),
-        };
-        let subject = subject(&wishes, target.name());
-        self.log.begin(owner, "play records", &subject).await?;
+    /// Keeps how to end a playback that begins, and forgets those that are over.
+    fn listed(&self, profile: &ProfileName) -> watch::Receiver<bool> {
         let (stop, stopped) = watch::channel(false);
-        let stop = Arc::new(stop);
-        let profile = owner.profile.clone();
-        self.running.lock().unwrap_or_else(PoisonError::into_inner).push((profile, Arc::clone(&stop)));
-        let _listed = Listed { running: &self.running, stop };
-        let ends = Ends::new(gone, stopped, &self.life);
-        let played = Play::new(self, &network, owner, givers, &wishes, names, target, ends).run().await;
-        self.log.end(owner, "play records", &subject, played).await
+        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        running.retain(|(_, stop)| !stop.is_closed());
+        running.push((profile.clone(), stop));
+        stopped
     }
 
     /// Those who share with the reader now, limited to the request.
@@ -140,26 +94,26 @@ impl Bridge {
         }
     }
 
-    /// The participant that will publish, once it is certain that there is no loop.
-    fn domain(&self, domain: u16, names: &Names) -> Result<Domain, Failure> {
-        let is_captured = self.ros.is_wanted() && self.config.ros_domain == Some(domain);
+    /// The participant that will publish, once it is certain that there is no loop; and whether this site captures from there.
+    fn domain(&self, domain: u16, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
+        let is_captured = self.ros.is_wanted() && self.parts.config.ros_domain == Some(domain);
         if is_captured {
             names.keep_apart().map_err(|why| refused(format!("ROS 2 domain {domain} is {why}")))?;
         }
-        let publisher = block_in_place(|| Ros2Publisher::start(domain, self.config.ros2_program.as_deref()))?;
+        let publisher = block_in_place(|| Ros2Publisher::start(domain, self.parts.config.ros2_program.as_deref()))?;
         self.tell_of_walls(publisher.is_confined());
-        Ok(Domain::new(publisher, names.prefix(), is_captured))
+        Ok((Box::new(Domain::new(publisher, names.prefix())), is_captured))
     }
 
-    /// The node that will publish, once it is certain that there is no loop.
-    async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<Stage, Failure> {
-        let own = match (self.ros.is_wanted(), &self.config.ros_master) {
+    /// The same for a node in a graph.
+    async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<(Box<dyn Target>, bool), Failure> {
+        let own = match (self.ros.is_wanted(), &self.parts.config.ros_master) {
             (false, _) => None,
             // While it is away, the site will still capture from it as soon as it is back.
             (true, Some(named)) => Some(named.clone()),
             (true, None) => Some(self.ros.uri().await?),
         };
-        let uri = wishes.master.clone().or_else(|| own.clone()).or_else(|| self.config.ros_master.clone());
+        let uri = wishes.master.clone().or_else(|| own.clone()).or_else(|| self.parts.config.ros_master.clone());
         let uri = uri.ok_or_else(|| {
             let advice = "choose the graph to play into with --to http://HOST:11311, or set ros.master";
             Failure::new(ErrorKind::Usage, advice)
@@ -173,23 +127,24 @@ impl Bridge {
                 names.keep_apart().map_err(|why| refused(format!("{} is {why}", clean(&uri, 120))))?;
             }
             let publisher = self.publisher(&uri, &node)?;
-            Ok(Stage::new(uri.clone(), graph, publisher, names.prefix(), is_captured))
+            let stage: Box<dyn Target> = Box::new(Stage::new(uri.clone(), graph, publisher, names.prefix()));
+            Ok((stage, is_captured))
         })
     }
 
     fn tell_of_walls(&self, is_confined: bool) {
         if !is_confined {
-            self.hub.notice(NoticeLevel::Warning, UNCONFINED);
+            self.parts.hub.warn(UNCONFINED);
         }
     }
 
     /// The node that publishes, by whom the settings say.
-    fn publisher(&self, uri: &str, node: &str) -> Result<GraphPublisher, RosError> {
-        let host = self.config.ros_host.as_deref();
-        match self.config.publisher {
+    fn publisher(&self, uri: &str, node: &str) -> Result<Box<dyn GraphPublisher>, RosError> {
+        let host = self.parts.config.ros_host.as_deref();
+        match self.parts.config.publisher {
             PublishedBy::Own => Ok(Box::new(Publisher::start(uri, host, node)?)),
             PublishedBy::Rosrust => {
-                let program = self.config.rosrust_program.as_deref();
+                let program = self.parts.config.rosrust_program.as_deref();
                 let publisher = RosrustPublisher::start(uri, host, node, program)?;
                 self.tell_of_walls(publisher.is_confined());
                 Ok(Box::new(publisher))

@@ -53,12 +53,16 @@ impl Names {
         let Some(prefix) = &self.prefix else {
             return Err(format!("{why} give a --prefix such as /shared/alice, or another graph with --to or --ros2"));
         };
-        let inside = |name: &String| name.strip_prefix(prefix.as_str()).is_some_and(|rest| rest.starts_with('/'));
-        match self.remaps.values().find(|name| !inside(name)) {
+        match self.remaps.values().find(|name| !is_under(prefix, name)) {
             Some(name) => Err(format!("{why} remap to a name under {prefix}, unlike {name}")),
             None => Ok(()),
         }
     }
+}
+
+/// Whether a name is a prefix with something after it.
+pub(super) fn is_under(prefix: &str, name: &str) -> bool {
+    name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with('/'))
 }
 
 #[cfg(test)]

@@ -8,21 +8,25 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
-mod described;
 mod rights;
 
-use super::Bridge;
 use super::feed::{Feed, Item};
 use super::names::Names;
 use super::pacer::{Pacer, TICK};
-use super::target::{Form, Target};
+use super::second::offer;
+use super::target::{Form, NO_MESSAGE, NOBODY, Source, Stop, Target};
+use super::{Bridge, consistent, subject};
+use crate::crypto::sm3::sm3;
 use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{Address, ErrorKind, Hash, Scope, Timestamp, clean};
-use crate::pipeline::reader::{Definitions, Reader, is_held};
+use crate::model::{Address, ErrorKind, Hash, Scope, Timestamp, Verdict, clean};
+use crate::pipeline::reader::{Definitions, Opening, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
+use crate::ros::Advertised;
+use crate::ros::recording::Encoding;
+use crate::ros::recording::tags::CHANNEL;
+use crate::ros::ros2::{LONGEST_MESSAGE, Offered, WRITER};
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
-use crate::site::lifetime::Lifetime;
 use crate::store::RecordRow;
 use rights::{Keys, key_of};
 
@@ -49,46 +53,25 @@ const MOST_REASONS: usize = 20;
 
 const NO_RIGHT: &str = "no active grant covers it, or no key of this profile opens it";
 
-/// What may end it from outside.
-pub(super) struct Ends {
-    gone: oneshot::Receiver<()>,
-    stopped: watch::Receiver<bool>,
-    life: Arc<Lifetime>,
-}
-
-impl Ends {
-    pub fn new(gone: oneshot::Receiver<()>, stopped: watch::Receiver<bool>, life: &Arc<Lifetime>) -> Self {
-        Self { gone, stopped, life: Arc::clone(life) }
-    }
-
-    fn now(&mut self) -> Option<PlayEnd> {
-        let is_gone = !matches!(self.gone.try_recv(), Err(oneshot::error::TryRecvError::Empty));
-        if *self.stopped.borrow() || is_gone {
-            return Some(PlayEnd::Asked);
-        }
-        (self.life.is_ending() || self.life.is_stopping()).then_some(PlayEnd::Site)
-    }
-}
-
-/// The outcome for a record.
-enum Taken {
-    /// Played, or counted, or not requested.
-    Done,
-    /// It cannot be checked now.
-    Later,
-    /// The playback is over.
-    Ended(PlayEnd),
-}
-
 /// A record that passed every check, with its source and name for playing.
 struct Checked {
     record: OpenedRecord,
     form: Form,
-    source: u64,
+    source: Source,
+}
+
+/// What became of the records so far.
+#[derive(Default)]
+struct Tally {
+    published: u64,
+    refused: u64,
+    missing: u64,
+    reasons: BTreeMap<String, u64>,
+    topics: BTreeMap<String, u64>,
 }
 
 /// A running playback.
-pub(super) struct Play<'a> {
+struct Play<'a> {
     bridge: &'a Bridge,
     network: Network,
     owner: &'a Arc<Owner>,
@@ -97,84 +80,93 @@ pub(super) struct Play<'a> {
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
     names: Names,
-    target: Target,
-    ends: Ends,
+    target: Box<dyn Target>,
+    /// Resolves when nobody waits for the answer any more.
+    gone: oneshot::Receiver<()>,
+    stopped: watch::Receiver<bool>,
     pacer: Pacer,
     clock: Option<String>,
     definitions: Definitions,
     rights_at: Instant,
     keys: Keys,
     registered_at: Instant,
-    published: u64,
-    refused: u64,
-    missing: u64,
-    reasons: BTreeMap<String, u64>,
-    topics: BTreeMap<String, u64>,
+    tally: Tally,
 }
 
-impl<'a> Play<'a> {
-    #[allow(clippy::too_many_arguments, reason = "its parts, created one by one")]
-    pub fn new(
-        bridge: &'a Bridge,
-        network: &Network,
-        owner: &'a Arc<Owner>,
-        givers: HashMap<Address, Scope>,
-        wishes: &'a PlayWishes,
-        names: Names,
-        target: Target,
-        ends: Ends,
-    ) -> Self {
-        let now = Instant::now();
-        let standing = authority::shared_with(&network.directory, owner.address);
-        let granted = standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect();
-        Self {
-            bridge,
-            network: network.clone(),
+impl Bridge {
+    /// Plays until all is played, a right ends, or somebody ends it; `gone` resolves when nobody waits any more.
+    pub async fn play(
+        &self,
+        owner: &Arc<Owner>,
+        wishes: PlayWishes,
+        gone: oneshot::Receiver<()>,
+    ) -> Result<PlayedView, Failure> {
+        let names = Names::of(&wishes)?;
+        consistent(&wishes)?;
+        let network = self.parts.link.network().await?;
+        let givers = self.givers(owner, &network, &wishes)?;
+        let (target, is_captured) = match wishes.domain {
+            Some(domain) => self.domain(domain, &names)?,
+            None => self.stage(&wishes, &names).await?,
+        };
+        let subject = subject(&wishes, target.name());
+        self.parts.log.begin(owner, "play records", &subject).await?;
+        let play = Play {
+            bridge: self,
+            granted: granted_to(owner, &network),
+            network,
             owner,
             givers,
-            granted,
-            wishes,
+            wishes: &wishes,
             names,
             target,
-            ends,
+            gone,
+            stopped: self.listed(&owner.profile),
             pacer: Pacer::new(wishes.pace),
             clock: None,
             definitions: Definitions::default(),
-            rights_at: now,
+            rights_at: Instant::now(),
             keys: Keys::default(),
-            registered_at: now,
-            published: 0,
-            refused: 0,
-            missing: 0,
-            reasons: BTreeMap::new(),
-            topics: BTreeMap::new(),
-        }
+            registered_at: Instant::now(),
+            tally: Tally::default(),
+        };
+        let played = play.run(is_captured).await;
+        self.parts.log.end(owner, "play records", &subject, played).await
     }
+}
 
+/// The owners who share with a reader now, each with the transaction that says so.
+fn granted_to(reader: &Owner, network: &Network) -> HashMap<Address, Hash> {
+    let standing = authority::shared_with(&network.directory, reader.address);
+    standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect()
+}
+
+impl Play<'_> {
     /// Plays to the end.
     ///
     /// # Errors
     /// If chain, store, master or child process fail; what was queued is not sent then.
-    pub async fn run(mut self) -> Result<PlayedView, Failure> {
+    async fn run(mut self, is_captured: bool) -> Result<PlayedView, Failure> {
         let begun = Instant::now();
-        let mut ended = self.rounds().await;
+        let mut ended = self.rounds(is_captured).await;
         if let Ok(end) = &mut ended {
             *end = self.farewell(*end).await;
         }
         let by_right = ended.as_ref().map_or(true, |end| end.is_by_right());
-        let (published, dropped, unconfirmed) = self.target.finish(self.published, by_right);
-        let mut reasons: Vec<(String, u64)> = self.reasons.into_iter().collect();
+        let Tally { published, refused, missing, reasons, topics } = self.tally;
+        let (published, dropped, unconfirmed) = self.target.finish(published, by_right);
+        let mut reasons: Vec<(String, u64)> = reasons.into_iter().collect();
         reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
         Ok(PlayedView {
             published,
-            refused: self.refused,
-            missing: self.missing,
+            refused,
+            missing,
             dropped,
             unconfirmed,
             seconds: begun.elapsed().as_secs_f64(),
             ended_by: ended?,
             reasons,
-            topics: self.topics.into_iter().collect(),
+            topics: topics.into_iter().collect(),
         })
     }
 
@@ -194,12 +186,12 @@ impl<'a> Play<'a> {
         end
     }
 
-    async fn rounds(&mut self) -> Result<PlayEnd, Failure> {
-        self.show_clock()?;
-        let ledger = &self.bridge.plant.ledger;
+    async fn rounds(&mut self, is_captured: bool) -> Result<PlayEnd, Failure> {
+        self.show_clock(is_captured)?;
+        let ledger = &self.bridge.parts.plant.ledger;
         let mut feed = block_in_place(|| Feed::begin(ledger, self.wishes, &self.givers))?;
         loop {
-            if let Some(end) = self.end() {
+            if let Err(end) = self.end() {
                 return Ok(end);
             }
             let round = block_in_place(|| feed.next(ledger, &self.givers))?;
@@ -211,13 +203,16 @@ impl<'a> Play<'a> {
                     feed.again(item);
                     continue;
                 }
-                match self.take(&item).await? {
-                    Taken::Done => {}
-                    Taken::Later => {
+                match self.take(&item).await {
+                    Ok(()) => {}
+                    Err(Stop::Refused(why)) => self.refuse(why),
+                    Err(Stop::Missing) => self.tally.missing += 1,
+                    Err(Stop::Later) => {
                         held.insert(stream);
                         feed.again(item);
                     }
-                    Taken::Ended(end) => return Ok(end),
+                    Err(Stop::Ended(end)) => return Ok(end),
+                    Err(Stop::Failed(failure)) => return Err(failure),
                 }
             }
             if round.is_last {
@@ -230,72 +225,55 @@ impl<'a> Play<'a> {
     }
 
     /// Checks one record, and plays it when it is due.
-    async fn take(&mut self, item: &Item) -> Result<Taken, Failure> {
+    async fn take(&mut self, item: &Item) -> Result<(), Stop> {
         let row = &item.row;
         if is_held(row) || (row.is_named() && !self.is_wanted(&row.topic)) {
-            return Ok(Taken::Done);
+            return Ok(());
         }
-        if let Some(end) = self.connected().await {
-            return Ok(Taken::Ended(end));
-        }
-        if !self.givers.contains_key(&row.owner) {
-            return Ok(self.refuse(NO_RIGHT.to_owned()));
-        }
+        self.connected().await.map_err(Stop::Ended)?;
+        self.is_given(row)?;
         if self.keys.looked_for(key_of(row), Instant::now()) {
-            return Ok(Taken::Later);
+            return Err(Stop::Later);
         }
         let opened = self.reader().open(row).await;
-        let record = match opened {
-            Ok(record) => record,
-            Err(error) => return self.judge(row, error),
-        };
+        let record = opened.map_err(|error| self.judge(row, error))?;
         self.keys.came(key_of(row));
-        if !self.is_wanted(&record.head.topic) {
-            return Ok(Taken::Done);
+        let is_passed = item.only_latched && !record.head.tags.contains_key(importer::LATCHING);
+        if is_passed || !self.is_wanted(&record.head.topic) {
+            return Ok(());
         }
-        let latching = record.head.tags.contains_key(importer::LATCHING);
-        if item.only_latched && !latching {
-            return Ok(Taken::Done);
-        }
-        match self.described(item, record, latching).await? {
-            Ok(checked) => self.play(item, &checked).await,
-            Err(why) => Ok(self.refuse(why)),
-        }
+        let checked = self.described(item, record).await?;
+        self.play(item, &checked).await
     }
 
-    async fn play(&mut self, item: &Item, checked: &Checked) -> Result<Taken, Failure> {
+    async fn play(&mut self, item: &Item, checked: &Checked) -> Result<(), Stop> {
         let Checked { record, form, source } = checked;
-        let source = (item.row.owner, *source);
-        match self.target.show(form, source, record.body.len()) {
-            Ok(Ok(())) => {}
-            Ok(Err(why)) => return Ok(self.refuse(why)),
+        let follows = self.wishes.pace == Pace::Follow;
+        match self.target.show(form, *source, record.body.len()) {
             // A master or a child process that restarts is back soon.
-            Err(_) if self.wishes.pace == Pace::Follow => return Ok(Taken::Later),
-            Err(failure) => return Err(failure),
+            Err(Stop::Failed(_)) if follows => return Err(Stop::Later),
+            shown => shown?,
         }
-        let due = if item.only_latched { None } else { Some(record.header.captured_at) };
-        if let Some(end) = self.until_due(due).await {
-            return Ok(Taken::Ended(end));
-        }
+        let due = Some(record.header.captured_at).filter(|_| !item.only_latched);
+        self.until_due(due).await.map_err(Stop::Ended)?;
         // It may have been opened a while ago: the right is checked again.
-        if !self.givers.contains_key(&item.row.owner) {
-            return Ok(self.refuse(NO_RIGHT.to_owned()));
-        }
+        self.is_given(&item.row)?;
         let allowed = self.reader().authorise(&item.row);
-        if let Err(error) = allowed {
-            return self.judge(&item.row, error);
+        allowed.map_err(|error| self.judge(&item.row, error))?;
+        if !self.target.publish(form, *source, &record.body) {
+            return Err(if follows { Stop::Later } else { Stop::Refused("nobody publishes it now".to_owned()) });
         }
-        if !self.target.publish(form, source, &record.body) {
-            let follows = self.wishes.pace == Pace::Follow;
-            return Ok(if follows { Taken::Later } else { self.refuse("nobody publishes it now".to_owned()) });
-        }
-        self.published += 1;
-        *self.topics.entry(clean(form.topic(), 255)).or_default() += 1;
-        Ok(Taken::Done)
+        self.tally.published += 1;
+        *self.tally.topics.entry(clean(form.topic(), 255)).or_default() += 1;
+        Ok(())
+    }
+
+    fn is_given(&self, row: &RecordRow) -> Result<(), Stop> {
+        if self.givers.contains_key(&row.owner) { Ok(()) } else { Err(Stop::Refused(NO_RIGHT.to_owned())) }
     }
 
     fn reader(&self) -> Reader<'_> {
-        Reader { plant: &self.bridge.plant, network: &self.network, reader: self.owner }
+        Reader { plant: &self.bridge.parts.plant, network: &self.network, reader: self.owner }
     }
 
     fn is_wanted(&self, topic: &str) -> bool {
@@ -303,12 +281,10 @@ impl<'a> Play<'a> {
     }
 
     /// Waits until a message is due, and for subscribers that are far behind.
-    async fn until_due(&mut self, due: Option<Timestamp>) -> Option<PlayEnd> {
+    async fn until_due(&mut self, due: Option<Timestamp>) -> Result<(), PlayEnd> {
         let mut crowded_since = None;
         loop {
-            if let Some(end) = self.end() {
-                return Some(end);
-            }
+            self.end()?;
             self.tell_time();
             let left = due.map_or(Duration::ZERO, |due| self.pacer.wait(due, Instant::now()));
             let mut crowded = self.target.is_crowded();
@@ -317,7 +293,7 @@ impl<'a> Play<'a> {
                 crowded = false;
             }
             if left.is_zero() && !crowded {
-                return None;
+                return Ok(());
             }
             let nap = if self.clock.is_some() { TICK } else { NAP };
             tokio::time::sleep(if crowded { TICK } else { left.min(nap) }).await;
@@ -325,83 +301,143 @@ impl<'a> Play<'a> {
     }
 
     /// Waits for the chain: without it nobody knows who may read what.
-    async fn connected(&mut self) -> Option<PlayEnd> {
+    async fn connected(&mut self) -> Result<(), PlayEnd> {
         loop {
-            if let Some(end) = self.end() {
-                return Some(end);
-            }
-            if let Some(network) = self.bridge.link.network_now() {
+            self.end()?;
+            if let Some(network) = self.bridge.parts.link.network_now() {
                 self.network = network;
-                return None;
+                return Ok(());
             }
             tokio::time::sleep(NAP).await;
         }
     }
 
-    /// The reason to end the playback, if there is one by now.
-    fn end(&mut self) -> Option<PlayEnd> {
-        if let Some(end) = self.ends.now() {
-            return Some(end);
+    /// Whether the playback goes on; why not, if it is over by now.
+    fn end(&mut self) -> Result<(), PlayEnd> {
+        let is_gone = !matches!(self.gone.try_recv(), Err(oneshot::error::TryRecvError::Empty));
+        if *self.stopped.borrow() || is_gone {
+            return Err(PlayEnd::Asked);
+        }
+        let life = &self.bridge.parts.life;
+        if life.is_ending() || life.is_stopping() {
+            return Err(PlayEnd::Site);
         }
         if self.registered_at.elapsed() >= REGISTERING {
             self.target.come_back();
             self.registered_at = Instant::now();
         }
-        self.right_ended()
+        self.right_ended().map_or(Ok(()), Err)
     }
 
     /// A record that does not open is counted; a failure that is not the record's ends the playback, or is retried.
-    fn judge(&mut self, row: &RecordRow, error: PipelineError) -> Result<Taken, Failure> {
+    fn judge(&mut self, row: &RecordRow, error: PipelineError) -> Stop {
         let follows = self.wishes.pace == Pace::Follow;
         match (&error, error.kind()) {
-            (PipelineError::Missing(_) | PipelineError::Deleted(..) | PipelineError::Erased { .. }, _) => {
-                self.missing += 1;
-                Ok(Taken::Done)
-            }
+            (PipelineError::Missing(_) | PipelineError::Deleted(..) | PipelineError::Erased { .. }, _) => Stop::Missing,
             (PipelineError::Crypto(CryptoError::FalseName(what)), _) => {
-                Ok(self.refuse(format!("its signer wrote a false {what} into it")))
+                Stop::Refused(format!("its signer wrote a false {what} into it"))
             }
-            (_, ErrorKind::Tampered) => Ok(self.refuse("it differs from what was anchored and signed".to_owned())),
+            (_, ErrorKind::Tampered) => Stop::Refused("it differs from what was anchored and signed".to_owned()),
             (_, ErrorKind::Refused) => {
                 self.rights_at = Instant::now().checked_sub(RIGHTS).unwrap_or(self.rights_at);
-                if let Some(end) = self.end() {
-                    return Ok(Taken::Ended(end));
+                if let Err(end) = self.end() {
+                    return Stop::Ended(end);
                 }
                 let is_locked_up = matches!(error, PipelineError::Crypto(CryptoError::WrongKey));
                 if follows && is_locked_up && self.awaits_key(row) {
-                    return Ok(Taken::Later);
+                    return Stop::Later;
                 }
-                Ok(self.refuse(NO_RIGHT.to_owned()))
+                Stop::Refused(NO_RIGHT.to_owned())
             }
-            (_, ErrorKind::Unreachable | ErrorKind::Incomplete) if follows => Ok(Taken::Later),
-            _ => Err(error.into()),
+            (_, ErrorKind::Unreachable | ErrorKind::Incomplete) if follows => Stop::Later,
+            _ => Stop::Failed(error.into()),
         }
     }
 
-    fn refuse(&mut self, why: String) -> Taken {
-        self.refused += 1;
-        if self.reasons.len() < MOST_REASONS || self.reasons.contains_key(&why) {
-            *self.reasons.entry(why).or_default() += 1;
+    fn refuse(&mut self, why: String) {
+        self.tally.refused += 1;
+        let reasons = &mut self.tally.reasons;
+        if reasons.len() < MOST_REASONS || reasons.contains_key(&why) {
+            *reasons.entry(why).or_default() += 1;
         }
-        Taken::Done
     }
 
-    fn show_clock(&mut self) -> Result<(), Failure> {
+    fn show_clock(&mut self, is_captured: bool) -> Result<(), Failure> {
         if !self.wishes.clock {
             return Ok(());
         }
         // Nodes read the time under this one name; on a graph this site captures from, it would be captured.
-        let prefixed = if self.target.is_captured() { self.names.played("/clock") } else { None };
+        let prefixed = if is_captured { self.names.played("/clock") } else { None };
         let topic = prefixed.unwrap_or_else(|| "/clock".to_owned());
-        let shown = self.target.show_clock(&topic)?;
-        shown.map_err(|why| Failure::new(ErrorKind::Refused, why))?;
+        let (form, _) = self.target.clock(&topic, Timestamp::default());
+        self.target.show(&form, NOBODY, 0).map_err(Stop::into_failure)?;
         self.clock = Some(topic);
         Ok(())
     }
 
     fn tell_time(&mut self) {
         if let (Some(topic), Some(now)) = (&self.clock, self.pacer.clock(Instant::now())) {
-            self.target.tell_time(topic, now);
+            let (form, message) = self.target.clock(topic, now);
+            self.target.publish(&form, NOBODY, &message);
         }
     }
+
+    /// How a record is played, or why it is not.
+    async fn described(&mut self, item: &Item, record: OpenedRecord) -> Result<Checked, Stop> {
+        if record.verdict != Verdict::Verified {
+            return Err(Stop::Refused("not verified yet".to_owned()));
+        }
+        let encoding = importer::encoding(&record.head.tags);
+        if let Some(why) = self.target.objection(encoding) {
+            return Err(Stop::Refused(why.to_owned()));
+        }
+        let Some(topic) = self.names.played(&record.head.topic) else {
+            let topic = clean(&record.head.topic, 255);
+            return Err(Stop::Refused(format!("{topic} is not a valid graph name with this prefix")));
+        };
+        if self.clock.as_ref() == Some(&topic) {
+            return Err(Stop::Refused(format!("--clock publishes the time as {topic} instead")));
+        }
+        let form = match encoding {
+            Encoding::Ros1 => self.of_one(item, &record, topic).await?,
+            Encoding::Cdr { .. } => of_two(&record, topic).map_err(Stop::Refused)?,
+            Encoding::Beside(_) => return Err(Stop::Refused(NO_MESSAGE.to_owned())),
+        };
+        // Publishers of one node share its name; those of ROS 2 have ids of their own.
+        let writer = record.head.tags.get(&format!("{CHANNEL}{WRITER}")).unwrap_or(&record.head.caller_id);
+        let source = (item.row.owner, source_of(item.row.owner, writer));
+        Ok(Checked { record, form, source })
+    }
+
+    async fn of_one(&mut self, item: &Item, record: &OpenedRecord, topic: String) -> Result<Form, Stop> {
+        let reader = Reader { plant: &self.bridge.parts.plant, network: &self.network, reader: self.owner };
+        let text = self.definitions.text(&reader, &item.row, record, Opening::Anchored).await;
+        let Some(definition) = text.map_err(Failure::from)? else {
+            return Err(Stop::Refused("no readable record contains the definition of its type".to_owned()));
+        };
+        let (type_name, md5sum) = (record.head.type_name.clone(), record.head.md5sum.clone());
+        let latching = record.head.tags.contains_key(importer::LATCHING);
+        Ok(Form::One(Advertised { topic, type_name, md5sum, definition: definition.to_string(), latching }))
+    }
+}
+
+/// A message of ROS 2 needs no definition: its bytes are passed on under the name of its type.
+fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
+    let Some(([high, low, options @ ..], _)) = record.body.split_first_chunk::<4>() else {
+        return Err("its message is shorter than the header of one".to_owned());
+    };
+    if record.body.len() > LONGEST_MESSAGE as usize {
+        return Err(format!("its message is longer than the {} MiB that are published", LONGEST_MESSAGE >> 20));
+    }
+    if options != &[0, 0] {
+        return Err("the header of its message has options, which cannot be published unchanged".to_owned());
+    }
+    let (type_name, encoding) = (record.head.type_name.clone(), u16::from_be_bytes([*high, *low]));
+    Ok(Form::Two(Offered { name, type_name, encoding, offer: offer(&record.head.tags) }))
+}
+
+/// The publisher of a message.
+fn source_of(owner: Address, caller_id: &str) -> u64 {
+    let digest = sm3(&[&owner.0, caller_id.as_bytes()]);
+    digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
 }

@@ -2,20 +2,25 @@
 //! mix with somebody else's.
 
 use std::collections::{BTreeMap, HashMap};
-use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::model::{Address, ErrorKind, clean};
-use crate::ros::ros2::{Delivery, Offer, Offered, Ros2Publisher};
-use crate::service::reply::Failure;
+use super::pacer::clock_message;
+use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics};
+use crate::model::{Address, Timestamp, clean};
+use crate::pipeline::importer;
+use crate::ros::recording::Encoding;
+use crate::ros::recording::tags::CHANNEL;
+use crate::ros::ros2::{Delivery, Offer, Offered, QUALITY, Ros2Publisher};
 
-/// How long playing waits for the subscribers known in the domain, in total; half of it is for finding them.
-const WELCOME: Duration = Duration::from_secs(5);
-
-/// The most topics of one playback, and of one latched topic the most publishers told apart.
-const MOST_TOPICS: usize = 500;
+/// The most publishers of one latched topic that are told apart.
 const MOST_LATCHED: usize = 64;
+
+/// The clock's type, and its offer, as `ros2 bag play --clock` makes it.
+const CLOCK: &str = "rosgraph_msgs/msg/Clock";
+const CLOCK_OFFER: Offer = Offer { reliable: false, latched: false, depth: 1 };
+/// CDR, little-endian.
+const LITTLE: u16 = 1;
 
 /// How messages of one kind leave. A latched topic keeps the last messages of each source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -29,169 +34,191 @@ struct Way {
 
 /// The publishing end.
 pub(super) struct Domain {
-    name: String,
+    topics: Topics,
     publisher: Ros2Publisher,
-    /// No name under it belongs to anybody else.
-    prefix: Option<String>,
-    is_captured: bool,
-    /// Types of the published topics.
-    types: HashMap<String, String>,
     ways: HashMap<Way, u32>,
-    /// Topics that are not published, and why.
-    declined: HashMap<String, String>,
-    /// The remaining wait for subscribers.
-    patience: Duration,
 }
 
-fn way(about: &Offered, owner: Address, source: u64) -> Way {
+fn way(about: &Offered, (owner, source): Source) -> Way {
     let source = about.offer.latched.then_some(source);
     Way { topic: about.name.clone(), owner, source, encoding: about.encoding, offer: about.offer }
 }
 
 impl Domain {
-    /// A participant in a domain; this site may capture from it or not.
-    pub fn new(publisher: Ros2Publisher, prefix: Option<String>, is_captured: bool) -> Self {
-        let name = format!("ROS 2 domain {}", publisher.domain());
-        let (types, ways, declined) = (HashMap::new(), HashMap::new(), HashMap::new());
-        Self { name, publisher, prefix, is_captured, types, ways, declined, patience: WELCOME }
+    /// A participant in a domain.
+    pub fn new(publisher: Ros2Publisher, prefix: Option<String>) -> Self {
+        let topics = Topics::new(format!("ROS 2 domain {}", publisher.domain()), prefix);
+        Self { topics, publisher, ways: HashMap::new() }
     }
 
-    /// Whether this site captures from it.
-    pub fn is_captured(&self) -> bool {
-        self.is_captured
-    }
-
-    /// Its name.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Publishes a topic for a source of its messages, the first of `size` bytes; returns the reason if it cannot.
-    ///
-    /// # Errors
-    /// If the program that publishes does not run.
-    pub fn show(
-        &mut self,
-        about: &Offered,
-        (owner, source): (Address, u64),
-        size: usize,
-    ) -> Result<Result<(), String>, Failure> {
-        if let Some(why) = self.declined.get(&about.name) {
-            return Ok(Err(why.clone()));
-        }
-        if let Some(reason) = self.publisher.broken() {
-            let words = format!("nothing is published in {} now: {reason}; play again", self.name);
-            return Err(Failure::new(ErrorKind::Unreachable, words));
-        }
-        let known = self.types.get(&about.name);
-        if let Some(other) = known.filter(|known| **known != about.type_name) {
-            return Ok(Err(format!("{} is already being played as {}", about.name, clean(other, 120))));
-        }
-        let way = way(about, owner, source);
-        if self.ways.contains_key(&way) {
-            return Ok(Ok(()));
-        }
-        if known.is_none() && self.types.len() >= MOST_TOPICS {
-            return Ok(Err(format!("{MOST_TOPICS} topics are already being played; choose some with --topic")));
-        }
-        let alone = known.is_none() && !self.is_inside(&about.name);
-        block_in_place(|| self.begin(about, way, size, alone))
-    }
-
-    fn is_inside(&self, topic: &str) -> bool {
-        let of = |prefix: &String| topic.strip_prefix(prefix.as_str()).is_some_and(|rest| rest.starts_with('/'));
-        self.prefix.as_ref().is_some_and(of)
-    }
-
-    fn begin(&mut self, about: &Offered, way: Way, size: usize, alone: bool) -> Result<Result<(), String>, Failure> {
-        let begun = Instant::now();
-        let announced = self.publisher.advertise(about, size, (alone, !self.patience.is_zero()))?;
-        self.patience = self.patience.saturating_sub(begun.elapsed());
-        match announced {
+    fn begin(&mut self, about: &Offered, way: Way, size: usize, alone: bool) -> Result<(), Stop> {
+        let publisher = &mut self.publisher;
+        match self.topics.announce(|patience| publisher.advertise(about, size, (alone, !patience.is_zero())))? {
             Ok(writer) => {
                 self.make_room(&way);
-                self.types.insert(about.name.clone(), about.type_name.clone());
+                self.topics.publish(&about.name, (&about.type_name, ""));
                 self.ways.insert(way, writer);
-                Ok(Ok(()))
+                Ok(())
             }
             Err(declined) => {
                 let advice = if declined.occupied { "; give a --prefix" } else { "" };
                 let why = format!("{}{advice}", clean(&declined.reason, 300));
                 if alone {
-                    self.declined.insert(about.name.clone(), why.clone());
+                    self.topics.decline(&about.name, &why);
                 }
-                Ok(Err(why))
+                Err(Stop::Refused(why))
             }
         }
     }
 
     /// A publisher that is restarted again and again is a new source each time: the oldest is taken back.
     fn make_room(&mut self, way: &Way) {
-        let alike = |other: &&Way| other.source.is_some() && (&other.topic, other.owner) == (&way.topic, way.owner);
-        let alike: BTreeMap<u32, Way> = self
-            .ways
-            .iter()
-            .filter(|(other, _)| alike(other))
-            .map(|(other, writer)| (*writer, other.clone()))
-            .collect();
-        if alike.len() < MOST_LATCHED {
-            return;
+        let alike = |other: &Way| other.source.is_some() && (&other.topic, other.owner) == (&way.topic, way.owner);
+        let alike: Vec<u32> = self.ways.iter().filter(|(other, _)| alike(other)).map(|(_, writer)| *writer).collect();
+        if let Some(oldest) = alike.iter().min().filter(|_| alike.len() >= MOST_LATCHED) {
+            self.publisher.withdraw(*oldest);
+            self.ways.retain(|_, writer| writer != oldest);
         }
-        if let Some((writer, oldest)) = alike.into_iter().next() {
-            self.publisher.withdraw(writer);
-            self.ways.remove(&oldest);
+    }
+}
+
+impl Target for Domain {
+    fn name(&self) -> &str {
+        &self.topics.place
+    }
+
+    fn objection(&self, encoding: Encoding) -> Option<&'static str> {
+        match encoding {
+            Encoding::Ros1 => Some("a message of ROS 1 is not translated into ROS 2"),
+            Encoding::Beside(_) => Some(NO_MESSAGE),
+            Encoding::Cdr { .. } => None,
         }
     }
 
-    /// Publishes one message of a published topic, with its encapsulation header.
-    pub fn publish(&mut self, about: &Offered, (owner, source): (Address, u64), message: &[u8]) -> bool {
-        let Some(writer) = self.ways.get(&way(about, owner, source)).copied() else { return false };
+    fn show(&mut self, form: &Form, source: Source, size: usize) -> Result<(), Stop> {
+        let Form::Two(about) = form else { return Err(Stop::Refused(OTHER_ROS.to_owned())) };
+        let is_new = self.topics.admit(&about.name, (&about.type_name, ""), self.publisher.broken())?;
+        let way = way(about, source);
+        if self.ways.contains_key(&way) {
+            return Ok(());
+        }
+        let alone = is_new && !self.topics.is_inside(&about.name);
+        block_in_place(|| self.begin(about, way, size, alone))
+    }
+
+    /// With the encapsulation header of the message.
+    fn publish(&mut self, form: &Form, source: Source, message: &[u8]) -> bool {
+        let Form::Two(about) = form else { return false };
+        let Some(writer) = self.ways.get(&way(about, source)).copied() else { return false };
         // The pipe may be full for a moment.
         block_in_place(|| self.publisher.publish(writer, message))
     }
 
-    /// Whether a subscriber is far behind.
-    pub fn is_crowded(&self) -> bool {
+    fn clock(&self, topic: &str, now: Timestamp) -> (Form, Vec<u8>) {
+        let (name, type_name) = (topic.to_owned(), CLOCK.to_owned());
+        let message = [LITTLE.to_be_bytes().as_slice(), &[0, 0], &clock_message(now)].concat();
+        (Form::Two(Offered { name, type_name, encoding: LITTLE, offer: CLOCK_OFFER }), message)
+    }
+
+    fn is_crowded(&self) -> bool {
         self.publisher.is_crowded()
     }
 
-    /// Stops waiting for subscribers that are far behind now.
-    pub fn outrun(&self) {
+    fn outrun(&self) {
         self.publisher.outrun();
     }
 
-    /// Starts a program that has ended anew.
-    pub fn revive(&mut self) {
+    fn come_back(&mut self) {
         drop(block_in_place(|| self.publisher.revive()));
     }
 
-    /// Withdraws at once what an owner's messages have published.
-    pub fn silence(&mut self, owner: Address) {
-        let publisher = &mut self.publisher;
+    fn silence(&mut self, owner: Address) {
+        let (publisher, ways) = (&mut self.publisher, &mut self.ways);
         block_in_place(|| {
-            self.ways.retain(|way, writer| {
-                if way.owner == owner {
-                    publisher.withdraw(*writer);
-                }
-                way.owner != owner
-            });
+            ways.extract_if(|way, _| way.owner == owner).for_each(|(_, writer)| publisher.withdraw(writer));
         });
-        let ways = &self.ways;
-        self.types.retain(|topic, _| ways.keys().any(|way| way.topic == *topic));
+        self.topics.retain(|topic| ways.keys().any(|way| way.topic == topic));
     }
 
-    /// No more messages come; what is queued is still sent.
-    pub fn leave(&self) {
-        self.publisher.leave();
+    fn leave(&self) {
+        block_in_place(|| self.publisher.leave());
     }
 
-    /// Whether subscribers have all that was queued.
-    pub fn is_sent(&self) -> bool {
+    fn is_sent(&self) -> bool {
         self.publisher.is_sent()
     }
 
-    /// Ends; what is still queued is not sent. What was withdrawn when a right ended is not among what was missed.
-    pub fn finish(self, by_right: bool) -> Delivery {
-        block_in_place(|| self.publisher.end(by_right))
+    /// Subscribers acknowledge: what was dropped was not published.
+    fn finish(self: Box<Self>, handed_out: u64, by_right: bool) -> (u64, u64, u64) {
+        let Delivery { missed, unconfirmed } = block_in_place(|| self.publisher.end(by_right));
+        let published = handed_out.saturating_sub(missed);
+        (published, missed, unconfirmed.min(published))
+    }
+}
+
+/// Messages kept where the publisher did not say: as a node of ROS 2 does, and for those who subscribe later.
+const USUAL: u32 = 10;
+const LATCHED: u32 = 1;
+/// The most that are kept.
+const DEEPEST: u32 = 1000;
+
+/// The offer to be made with a message. Publishers of DDS do not announce how many messages they keep; recordings tell it.
+pub(super) fn offer(tags: &BTreeMap<String, String>) -> Offer {
+    let profiles = tags.get(&format!("{CHANNEL}{QUALITY}")).map(String::as_str).unwrap_or_default();
+    let said = |name: &str| first(profiles, name);
+    let latched = match said("durability") {
+        Some("transient_local" | "1") => true,
+        Some("volatile" | "2") => false,
+        _ => tags.contains_key(importer::LATCHING),
+    };
+    let reliable = !matches!(said("reliability"), Some("best_effort" | "2"));
+    let usual = if latched { LATCHED } else { USUAL };
+    let depth = match (said("history"), said("depth").and_then(|depth| depth.parse().ok())) {
+        (Some("keep_all" | "2"), _) => DEEPEST,
+        (_, Some(depth)) if depth > 0 => depth,
+        _ => usual,
+    };
+    Offer { reliable, latched, depth: depth.min(DEEPEST) }
+}
+
+/// The value of a name in the first of several profiles, which are a list in YAML.
+fn first<'a>(profiles: &'a str, name: &str) -> Option<&'a str> {
+    let lines = profiles.lines().enumerate();
+    let own = lines.take_while(|(place, line)| *place == 0 || !line.starts_with('-')).map(|(_, line)| line);
+    own.filter_map(|line| line.trim_start_matches(['-', ' ']).split_once(':'))
+        .find(|(key, _)| key.trim() == name)
+        .map(|(_, value)| value.trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(profiles: &str, latching: bool) -> Offer {
+        let mut tags = BTreeMap::from([("mcap.channel.offered_qos_profiles".to_owned(), profiles.to_owned())]);
+        if latching {
+            tags.insert("latching".into(), "yes".into());
+        }
+        offer(&tags)
+    }
+
+    #[test]
+    fn profiles_of_recorders_old_and_new_are_understood() {
+        // As rosbag2 writes them since Iron, and as it did before.
+        let new = "- history: keep_last\n  depth: 5\n  reliability: best_effort\n  durability: volatile\n  deadline:\n    sec: \
+                   9223372036\n    nsec: 854775807\n- history: keep_last\n  depth: 7\n  reliability: reliable\n";
+        assert_eq!(of(new, false), Offer { reliable: false, latched: false, depth: 5 });
+        let old = "- history: 1\n  depth: 3\n  reliability: 1\n  durability: 1\n  deadline:\n    sec: 0\n";
+        assert_eq!(of(old, false), Offer { reliable: true, latched: true, depth: 3 });
+        assert_eq!(of("- history: keep_all\n  depth: 0\n", false).depth, 1000);
+        assert_eq!(of("- depth: 99999999\n", false).depth, 1000);
+    }
+
+    #[test]
+    fn what_is_not_said_is_what_a_node_does() {
+        let unknown = "- history: unknown\n  depth: 0\n  reliability: reliable\n  durability: transient_local\n";
+        assert_eq!(of(unknown, true), Offer { reliable: true, latched: true, depth: 1 });
+        assert_eq!(of("", false), Offer { reliable: true, latched: false, depth: 10 });
+        assert_eq!(of("depth: x\nreliability: no", true), Offer { reliable: true, latched: true, depth: 1 });
     }
 }

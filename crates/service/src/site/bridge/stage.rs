@@ -2,125 +2,38 @@
 //! else's.
 
 use std::collections::{BTreeMap, HashMap};
-use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
 use super::NODE;
-use crate::crypto::Sm3Hasher;
-use crate::model::{Address, ErrorKind, clean};
-use crate::ros::{Advertised, Graph, GraphPublisher};
+use super::pacer::{clock_message, clock_topic};
+use super::target::{Form, NO_MESSAGE, OTHER_ROS, Source, Stop, Target, Topics};
+use crate::model::{Address, Timestamp, clean};
+use crate::ros::recording::Encoding;
+use crate::ros::{Graph, GraphPublisher};
 use crate::service::reply::Failure;
-
-/// How long playing waits for the subscribers known to the master, in total.
-const WELCOME: Duration = Duration::from_secs(5);
-
-/// The most topics of one playback.
-const MOST_TOPICS: usize = 500;
 
 /// The name prefix of the nodes that capture.
 const CAPTURING: &str = "/authros_";
 
-/// A published topic.
-struct Shown {
-    about: Advertised,
-    /// The owner and source of its messages.
-    sources: BTreeMap<u64, Address>,
-}
-
 /// The publishing end.
 pub(super) struct Stage {
-    uri: String,
+    topics: Topics,
     graph: Graph,
-    publisher: GraphPublisher,
-    /// No name under it belongs to anybody else.
-    prefix: Option<String>,
-    is_captured: bool,
-    shown: HashMap<String, Shown>,
-    /// Topics that are not published, and why.
-    declined: HashMap<String, String>,
-    /// The remaining wait for subscribers.
-    patience: Duration,
-}
-
-/// The source of a message.
-pub(super) fn source_of(owner: Address, caller_id: &str) -> u64 {
-    let mut hasher = Sm3Hasher::new();
-    hasher.update(&owner.0);
-    hasher.update(caller_id.as_bytes());
-    let digest = hasher.finish();
-    digest.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
+    publisher: Box<dyn GraphPublisher>,
+    /// Of each published topic the sources of its messages, with their owners.
+    sources: HashMap<String, BTreeMap<u64, Address>>,
 }
 
 impl Stage {
-    /// A node in a graph; this site may capture from the graph or not.
-    pub fn new(
-        uri: String,
-        graph: Graph,
-        publisher: GraphPublisher,
-        prefix: Option<String>,
-        is_captured: bool,
-    ) -> Self {
-        let (shown, declined) = (HashMap::new(), HashMap::new());
-        Self { uri, graph, publisher, prefix, is_captured, shown, declined, patience: WELCOME }
-    }
-
-    /// Whether this site captures from the graph.
-    pub fn is_captured(&self) -> bool {
-        self.is_captured
-    }
-
-    /// The master.
-    pub fn uri(&self) -> &str {
-        &self.uri
-    }
-
-    /// Publishes a topic for a source of its messages; returns the reason if it cannot.
-    ///
-    /// # Errors
-    /// If the master does not answer, or the program that publishes does not run.
-    pub fn show(&mut self, about: &Advertised, owner: Address, source: u64) -> Result<Result<(), String>, Failure> {
-        if let Some(why) = self.declined.get(&about.topic) {
-            return Ok(Err(why.clone()));
-        }
-        if let Some(reason) = self.publisher.broken() {
-            let words = format!("nothing is published at {} now: {reason}; play again", clean(&self.uri, 120));
-            return Err(Failure::new(ErrorKind::Unreachable, words));
-        }
-        if let Some(shown) = self.shown.get_mut(&about.topic) {
-            if (&shown.about.type_name, &shown.about.md5sum) != (&about.type_name, &about.md5sum) {
-                return Ok(Err(format!(
-                    "{} is already being played as {}",
-                    about.topic,
-                    clean(&shown.about.type_name, 120)
-                )));
-            }
-            shown.sources.insert(source, owner);
-            return Ok(Ok(()));
-        }
-        if self.shown.len() >= MOST_TOPICS {
-            return Ok(Err(format!("{MOST_TOPICS} topics are already being played; choose some with --topic")));
-        }
-        block_in_place(|| self.begin(about, owner, source))
-    }
-
-    fn begin(&mut self, about: &Advertised, owner: Address, source: u64) -> Result<Result<(), String>, Failure> {
-        if let Some(why) = self.occupied(&about.topic)? {
-            self.declined.insert(about.topic.clone(), why.clone());
-            return Ok(Err(why));
-        }
-        let begun = Instant::now();
-        self.publisher.advertise(about, self.patience)?;
-        self.patience = self.patience.saturating_sub(begun.elapsed());
-        let shown = Shown { about: about.clone(), sources: BTreeMap::from([(source, owner)]) };
-        self.shown.insert(about.topic.clone(), shown);
-        Ok(Ok(()))
+    /// A node in the graph of a master.
+    pub fn new(uri: String, graph: Graph, publisher: Box<dyn GraphPublisher>, prefix: Option<String>) -> Self {
+        Self { topics: Topics::new(uri, prefix), graph, publisher, sources: HashMap::new() }
     }
 
     /// Why a name cannot be used without a prefix: a robot's own topic would get messages of another one.
     fn occupied(&self, topic: &str) -> Result<Option<String>, Failure> {
-        let is_inside = |prefix: &String| topic.strip_prefix(prefix.as_str()).is_some_and(|rest| rest.starts_with('/'));
-        if self.prefix.as_ref().is_some_and(is_inside) {
+        if self.topics.is_inside(topic) {
             return Ok(None);
         }
         let nodes = self.graph.presence(topic)?;
@@ -133,71 +46,98 @@ impl Stage {
         let capturing = nodes.subscribers.iter().find(captures);
         Ok(capturing.map(|node| format!("{topic} is captured there by {}; give a --prefix", clean(node, 120))))
     }
+}
 
-    /// Publishes one message of a published topic.
-    pub fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
-        if self.publisher.may_block() {
-            return block_in_place(|| self.publisher.publish(topic, source, body));
-        }
-        self.publisher.publish(topic, source, body)
+impl Target for Stage {
+    /// The master's address.
+    fn name(&self) -> &str {
+        &self.topics.place
     }
 
-    /// Whether a subscriber is far behind.
-    pub fn is_crowded(&self) -> bool {
+    fn objection(&self, encoding: Encoding) -> Option<&'static str> {
+        match encoding {
+            Encoding::Cdr { .. } => Some("ROS 2 messages are not translated into ROS 1"),
+            Encoding::Beside(_) => Some(NO_MESSAGE),
+            Encoding::Ros1 => None,
+        }
+    }
+
+    fn show(&mut self, form: &Form, (owner, source): Source, _: usize) -> Result<(), Stop> {
+        let Form::One(about) = form else { return Err(Stop::Refused(OTHER_ROS.to_owned())) };
+        let (topic, kind) = (&about.topic, (about.type_name.as_str(), about.md5sum.as_str()));
+        let is_new = self.topics.admit(topic, kind, self.publisher.broken())?;
+        if is_new {
+            if let Some(why) = block_in_place(|| self.occupied(topic))? {
+                self.topics.decline(topic, &why);
+                return Err(Stop::Refused(why));
+            }
+            let publisher = &mut self.publisher;
+            block_in_place(|| self.topics.announce(|patience| publisher.advertise(about, patience)))?;
+            self.topics.publish(topic, kind);
+        }
+        self.sources.entry(topic.clone()).or_default().insert(source, owner);
+        Ok(())
+    }
+
+    fn publish(&mut self, form: &Form, (_, source): Source, body: &[u8]) -> bool {
+        let Form::One(about) = form else { return false };
+        if self.publisher.may_block() {
+            return block_in_place(|| self.publisher.publish(&about.topic, source, body));
+        }
+        self.publisher.publish(&about.topic, source, body)
+    }
+
+    fn clock(&self, topic: &str, now: Timestamp) -> (Form, Vec<u8>) {
+        (Form::One(clock_topic(topic.to_owned())), clock_message(now))
+    }
+
+    fn is_crowded(&self) -> bool {
         self.publisher.is_crowded()
     }
 
-    /// Stops waiting for subscribers that are far behind now.
-    pub fn outrun(&self) {
+    fn outrun(&self) {
         self.publisher.outrun();
     }
 
-    /// Comes back after a master or a program that ended; what is away is tried again later.
-    pub fn come_back(&mut self) {
+    fn come_back(&mut self) {
         drop(block_in_place(|| self.publisher.come_back()));
     }
 
-    /// Withdraws at once what an owner's messages have published.
-    pub fn silence(&mut self, owner: Address) {
-        let (mut cut, mut silenced) = (Vec::new(), Vec::new());
-        self.shown.retain(|topic, shown| {
-            let theirs = shown.sources.iter().filter(|(_, other)| **other == owner);
-            let theirs: Vec<(String, u64)> = theirs.map(|(source, _)| (topic.clone(), *source)).collect();
-            shown.sources.retain(|_, other| *other != owner);
-            let is_over = shown.sources.is_empty();
-            if is_over {
-                cut.push(topic.clone());
-            } else {
-                silenced.extend(theirs);
-            }
-            !is_over
-        });
+    fn silence(&mut self, owner: Address) {
+        let (mut cut, publisher) = (Vec::new(), &mut self.publisher);
         block_in_place(|| {
-            silenced.iter().for_each(|(topic, source)| self.publisher.silence(topic, *source));
-            self.publisher.cut(&cut);
+            self.sources.retain(|topic, sources| {
+                let theirs: Vec<u64> = sources.extract_if(.., |_, other| *other == owner).map(|(id, _)| id).collect();
+                if sources.is_empty() {
+                    cut.push(topic.clone());
+                } else {
+                    theirs.into_iter().for_each(|source| publisher.silence(topic, source));
+                }
+                !sources.is_empty()
+            });
+            publisher.cut(&cut);
         });
+        self.topics.retain(|topic| self.sources.contains_key(topic));
     }
 
-    /// No more messages come; what is queued is still sent.
-    pub fn leave(&self) {
+    fn leave(&self) {
         block_in_place(|| self.publisher.leave());
     }
 
-    /// Whether subscribers have all that was queued.
-    pub fn is_sent(&self) -> bool {
+    fn is_sent(&self) -> bool {
         self.publisher.is_sent()
     }
 
-    /// Ends; what is still queued is not sent. Returns the number of messages that subscribers did not get, without
-    /// those withdrawn when a right ended.
-    pub fn finish(mut self, by_right: bool) -> u64 {
-        block_in_place(|| {
+    fn finish(self: Box<Self>, handed_out: u64, by_right: bool) -> (u64, u64, u64) {
+        let Self { mut publisher, sources, .. } = *self;
+        let dropped = block_in_place(|| {
             if by_right {
-                let dropped = self.publisher.missed();
-                self.publisher.cut(&self.shown.into_keys().collect::<Vec<String>>());
+                let dropped = publisher.missed();
+                publisher.cut(&sources.into_keys().collect::<Vec<String>>());
                 return dropped;
             }
-            self.publisher.end()
-        })
+            publisher.end()
+        });
+        (handed_out, dropped, 0)
     }
 }

@@ -1,21 +1,21 @@
 //! Where messages are played: a ROS 1 graph, or a ROS 2 domain.
 
-use tokio::task::block_in_place;
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
 
-use super::pacer::{clock_message, clock_topic};
-use super::second::Domain;
-use super::stage::Stage;
-use crate::model::{Address, Timestamp};
-use crate::ros::Advertised;
+use super::names::is_under;
+use crate::model::{Address, ErrorKind, Timestamp, clean};
 use crate::ros::recording::Encoding;
-use crate::ros::ros2::{Delivery, Offer, Offered};
-use crate::service::reply::Failure;
+use crate::ros::ros2::Offered;
+use crate::ros::{Advertised, RosError};
+use crate::service::failure::{internal, refused};
+use crate::service::reply::{Failure, PlayEnd};
 
-/// The clock's type in ROS 2, and its offer, as `ros2 bag play --clock` makes it.
-const CLOCK: &str = "rosgraph_msgs/msg/Clock";
-const CLOCK_OFFER: Offer = Offer { reliable: false, latched: false, depth: 1 };
-/// CDR, little-endian.
-const LITTLE: u16 = 1;
+/// How long playing waits for the subscribers known there, in total.
+const WELCOME: Duration = Duration::from_secs(5);
+
+/// The most topics of one playback.
+const MOST_TOPICS: usize = 500;
 
 /// A topic as it is published.
 pub(super) enum Form {
@@ -35,153 +35,150 @@ impl Form {
 /// Why what a recording holds beside its messages is not played.
 pub(super) const NO_MESSAGE: &str = "it is an attachment to a recording, not a message";
 
-/// The publishing end.
-pub(super) enum Target {
-    Graph(Box<Stage>),
-    Domain(Box<Domain>),
-}
+/// Why a form is not published by the other kind of target.
+pub(super) const OTHER_ROS: &str = "it is of another ROS";
 
 /// The owner of a message, and which of her publishers it is of.
-type Source = (Address, u64);
+pub(super) type Source = (Address, u64);
 
-impl Target {
-    /// Why messages of this encoding cannot be published here; there is no translation.
-    pub fn objection(&self, encoding: Encoding) -> Option<&'static str> {
-        match (self, encoding) {
-            (Self::Graph(_), Encoding::Cdr { .. }) => Some("ROS 2 messages are not translated into ROS 1"),
-            (Self::Domain(_), Encoding::Ros1) => Some("a message of ROS 1 is not translated into ROS 2"),
-            (_, Encoding::Beside(_)) => Some(NO_MESSAGE),
-            (Self::Graph(_), Encoding::Ros1) | (Self::Domain(_), Encoding::Cdr { .. }) => None,
-        }
-    }
+/// The owner of what is no record.
+pub(super) const NOBODY: Source = (Address([0; 20]), 0);
 
-    /// Whether this site captures from there.
-    pub fn is_captured(&self) -> bool {
+/// Why a record is not played.
+pub(super) enum Stop {
+    /// A check or the target refuses it.
+    Refused(String),
+    /// Its bytes are gone.
+    Missing,
+    /// It cannot be checked or published now.
+    Later,
+    /// The playback is over.
+    Ended(PlayEnd),
+    /// Something else does not work: chain, store, master or child process.
+    Failed(Failure),
+}
+
+impl Stop {
+    /// For what is no record.
+    pub fn into_failure(self) -> Failure {
         match self {
-            Self::Graph(stage) => stage.is_captured(),
-            Self::Domain(domain) => domain.is_captured(),
-        }
-    }
-
-    /// Its name for people.
-    pub fn name(&self) -> &str {
-        match self {
-            Self::Graph(stage) => stage.uri(),
-            Self::Domain(domain) => domain.name(),
-        }
-    }
-
-    /// Publishes a topic for a source of its messages, the first of `size` bytes; returns the reason if it cannot.
-    ///
-    /// # Errors
-    /// If master or child process do not answer.
-    pub fn show(&mut self, form: &Form, source: Source, size: usize) -> Result<Result<(), String>, Failure> {
-        match (self, form) {
-            (Self::Graph(stage), Form::One(about)) => stage.show(about, source.0, source.1),
-            (Self::Domain(domain), Form::Two(about)) => domain.show(about, source, size),
-            (Self::Graph(_), Form::Two(_)) | (Self::Domain(_), Form::One(_)) => Ok(Err("it is of another ROS".into())),
-        }
-    }
-
-    /// Publishes one message of a published topic.
-    pub fn publish(&mut self, form: &Form, source: Source, body: &[u8]) -> bool {
-        match (self, form) {
-            (Self::Graph(stage), Form::One(about)) => stage.publish(&about.topic, source.1, body),
-            (Self::Domain(domain), Form::Two(about)) => domain.publish(about, source, body),
-            (Self::Graph(_), Form::Two(_)) | (Self::Domain(_), Form::One(_)) => false,
-        }
-    }
-
-    fn clock(&self, topic: &str) -> Form {
-        match self {
-            Self::Graph(_) => Form::One(clock_topic(topic.to_owned())),
-            Self::Domain(_) => {
-                let (name, type_name) = (topic.to_owned(), CLOCK.to_owned());
-                Form::Two(Offered { name, type_name, encoding: LITTLE, offer: CLOCK_OFFER })
-            }
-        }
-    }
-
-    /// Publishes the clock's topic, which is not a record's.
-    ///
-    /// # Errors
-    /// See [`Self::show`].
-    pub fn show_clock(&mut self, topic: &str) -> Result<Result<(), String>, Failure> {
-        let form = self.clock(topic);
-        self.show(&form, NOBODY, 0)
-    }
-
-    /// Tells the time.
-    pub fn tell_time(&mut self, topic: &str, now: Timestamp) {
-        let (form, time) = (self.clock(topic), clock_message(now));
-        let message = match &form {
-            Form::One(_) => time,
-            Form::Two(_) => [LITTLE.to_be_bytes().as_slice(), &[0, 0], &time].concat(),
-        };
-        self.publish(&form, NOBODY, &message);
-    }
-
-    /// Whether a subscriber is far behind.
-    pub fn is_crowded(&self) -> bool {
-        match self {
-            Self::Graph(stage) => stage.is_crowded(),
-            Self::Domain(domain) => domain.is_crowded(),
-        }
-    }
-
-    /// Stops waiting for subscribers that are far behind now.
-    pub fn outrun(&self) {
-        match self {
-            Self::Graph(stage) => stage.outrun(),
-            Self::Domain(domain) => domain.outrun(),
-        }
-    }
-
-    /// Comes back after a master or a child process that ended; what is away is tried again later.
-    pub fn come_back(&mut self) {
-        match self {
-            Self::Graph(stage) => stage.come_back(),
-            Self::Domain(domain) => domain.revive(),
-        }
-    }
-
-    /// Withdraws at once what an owner's messages have published.
-    pub fn silence(&mut self, owner: Address) {
-        match self {
-            Self::Graph(stage) => stage.silence(owner),
-            Self::Domain(domain) => domain.silence(owner),
-        }
-    }
-
-    /// No more messages come; what is queued is still sent.
-    pub fn leave(&self) {
-        match self {
-            Self::Graph(stage) => stage.leave(),
-            Self::Domain(domain) => block_in_place(|| domain.leave()),
-        }
-    }
-
-    /// Whether subscribers have all that was queued.
-    pub fn is_sent(&self) -> bool {
-        match self {
-            Self::Graph(stage) => stage.is_sent(),
-            Self::Domain(domain) => domain.is_sent(),
-        }
-    }
-
-    /// Ends; what is still queued is not sent. Of so many messages returns how many were published, dropped and unconfirmed: in
-    /// ROS 2, where subscribers acknowledge, what was dropped was not published.
-    pub fn finish(self, handed_out: u64, by_right: bool) -> (u64, u64, u64) {
-        match self {
-            Self::Graph(stage) => (handed_out, stage.finish(by_right), 0),
-            Self::Domain(domain) => {
-                let Delivery { missed, unconfirmed } = domain.finish(by_right);
-                let published = handed_out.saturating_sub(missed);
-                (published, missed, unconfirmed.min(published))
-            }
+            Self::Refused(why) => refused(why),
+            Self::Failed(failure) => failure,
+            Self::Missing | Self::Later | Self::Ended(_) => internal("it is not published now; play again"),
         }
     }
 }
 
-/// The owner of what is no record.
-const NOBODY: Source = (Address([0; 20]), 0);
+impl From<Failure> for Stop {
+    fn from(failure: Failure) -> Self {
+        Self::Failed(failure)
+    }
+}
+
+/// The publishing end.
+pub(super) trait Target: Send + Sync {
+    /// Its name for people.
+    fn name(&self) -> &str;
+
+    /// Why messages of this encoding cannot be published here; there is no translation.
+    fn objection(&self, encoding: Encoding) -> Option<&'static str>;
+
+    /// Publishes a topic for a source of its messages, the first of `size` bytes.
+    fn show(&mut self, form: &Form, source: Source, size: usize) -> Result<(), Stop>;
+
+    /// Publishes one message of a published topic.
+    fn publish(&mut self, form: &Form, source: Source, body: &[u8]) -> bool;
+
+    /// The clock's topic under this name, and its message for a time.
+    fn clock(&self, topic: &str, now: Timestamp) -> (Form, Vec<u8>);
+
+    /// Whether a subscriber is far behind.
+    fn is_crowded(&self) -> bool;
+
+    /// Stops waiting for subscribers that are far behind now.
+    fn outrun(&self);
+
+    /// Comes back after a master or a child process that ended; what is away is tried again later.
+    fn come_back(&mut self);
+
+    /// Withdraws at once what an owner's messages have published.
+    fn silence(&mut self, owner: Address);
+
+    /// No more messages come; what is queued is still sent.
+    fn leave(&self);
+
+    /// Whether subscribers have all that was queued.
+    fn is_sent(&self) -> bool;
+
+    /// Ends; what is still queued is not sent. Of so many messages returns how many were published, dropped and unconfirmed.
+    /// What was withdrawn when a right ended is not among what was dropped.
+    fn finish(self: Box<Self>, handed_out: u64, by_right: bool) -> (u64, u64, u64);
+}
+
+/// What is known of the topics of one target.
+pub(super) struct Topics {
+    /// The target's name for people.
+    pub place: String,
+    /// No name under it belongs to anybody else.
+    prefix: Option<String>,
+    /// Type and MD5 sum of those that are published.
+    types: HashMap<String, (String, String)>,
+    /// Those that are not published, and why.
+    declined: HashMap<String, String>,
+    /// The remaining wait for subscribers.
+    patience: Duration,
+}
+
+impl Topics {
+    pub fn new(place: String, prefix: Option<String>) -> Self {
+        Self { place, prefix, types: HashMap::new(), declined: HashMap::new(), patience: WELCOME }
+    }
+
+    /// Whether a topic of this type and MD5 sum is new here. `broken` says why nothing is published now.
+    pub fn admit(&self, topic: &str, kind: (&str, &str), broken: Option<String>) -> Result<bool, Stop> {
+        if let Some(why) = self.declined.get(topic) {
+            return Err(Stop::Refused(why.clone()));
+        }
+        if let Some(reason) = broken {
+            let words = format!("nothing is published in {} now: {reason}; play again", clean(&self.place, 120));
+            return Err(Failure::new(ErrorKind::Unreachable, words).into());
+        }
+        match self.types.get(topic) {
+            Some((name, sum)) if (name.as_str(), sum.as_str()) == kind => Ok(false),
+            Some((other, _)) => Err(Stop::Refused(format!("{topic} is already being played as {}", clean(other, 120)))),
+            None if self.types.len() < MOST_TOPICS => Ok(true),
+            None => {
+                let why = format!("{MOST_TOPICS} topics are already being played; choose some with --topic");
+                Err(Stop::Refused(why))
+            }
+        }
+    }
+
+    /// Whether nobody else can have this topic.
+    pub fn is_inside(&self, topic: &str) -> bool {
+        self.prefix.as_ref().is_some_and(|prefix| is_under(prefix, topic))
+    }
+
+    /// Announces something, with what is left of the time to wait for subscribers.
+    pub fn announce<Done>(&mut self, act: impl FnOnce(Duration) -> Result<Done, RosError>) -> Result<Done, Failure> {
+        let begun = Instant::now();
+        let done = act(self.patience)?;
+        self.patience = self.patience.saturating_sub(begun.elapsed());
+        Ok(done)
+    }
+
+    /// It is published.
+    pub fn publish(&mut self, topic: &str, (type_name, md5sum): (&str, &str)) {
+        self.types.insert(topic.to_owned(), (type_name.to_owned(), md5sum.to_owned()));
+    }
+
+    /// It is not, in this playback.
+    pub fn decline(&mut self, topic: &str, why: &str) {
+        self.declined.insert(topic.to_owned(), why.to_owned());
+    }
+
+    /// Keeps those that are still published.
+    pub fn retain(&mut self, is_published: impl Fn(&str) -> bool) {
+        self.types.retain(|topic, _| is_published(topic));
+    }
+}

@@ -9,15 +9,9 @@ mod tests;
 mod topics;
 pub(super) mod watches;
 
-use crate::config::Config;
-use crate::pipeline::{Losses, Plant, Recorder};
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
 use crate::site::capture::ros::RosSide;
 use crate::site::capture::watches::Watches;
-use crate::site::chain::link::Link;
-use crate::site::identity::{Owners, Profiles};
-use crate::site::lifetime::Lifetime;
+use crate::site::identity::Profiles;
 use crate::site::parts::Parts;
 use crate::site::pins::Pinning;
 use std::collections::HashMap;
@@ -25,8 +19,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::model::{ProfileName, TopicName, TypeName};
-use crate::pipeline::{CaptureSession, Owner};
-use crate::service::event::NoticeLevel;
+use crate::pipeline::{CaptureSession, Losses, Owner, Recorder};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{CaptureSummary, Failure, TopicSummary, UnreachedView};
 
@@ -35,13 +28,7 @@ const TICK: Duration = Duration::from_millis(50);
 
 /// Captures, and the rules for them.
 pub(in crate::site) struct Capture {
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
+    parts: Parts,
     recorder: Arc<Recorder>,
     losses: Arc<Losses>,
     ros: Arc<RosSide>,
@@ -62,30 +49,14 @@ impl Capture {
         profiles: &Arc<Profiles>,
         pins: &Arc<Pinning>,
     ) -> Self {
-        let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
-        Self {
-            config,
-            plant,
-            hub,
-            log,
-            owners,
-            link,
-            life,
-            recorder: Arc::clone(recorder),
-            losses: Arc::clone(losses),
-            ros: Arc::clone(ros),
-            watches: Arc::clone(watches),
-            profiles: Arc::clone(profiles),
-            pins: Arc::clone(pins),
-            running: Mutex::default(),
-        }
+        let (recorder, losses, ros) = (Arc::clone(recorder), Arc::clone(losses), Arc::clone(ros));
+        let (watches, profiles, pins) = (Arc::clone(watches), Arc::clone(profiles), Arc::clone(pins));
+        Self { parts: parts.clone(), recorder, losses, ros, watches, profiles, pins, running: Mutex::default() }
     }
-}
 
-impl Capture {
     /// Runs one capture; registers the owner first if needed.
-    pub(super) async fn capture(
-        self: &Arc<Self>,
+    pub async fn capture(
+        &self,
         owner: &Arc<Owner>,
         topics: &[TopicName],
         type_name: Option<TypeName>,
@@ -96,7 +67,7 @@ impl Capture {
         if topics.is_empty() {
             return Err(input("a capture needs at least one topic; name it with --topic"));
         }
-        if self.config.site.is_some() {
+        if self.parts.config.site.is_some() {
             return Err(refused(
                 "this home joined a gateway with --site and captures nothing; capture at the gateway's home, or enrol a robot \
                  there and run its agent here (`authros agent enrol`)",
@@ -107,16 +78,18 @@ impl Capture {
             self.profiles.register(owner).await?;
         } else {
             // Somebody who waits for verified records is told at once if there is no chain to verify them.
-            self.link.network().await?;
+            self.parts.link.network().await?;
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         let listed = names.join(" ");
         let session = Arc::new(CaptureSession::new(&names, count, tags));
         let started = async {
-            self.begin(owner, &names, type_name.as_ref(), &session);
+            names.iter().for_each(|topic| self.recorder.join(topic, &owner.author, type_name.clone(), &session));
+            self.note(&owner.profile, &session);
+            self.ros.wishes_changed();
             Ok(())
         };
-        self.log.deed(&owner.profile, "capture start", &listed, started).await?;
+        self.parts.log.deed(&owner.profile, "capture start", &listed, started).await?;
         let time_is_up = async {
             match milliseconds {
                 Some(milliseconds) => self.last(Duration::from_millis(milliseconds), topics, &session).await,
@@ -126,17 +99,20 @@ impl Capture {
         tokio::select! {
             () = session.closed() => {}
             () = time_is_up => {}
-            () = self.life.stopped() => {}
+            () = self.parts.life.stopped() => {}
         }
         names.iter().for_each(|topic| self.ros.second.settle(Some(topic)));
         session.close();
         let unreached = self.ros.unreached();
-        self.end(owner, &names, &session);
+        names.iter().for_each(|topic| self.recorder.leave(topic, &owner.author, &session));
+        self.forget(&session);
+        self.ros.wishes_changed();
         let captured: u64 = session.figures().iter().map(|topic| topic.captured).sum();
-        let ended = self.log.write(&owner.profile, "capture stop", &listed, &format!("{captured} captured")).await;
+        let ended =
+            self.parts.log.write(&owner.profile, "capture stop", &listed, &format!("{captured} captured")).await;
         session.settled().await;
         if let Err(failure) = ended {
-            self.hub.notice(NoticeLevel::Error, &failure.message);
+            self.parts.hub.alarm(&failure.message);
         }
         Ok(summary(&session, unreached))
     }
@@ -149,28 +125,6 @@ impl Capture {
         while begun.elapsed() < least && session.figures().iter().all(|topic| topic.captured == 0) {
             tokio::time::sleep(TICK).await;
         }
-    }
-
-    fn begin(
-        &self,
-        owner: &Arc<Owner>,
-        topics: &[String],
-        type_name: Option<&TypeName>,
-        session: &Arc<CaptureSession>,
-    ) {
-        for topic in topics {
-            self.recorder.join(topic, &owner.author, type_name.cloned(), session);
-        }
-        self.note(&owner.profile, session);
-        self.ros.wishes_changed();
-    }
-
-    fn end(&self, owner: &Arc<Owner>, topics: &[String], session: &Arc<CaptureSession>) {
-        for topic in topics {
-            self.recorder.leave(topic, &owner.author, session);
-        }
-        self.forget(session);
-        self.ros.wishes_changed();
     }
 
     /// The command that ends captures ends this, too.
@@ -186,7 +140,7 @@ impl Capture {
     }
 
     /// Ends the running captures of a profile; their own answers follow.
-    pub(super) fn stop(&self, profile: &ProfileName) {
+    pub fn stop(&self, profile: &ProfileName) {
         self.ros.second.settle(None);
         let captures = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         captures.iter().filter(|(owner, _)| owner == profile).for_each(|(_, session)| session.close());

@@ -1,7 +1,6 @@
 //! Rules for topics: which rule applies to which topic, and the topics' rates, so that rules can be drafted.
 
 use super::Capture;
-use std::sync::Arc;
 use std::time::Duration;
 
 use crate::model::{ProfileName, TopicRule};
@@ -14,11 +13,7 @@ const LONGEST: u64 = 600_000;
 
 impl Capture {
     /// Answers a command about rules.
-    pub(in crate::site) async fn policy(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        command: PolicyCommand,
-    ) -> Result<PolicyView, Failure> {
+    pub async fn policy(&self, profile: &ProfileName, command: PolicyCommand) -> Result<PolicyView, Failure> {
         match command {
             PolicyCommand::Show => self.policy_view(profile, false).await,
             PolicyCommand::Learn { milliseconds } => {
@@ -30,7 +25,7 @@ impl Capture {
                 self.ros.wishes_changed();
                 tokio::select! {
                     () = tokio::time::sleep(Duration::from_millis(milliseconds)) => {}
-                    () = self.life.stopped() => {}
+                    () = self.parts.life.stopped() => {}
                 }
                 let view = self.policy_view(profile, true).await;
                 drop(learning);
@@ -40,8 +35,8 @@ impl Capture {
         }
     }
 
-    async fn policy_view(self: &Arc<Self>, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
-        let rules = &self.config.topic_rules;
+    async fn policy_view(&self, profile: &ProfileName, learned: bool) -> Result<PolicyView, Failure> {
+        let rules = &self.parts.config.topic_rules;
         let row = |row: crate::service::reply::TopicRow| PolicyRow {
             rule: rules.of(&row.topic).map(|rule| TopicRule::clone(rule)),
             left_out: row.left_out,

@@ -2,12 +2,9 @@
 
 use crate::config::Config;
 use crate::pipeline::Recorder;
-use crate::service::hub::Hub;
-use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -20,9 +17,9 @@ use crate::model::TopicName;
 use crate::model::bytes::hex;
 use crate::ros::graph::Unreached;
 use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, TopicInfo};
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::internal;
-use crate::service::reply::{Failure, UnreachedView};
+use crate::service::reply::Failure;
 use crate::site::blocking;
 use crate::site::capture::second::{GraphOf, Second};
 
@@ -50,7 +47,7 @@ pub enum RosState {
 }
 
 /// Simulated robots: nodes of this process, or rosrust in processes of their own.
-fn robots(config: &Config, uri: &str) -> Result<Fleet, RosError> {
+fn start_robots(config: &Config, uri: &str) -> Result<Fleet, RosError> {
     let (robots, options) = (config.robots, FleetOptions::default());
     match config.robots_by {
         PublishedBy::Own => Fleet::start(uri, robots, options),
@@ -66,8 +63,7 @@ pub struct RosLink {
     pub embedded: bool,
     /// The monitoring node.
     pub capture: Capture,
-    /// Simulated robots.
-    pub fleet: Option<Fleet>,
+    _fleet: Option<Fleet>,
     /// Simulated robots, counted.
     pub robots: u16,
     graph: Graph,
@@ -75,6 +71,16 @@ pub struct RosLink {
     topics: std::sync::RwLock<Vec<TopicInfo>>,
     // Dropped last: nodes unregister on drop.
     master: Option<EmbeddedMaster>,
+}
+
+impl RosState {
+    /// The link, also one that waits for its master.
+    pub fn link(&self) -> Option<&Arc<RosLink>> {
+        match self {
+            Self::Up(link) | Self::Down { link: Some(link), .. } => Some(link),
+            Self::Off | Self::Starting | Self::Down { link: None, .. } => None,
+        }
+    }
 }
 
 impl RosLink {
@@ -99,52 +105,29 @@ impl RosLink {
     }
 }
 
-/// Everything is subscribed to as long as somebody is measuring.
-pub(in crate::site) struct Learning<'a>(&'a AtomicUsize);
-
-impl<'a> Learning<'a> {
-    fn begin(count: &'a AtomicUsize) -> Self {
-        count.fetch_add(1, Ordering::AcqRel);
-        Self(count)
-    }
-}
-
-impl Drop for Learning<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::AcqRel);
-    }
-}
-
 /// The ROS side of a site.
 pub(in crate::site) struct RosSide {
-    config: Arc<Config>,
-    hub: Arc<Hub>,
-    life: Arc<Lifetime>,
+    parts: Parts,
     recorder: Arc<Recorder>,
     state: watch::Sender<RosState>,
     /// ROS 2, where the settings name a domain.
     pub(in crate::site) second: Second,
-    /// How many are looking at every topic of the graph now.
-    learning: AtomicUsize,
+    /// Held by those who are looking at every topic of the graph now.
+    learning: Arc<()>,
 }
 
 impl RosSide {
     /// From the shared parts.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, needed: bool) -> Self {
-        let Parts { config, hub, life, .. } = parts.clone();
         Self {
-            second: Second::new(&config, &hub, recorder),
-            config,
-            hub,
-            life,
+            parts: parts.clone(),
+            second: Second::new(parts, recorder),
             recorder: Arc::clone(recorder),
             state: watch::channel(if needed { RosState::Starting } else { RosState::Off }).0,
-            learning: AtomicUsize::new(0),
+            learning: Arc::default(),
         }
     }
-}
 
-impl RosSide {
     /// Its present state.
     pub fn state(&self) -> watch::Ref<'_, RosState> {
         self.state.borrow()
@@ -156,8 +139,13 @@ impl RosSide {
     }
 
     /// Everything in the graph is subscribed to until the guard is dropped.
-    pub fn learn(&self) -> Learning<'_> {
-        Learning::begin(&self.learning)
+    pub fn learn(&self) -> Arc<()> {
+        Arc::clone(&self.learning)
+    }
+
+    /// Whether all topics are read, to be measured.
+    fn is_measured(&self) -> bool {
+        self.parts.config.meter == MeterMode::All || Arc::strong_count(&self.learning) > 1
     }
 
     /// The nodes leave the graph; waits for them no longer than `patience`. `task` is the one that keeps the side up.
@@ -169,15 +157,12 @@ impl RosSide {
     }
 
     /// Brings up the ROS side and keeps looking at the graph until the site ends.
-    pub(in crate::site) async fn keep(self: Arc<Self>) {
+    pub async fn keep(self: Arc<Self>) {
         let ros = Arc::clone(&self);
         drop(tokio::task::spawn_blocking(move || ros.second.begin()).await);
         let link = loop {
             // When restarted after a failure, the task finds the link still working.
-            let kept = match &*self.state.borrow() {
-                RosState::Up(link) | RosState::Down { link: Some(link), .. } => Some(Arc::clone(link)),
-                _ => None,
-            };
+            let kept = self.state.borrow().link().cloned();
             if let Some(link) = kept {
                 break link;
             }
@@ -185,9 +170,9 @@ impl RosSide {
             match blocking(&self, move |_| ros.start()).await {
                 Ok(link) => break Arc::new(link),
                 Err(failure) => {
-                    self.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.parts.hub.alarm(&failure.message);
                     self.state.send_replace(RosState::Down { failure, link: None });
-                    self.hub.changed(Part::Health);
+                    self.parts.hub.changed(Part::Health);
                 }
             }
             // ROS 2 needs no master.
@@ -199,13 +184,13 @@ impl RosSide {
             }
         };
         self.state.send_replace(RosState::Up(Arc::clone(&link)));
-        self.hub.changed(Part::Health);
-        self.hub.changed(Part::Topics);
+        self.parts.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Topics);
         let mut calm = 0_u32;
         loop {
             let pause = if calm < CALM { LOOK } else { LOOK * 2 };
             tokio::select! {
-                _ = self.life.beat(pause) => {}
+                _ = self.parts.life.beat(pause) => {}
                 () = self.leaving() => break,
             }
             calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
@@ -241,31 +226,30 @@ impl RosSide {
     }
 
     fn start(&self) -> Result<RosLink, Failure> {
-        let master = if self.config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
-        let uri = master.as_ref().map(|master| master.uri().to_owned()).or_else(|| self.config.ros_master.clone());
+        let master = if self.parts.config.ros_master.is_none() { Some(EmbeddedMaster::start()?) } else { None };
+        let uri =
+            master.as_ref().map(|master| master.uri().to_owned()).or_else(|| self.parts.config.ros_master.clone());
         let uri = uri.ok_or_else(|| internal("no ROS master is configured"))?;
         let node_name = format!("/authros_{}", hex(&random_bytes::<4>()?));
         let graph = Graph::new(&uri, &node_name)?;
         graph.ping()?;
-        let robots = self.config.robots;
+        let robots = self.parts.config.robots;
         let fleet = match &master {
-            Some(_) if robots > 0 => Some(self::robots(&self.config, &uri)?),
+            Some(_) if robots > 0 => Some(start_robots(&self.parts.config, &uri)?),
             _ => None,
         };
-        self.recorder.set_simulated(if fleet.is_some() {
-            (1..=robots).map(|number| format!("/robot{number}_sim")).collect()
-        } else {
-            Vec::new()
-        });
-        let options = CaptureOptions { master_uri: uri.clone(), own_host: self.config.ros_host.clone(), node_name };
+        let robots = if fleet.is_some() { robots } else { 0 };
+        self.recorder.set_simulated((1..=robots).map(|number| format!("/robot{number}_sim")).collect());
+        let options =
+            CaptureOptions { master_uri: uri.clone(), own_host: self.parts.config.ros_host.clone(), node_name };
         let capture = Capture::start(options, self.recorder.clone())?;
         let embedded = master.is_some();
         let link = RosLink {
             uri,
             embedded,
             capture,
-            robots: if fleet.is_some() { robots } else { 0 },
-            fleet,
+            robots,
+            _fleet: fleet,
             graph,
             last_look: std::sync::Mutex::default(),
             topics: std::sync::RwLock::default(),
@@ -286,19 +270,19 @@ impl RosSide {
                     let was_down = matches!(&*self.state.borrow(), RosState::Down { .. });
                     if was_down {
                         self.state.send_replace(RosState::Up(Arc::clone(link)));
-                        self.hub.changed(Part::Health);
-                        self.hub.notice(NoticeLevel::Info, "the ROS master answers again");
+                        self.parts.hub.changed(Part::Health);
+                        self.parts.hub.inform("the ROS master answers again");
                     }
                     let moved = changed || self.recorder.meter_moved();
                     if moved {
-                        self.hub.changed(Part::Topics);
+                        self.parts.hub.changed(Part::Topics);
                     }
                     moved || was_down
                 }
                 Err(failure) if matches!(&*self.state.borrow(), RosState::Up(_)) => {
-                    self.hub.notice(NoticeLevel::Error, &failure.message);
+                    self.parts.hub.alarm(&failure.message);
                     self.state.send_replace(RosState::Down { failure, link: Some(Arc::clone(link)) });
-                    self.hub.changed(Part::Health);
+                    self.parts.hub.changed(Part::Health);
                     true
                 }
                 // A master that is gone is asked as often as before, so that its return is noticed at once.
@@ -309,7 +293,7 @@ impl RosSide {
     /// Subscribes to what is wanted or measured, and to nothing else.
     fn follow_wishes(&self, link: &RosLink) {
         let mut wanted = self.share_wishes(&link.topics());
-        if self.config.meter == MeterMode::All || self.learning.load(Ordering::Acquire) > 0 {
+        if self.is_measured() {
             let of_two = |info: &&TopicInfo| self.graph_of(info) == GraphOf::Two;
             let topics = link.topics();
             let names =
@@ -328,33 +312,31 @@ impl RosSide {
     /// What the recorder wants from ROS 1; the rest is requested from ROS 2.
     fn share_wishes(&self, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         let wanted = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
-        let all = self.config.meter == MeterMode::All || self.learning.load(Ordering::Acquire) > 0;
-        self.second.share(wanted, all, graph)
+        self.second.share(wanted, self.is_measured(), graph)
     }
 
     /// Updates the subscriptions to the recorder's wishes at once.
-    pub(in crate::site) fn wishes_changed(&self) {
-        if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.state.borrow() {
+    pub fn wishes_changed(&self) {
+        if let Some(link) = self.state.borrow().link() {
             self.follow_wishes(link);
         } else if self.is_wanted() {
             self.share_wishes(&[]);
         }
-        self.hub.changed(Part::Topics);
+        self.parts.hub.changed(Part::Topics);
     }
 
     /// The publishers of each captured topic that are listed and cannot be read, by topic.
-    pub(in crate::site) fn unreached(&self) -> HashMap<String, Vec<UnreachedView>> {
+    pub fn unreached(&self) -> HashMap<String, Vec<Unreached>> {
         let status = match &*self.state() {
             RosState::Up(link) => link.capture.status(),
             _ => return HashMap::new(),
         };
-        let view = |one: Unreached| UnreachedView { node: one.node, place: one.place, reason: one.reason };
         let status = status.into_iter().filter(|topic| !topic.unreached.is_empty());
-        status.map(|topic| (topic.topic.to_string(), topic.unreached.into_iter().map(view).collect())).collect()
+        status.map(|topic| (topic.topic.to_string(), topic.unreached)).collect()
     }
 
     /// The graph from which a ROS 1 topic is captured.
-    pub(in crate::site) fn graph_of(&self, info: &TopicInfo) -> GraphOf {
+    pub fn graph_of(&self, info: &TopicInfo) -> GraphOf {
         self.second.graph_of(info)
     }
 
@@ -362,7 +344,7 @@ impl RosSide {
     ///
     /// # Errors
     /// Why the master cannot be reached, if there is no ROS 2 either.
-    pub(in crate::site) async fn any(&self) -> Result<Option<Arc<RosLink>>, Failure> {
+    pub async fn any(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         let link = self.any_now().await?;
         self.second.first_look().await;
         Ok(link)
@@ -372,7 +354,7 @@ impl RosSide {
     ///
     /// # Errors
     /// The same.
-    pub(in crate::site) async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
+    pub async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         match self.link().await {
             Ok(link) => Ok(Some(link)),
             Err(_) if self.second.is_on() => Ok(None),
@@ -392,7 +374,7 @@ impl RosSide {
     ///
     /// # Errors
     /// Why the master cannot be reached.
-    pub(in crate::site) async fn link(&self) -> Result<Arc<RosLink>, Failure> {
+    pub async fn link(&self) -> Result<Arc<RosLink>, Failure> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;
         let settled = settled.map_err(|_| internal("the site is ending"))?.clone();

@@ -1,32 +1,22 @@
 //! The thread that seals what is captured or imported, started on first use.
 
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crate::config::Config;
+use crate::pipeline::Losses;
 use crate::pipeline::disk_ring::SharedRing;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sealer::Sealer;
-use crate::pipeline::{Losses, Plant};
-use crate::service::event::NoticeLevel;
-use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 use crate::site::parts::Parts;
-use crate::site::supervision::Supervisor;
 
 /// The sealer of a site.
 pub(in crate::site) struct SealerThread {
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    supervisor: Arc<Supervisor>,
+    parts: Parts,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
-    /// Where what waits in memory is noted while the disk is full.
-    waiting: PathBuf,
     /// The ring on the disk, on a robot that keeps one.
     ring: Arc<OnceLock<SharedRing>>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -35,18 +25,8 @@ pub(in crate::site) struct SealerThread {
 impl SealerThread {
     /// A sealer for what comes through `rings`, not started yet.
     pub fn new(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> Self {
-        let Parts { home, config, plant, hub, supervisor, .. } = parts.clone();
-        Self {
-            config,
-            plant,
-            hub,
-            supervisor,
-            rings: Arc::clone(rings),
-            losses: Arc::clone(losses),
-            waiting: home.waiting(),
-            ring: Arc::default(),
-            thread: Mutex::default(),
-        }
+        let (parts, rings, losses) = (parts.clone(), Arc::clone(rings), Arc::clone(losses));
+        Self { parts, rings, losses, ring: Arc::default(), thread: Mutex::default() }
     }
 
     /// From now on messages of topics that nobody watches go into this ring; the first one counts.
@@ -69,7 +49,7 @@ impl SealerThread {
 
     /// Counts what died in memory with the process before, while its disk was full.
     fn take_over(&self) {
-        let text = match self.losses.keep_in(&self.waiting, &self.plant) {
+        let text = match self.losses.keep_in(&self.parts.home.waiting(), &self.parts.plant) {
             Ok(0) => return,
             Ok(count) => format!(
                 "{count} messages waited in memory for a full disk when this site last ended; they are lost, and gap \
@@ -77,14 +57,15 @@ impl SealerThread {
             ),
             Err(error) => format!("what waits in memory for a full disk will not be counted after a crash: {error}"),
         };
-        self.hub.notice(NoticeLevel::Warning, &text);
+        self.parts.hub.warn(&text);
     }
 
     fn start(&self) -> Result<JoinHandle<()>, Failure> {
         self.take_over();
-        let (plant, hub, losses) = (self.plant.clone(), Arc::clone(&self.hub), Arc::clone(&self.losses));
-        let (rings, compression, ring) = (Arc::clone(&self.rings), self.config.compression, Arc::clone(&self.ring));
-        self.supervisor.keep_thread("sealer", move || {
+        let (plant, hub, losses) = (self.parts.plant.clone(), Arc::clone(&self.parts.hub), Arc::clone(&self.losses));
+        let (rings, compression, ring) =
+            (Arc::clone(&self.rings), self.parts.config.compression, Arc::clone(&self.ring));
+        self.parts.supervisor.keep_thread("sealer", move || {
             let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
             let sealer = sealer.with_ring(Arc::clone(&ring));
             let mut sealer = if compression { sealer } else { sealer.without_compression() };

@@ -4,14 +4,14 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::config::{Config, Source};
+use crate::config::Source;
 use crate::model::{TopicName, clean};
 use crate::pipeline::Recorder;
 use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic, Standing};
 use crate::ros::{CaptureNotice, MessageSink, TopicInfo, UNCONFINED};
 use crate::service::event::{NoticeLevel, Part};
-use crate::service::hub::Hub;
 use crate::service::reply::{Failure, HealthLevel};
+use crate::site::parts::Parts;
 
 /// The longest that a list of topics waits for a domain that was just joined.
 const FIRST_LOOK: Duration = Duration::from_secs(6);
@@ -43,8 +43,7 @@ enum State {
 
 /// The ROS 2 side of a site.
 pub(in crate::site) struct Second {
-    config: Arc<Config>,
-    hub: Arc<Hub>,
+    parts: Parts,
     recorder: Arc<Recorder>,
     state: Mutex<State>,
     /// The graph in which a wanted topic was first found.
@@ -67,10 +66,9 @@ fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 
 impl Second {
     /// Off until it is started.
-    pub fn new(config: &Arc<Config>, hub: &Arc<Hub>, recorder: &Arc<Recorder>) -> Self {
+    pub fn new(parts: &Parts, recorder: &Arc<Recorder>) -> Self {
         Self {
-            config: Arc::clone(config),
-            hub: Arc::clone(hub),
+            parts: parts.clone(),
             recorder: Arc::clone(recorder),
             state: Mutex::new(State::Off),
             decided: Mutex::default(),
@@ -80,21 +78,21 @@ impl Second {
 
     /// Joins the domain in the settings, if they name one; reports it if it cannot.
     pub fn begin(&self) {
-        let Some(domain) = self.config.ros_domain else { return };
+        let Some(domain) = self.parts.config.ros_domain else { return };
         if matches!(*locked(&self.state), State::On(_)) {
             return;
         }
-        let started = Ros2Capture::start(domain, self.config.ros2_program.as_deref(), self.recorder.clone());
+        let started = Ros2Capture::start(domain, self.parts.config.ros2_program.as_deref(), self.recorder.clone());
         let state = match started {
             Ok(capture) => State::On(Arc::new(capture)),
             Err(error) => {
                 let failure = Failure::from(error);
-                self.hub.notice(NoticeLevel::Error, &failure.message);
+                self.parts.hub.alarm(&failure.message);
                 State::Absent(failure)
             }
         };
         *locked(&self.state) = state;
-        self.hub.changed(Part::Health);
+        self.parts.hub.changed(Part::Health);
     }
 
     /// Leaves the domain; blocks until the program has ended.
@@ -162,19 +160,19 @@ impl Second {
         if !told.first_look && standing.reading == Reading::Up {
             told.first_look = true;
             let level = if standing.is_empty() { NoticeLevel::Warning } else { NoticeLevel::Info };
-            self.hub.notice(level, &standing.text());
+            self.parts.hub.notice(level, &standing.text());
             if standing.confined == Some(false) {
-                self.hub.notice(NoticeLevel::Warning, UNCONFINED);
+                self.parts.hub.warn(UNCONFINED);
             }
         }
         let text = Some(standing.text());
         let (stands, lists) = (told.standing == text, told.topics == topics);
         (told.standing, told.topics) = (text, topics);
         if !stands {
-            self.hub.changed(Part::Health);
+            self.parts.hub.changed(Part::Health);
         }
         if !lists {
-            self.hub.changed(Part::Topics);
+            self.parts.hub.changed(Part::Topics);
         }
         !stands || !lists
     }
@@ -188,7 +186,7 @@ impl Second {
             wanted.iter().filter(|topic| decide(topic) != GraphOf::One).cloned().collect();
         let one = wanted.iter().filter(|topic| decide(topic) != GraphOf::Two).cloned().collect();
         // Everything is measured only on explicit request: it is read over the network.
-        if all && self.config.source("ros.meter") != Source::Default {
+        if all && self.parts.config.source("ros.meter") != Source::Default {
             let names = topics.iter().filter_map(|topic| topic.name.parse::<TopicName>().ok());
             of_two.extend(names.filter(|topic| !is_published(topic, graph)));
         }

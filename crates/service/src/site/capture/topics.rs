@@ -1,19 +1,18 @@
 //! Topics of the graph: listed with their rates, watched and unwatched.
 
-use super::Capture;
-use super::second::GraphOf;
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
+use super::Capture;
+use super::second::GraphOf;
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean, pinned_name};
 use crate::service::reply::{Failure, HeldUp, TopicRow};
 use crate::store::TopicCounts;
 
 impl Capture {
     /// Every topic of the graph, and watched ones that nobody publishes yet.
-    pub(in crate::site) async fn topics(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
+    pub async fn topics(&self, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
         let link = self.ros.any().await?;
         let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
@@ -53,8 +52,8 @@ impl Capture {
         let captured = self.captured_by_topic(profile)?;
         let alarms = self.pins.alarmed_topics(profile)?;
         let pins = self.pins.pinned_names(profile)?;
-        let sealing = self.owners.get(profile).filter(|owner| owner.sealing().is_some());
-        let full = self.plant.ledger.records.takes_records().is_err();
+        let sealing = self.parts.owners.get(profile).filter(|owner| owner.sealing().is_some());
+        let full = self.parts.plant.ledger.records.takes_records().is_err();
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         let mut unreached = self.ros.unreached();
         for row in &mut rows {
@@ -92,38 +91,27 @@ impl Capture {
         TopicRow {
             topic: clean(topic, 255),
             ros: 1,
-            type_hash: None,
-            qos: None,
             type_name: type_name.map(|name| clean(name, 255)),
             publishers,
-            unreached: Vec::new(),
-            watched: false,
-            held_up: None,
             simulated,
             hz: rate.map(|rate| rate.hz),
             bytes_per_second: rate.map(|rate| rate.bytes_per_second),
-            messages: 0,
-            lost_in_transport: 0,
-            lost_in_recorder: 0,
             left_out: self.recorder.left_out(topic),
             last_message: rate.and_then(|rate| rate.last),
-            pins: 0,
-            unpinned: Vec::new(),
-            quarantined: 0,
-            alarm: false,
+            ..TopicRow::default()
         }
     }
 
     /// The fate of the profile's messages, by topic.
     fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
-        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
-        let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
+        let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
+        let counts = block_in_place(|| self.losses.counts(&self.parts.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
     }
 
     /// Captures a topic until it is unwatched, across restarts.
-    pub(in crate::site) async fn watch(
-        self: &Arc<Self>,
+    pub async fn watch(
+        &self,
         profile: &ProfileName,
         topic: TopicName,
         type_name: Option<TypeName>,
@@ -134,8 +122,8 @@ impl Capture {
                 watches.push((topic.clone(), type_name.clone()));
             })
         };
-        self.log.deed(profile, "watch", topic.as_str(), listed).await?;
-        if let Some(owner) = self.owners.get(profile) {
+        self.parts.log.deed(profile, "watch", topic.as_str(), listed).await?;
+        if let Some(owner) = self.parts.owners.get(profile) {
             if self.ros.is_wanted() && owner.sealing().is_none() {
                 self.profiles.register(&owner).await?;
             }
@@ -146,14 +134,10 @@ impl Capture {
     }
 
     /// Stops capturing a topic.
-    pub(in crate::site) async fn unwatch(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        topic: &TopicName,
-    ) -> Result<(), Failure> {
+    pub async fn unwatch(&self, profile: &ProfileName, topic: &TopicName) -> Result<(), Failure> {
         let removed = async { self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic)) };
-        self.log.deed(profile, "unwatch", topic.as_str(), removed).await?;
-        if let Some(owner) = self.owners.get(profile) {
+        self.parts.log.deed(profile, "unwatch", topic.as_str(), removed).await?;
+        if let Some(owner) = self.parts.owners.get(profile) {
             self.ros.second.settle(Some(topic.as_str()));
             self.recorder.unwatch(topic.as_str(), &owner.author);
             self.ros.wishes_changed();
@@ -162,8 +146,8 @@ impl Capture {
     }
 
     /// Pauses the capture of everything that the profile watches, or resumes it; the watch list stays.
-    pub(in crate::site) fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
-        let Some(owner) = self.owners.get(profile) else { return Ok(()) };
+    pub fn hold(&self, profile: &ProfileName, hold: bool) -> Result<(), Failure> {
+        let Some(owner) = self.parts.owners.get(profile) else { return Ok(()) };
         if hold {
             self.ros.second.settle(None);
         }

@@ -9,14 +9,13 @@ use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{Owner, Recorder};
 use crate::service::reply::Failure;
 use crate::site::parts::Parts;
-use crate::store::Notes;
 use crate::store::notes::Watched;
 
 type List = Vec<(TopicName, Option<TypeName>)>;
 
 /// The watch lists of a home.
 pub(in crate::site) struct Watches {
-    notes: Notes,
+    parts: Parts,
     recorder: Arc<Recorder>,
     ros: Arc<RosSide>,
 }
@@ -24,12 +23,12 @@ pub(in crate::site) struct Watches {
 impl Watches {
     /// Lists followed by `recorder`.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, ros: &Arc<RosSide>) -> Self {
-        Self { notes: parts.plant.ledger.notes.clone(), recorder: Arc::clone(recorder), ros: Arc::clone(ros) }
+        Self { parts: parts.clone(), recorder: Arc::clone(recorder), ros: Arc::clone(ros) }
     }
 
     /// The list of a profile.
     pub fn of(&self, profile: &ProfileName) -> Result<List, Failure> {
-        Ok(self.notes.read(&Watched { profile: profile.clone() })?.unwrap_or_default())
+        Ok(self.parts.plant.ledger.notes.read(&Watched { profile: profile.clone() })?.unwrap_or_default())
     }
 
     /// Reads, changes and stores a watch list; of several simultaneous changes none is lost.
@@ -38,7 +37,7 @@ impl Watches {
             change(watches);
             Ok(())
         };
-        block_in_place(|| self.notes.change(&Watched { profile: profile.clone() }, changed))
+        block_in_place(|| self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, changed))
     }
 
     /// The recorder stops watching for the owner, until it is restored.

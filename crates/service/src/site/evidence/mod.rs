@@ -11,24 +11,22 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use tokio::task::block_in_place;
+
 use authros_evidence::{Bundle, ClaimedChain, Packing, PackingError, Trust, pack, verify};
 
-use super::audit::Log;
-use super::chain::link::Link;
-use super::lifetime::Lifetime;
+use super::incidents;
 use super::parts::Parts;
 use super::reading::Reading;
-use super::{blocking, incidents};
 use crate::command::EvidenceWishes;
 use crate::crypto::{Provider, private_file};
 use crate::event::NoticeLevel;
-use crate::failure::{input, internal};
-use crate::hub::Hub;
-use crate::model::{Digest, ErrorKind, RecordState, Timestamp, clean};
+use crate::failure::input;
+use crate::model::{Digest, RecordState, Timestamp, clean};
 use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner, PipelineError, Plant};
+use crate::pipeline::{Network, Owner, PipelineError};
 use crate::reply::{EvidenceView, Failure, HealthLevel, IncidentView, PartHealth};
 use crate::store::{RecordQuery, RecordRow};
 
@@ -37,8 +35,7 @@ const PAGE: usize = 1000;
 
 /// Exports of proofs of own records.
 pub(in crate::site) struct Evidence {
-    plant: Plant,
-    log: Arc<Log>,
+    parts: Parts,
     reading: Arc<Reading>,
     stamps: Arc<TimeStamps>,
 }
@@ -46,26 +43,22 @@ pub(in crate::site) struct Evidence {
 impl Evidence {
     /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>, stamps: &Arc<TimeStamps>) -> Self {
-        let Parts { plant, log, .. } = parts.clone();
-        Self { plant, log, reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
+        Self { parts: parts.clone(), reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
     /// Writes records with all their proofs into a new file, 0600.
-    pub(super) async fn export(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: EvidenceWishes,
-    ) -> Result<EvidenceView, Failure> {
+    pub async fn export(&self, owner: &Arc<Owner>, wishes: EvidenceWishes) -> Result<EvidenceView, Failure> {
         if wishes.file.symlink_metadata().is_ok() {
             return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
         }
         let network = self.reading.network_or_kept().await?;
-        let about = self.incident(owner, &wishes).await?;
-        let mut rows = self.chosen(owner, &wishes).await?;
+        let (kept, wanted) = (&self.parts.plant.ledger.incidents, wishes.incident.as_ref());
+        let about = wanted.map(|name| block_in_place(|| incidents::view(kept, owner.address, name))).transpose()?;
+        let mut rows = self.chosen(owner, &wishes)?;
         let left_out = about.as_ref().map_or_else(Vec::new, |about| leave_out(&mut rows, about, &wishes.records));
         let mut reveal = BTreeSet::new();
         for id in &wishes.reveal {
-            let row = self.reading.own_record(&owner.profile, id).await?;
+            let row = self.reading.own_record(&owner.profile, id)?;
             reveal.insert(row.digest);
             if !rows.iter().any(|known| known.digest == row.digest) {
                 rows.push(row.clone());
@@ -77,10 +70,10 @@ impl Evidence {
         }
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
             // A disclosure cannot be undone: it is logged before anything leaves.
-            self.log.begin(owner, "disclose record", &row.id).await?;
+            self.parts.log.begin(owner, "disclose record", &row.id).await?;
         }
         let file = clean(&wishes.file.display().to_string(), 300);
-        self.log.begin(owner, "export evidence", &file).await?;
+        self.parts.log.begin(owner, "export evidence", &file).await?;
         let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file).await;
         let written = written.map(|mut view| {
             view.notes.extend(left_out);
@@ -89,68 +82,46 @@ impl Evidence {
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
             let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
             // What went wrong is reported once, below.
-            drop(self.log.end(owner, "disclose record", &row.id, ended).await);
+            drop(self.parts.log.end(owner, "disclose record", &row.id, ended).await);
         }
-        self.log.end(owner, "export evidence", &file, written).await
-    }
-
-    /// The incident whose records are requested.
-    async fn incident(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: &EvidenceWishes,
-    ) -> Result<Option<IncidentView>, Failure> {
-        let Some(name) = wishes.incident.clone() else { return Ok(None) };
-        let owner = owner.address;
-        blocking(self, move |evidence| incidents::view(&evidence.plant.ledger.incidents, owner, &name)).await.map(Some)
+        self.parts.log.end(owner, "export evidence", &file, written).await
     }
 
     /// The requested own records whose bytes are stored; all of them if nothing narrows it.
-    async fn chosen(self: &Arc<Self>, owner: &Arc<Owner>, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
-        let mut rows = Vec::new();
-        for id in &wishes.records {
-            rows.push(self.reading.own_record(&owner.profile, id).await?);
-        }
+    fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
+        let named = wishes.records.iter().map(|id| self.reading.own_record(&owner.profile, id));
+        let mut rows = named.collect::<Result<Vec<_>, Failure>>()?;
         let narrowed =
             wishes.topic.is_some() || wishes.since.is_some() || wishes.until.is_some() || wishes.incident.is_some();
         let named = !wishes.records.is_empty() || !wishes.reveal.is_empty();
         if named && !narrowed {
             return Ok(rows);
         }
-        let mut after = None;
-        loop {
-            let query = RecordQuery {
-                owner: Some(owner.address),
-                topic: wishes.topic.as_ref().map(ToString::to_string),
-                since: wishes.since,
-                until: wishes.until,
-                after,
-                limit: PAGE,
-                ..RecordQuery::default()
-            };
-            let (incident, owner) = (wishes.incident.clone(), owner.address);
-            let page = blocking(self, move |evidence| {
-                let ledger = &evidence.plant.ledger;
-                let query = match incident {
-                    Some(name) => incidents::narrowed(&ledger.incidents, owner, &name, query)?,
-                    None => query,
-                };
-                Ok(ledger.records.list(&query)?)
-            })
-            .await?;
+        let ledger = &self.parts.plant.ledger;
+        let mut query = RecordQuery {
+            owner: Some(owner.address),
+            topic: wishes.topic.as_ref().map(ToString::to_string),
+            since: wishes.since,
+            until: wishes.until,
+            limit: PAGE,
+            ..RecordQuery::default()
+        };
+        block_in_place(|| {
+            if let Some(name) = &wishes.incident {
+                query = incidents::narrowed(&ledger.incidents, owner.address, name, query)?;
+            }
             // For an incident, the notes say what is left out because it is not stored yet.
             let is_awaited = |row: &RecordRow| wishes.incident.is_some() && is_early(row);
-            rows.extend(page.rows.into_iter().filter(|row| is_stored(row) || is_awaited(row)));
-            if rows.len() > MOST_RECORDS {
-                return Err(input(format!(
-                    "that is more than {MOST_RECORDS} records; narrow it with --topic, --since and --until"
-                )));
+            for row in ledger.records.all(query) {
+                rows.extend(Some(row?).filter(|row| is_stored(row) || is_awaited(row)));
+                if rows.len() > MOST_RECORDS {
+                    return Err(input(format!(
+                        "that is more than {MOST_RECORDS} records; narrow it with --topic, --since and --until"
+                    )));
+                }
             }
-            after = page.next;
-            if after.is_none() {
-                return Ok(rows);
-            }
-        }
+            Ok(rows)
+        })
     }
 
     /// The file: signed once so that the page can be made from it, and again with the page.
@@ -161,7 +132,7 @@ impl Evidence {
         claimed: &ClaimedChain,
         about: Option<&IncidentView>,
     ) -> Result<Vec<u8>, PackingError> {
-        let provider = self.plant.provider;
+        let provider = self.parts.plant.provider;
         let sign = |packing: Packing| packing.sign(claimed.clone(), owner.address, &owner.signing(), provider);
         let members = sign(packing)?;
         let page = report(&Bundle::of_members(&members, provider)?, about, provider);
@@ -171,26 +142,25 @@ impl Evidence {
     }
 
     async fn write_evidence(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         (rows, reveal): (&[RecordRow], &BTreeSet<Digest>),
         about: Option<&IncidentView>,
         file: &Path,
     ) -> Result<EvidenceView, Failure> {
-        let reader = Reader { plant: &self.plant, network, reader: owner };
-        let authorities = tokio::task::block_in_place(|| self.stamps.suggested());
+        let reader = Reader { plant: &self.parts.plant, network, reader: owner };
+        let authorities = block_in_place(|| self.stamps.suggested());
         let gathered = gather(&reader, rows, reveal, authorities).await?;
         let chain = &network.chain;
         let pin = chain.pin().ok_or_else(|| PipelineError::from(crate::chain::ChainError::NoContract))?;
         let claimed = ClaimedChain { id: pin.chain_id, genesis: pin.genesis, contract: pin.contract };
-        let bytes = tokio::task::block_in_place(|| self.packed(owner, gathered.packing, &claimed, about))
-            .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+        let bytes = block_in_place(|| self.packed(owner, gathered.packing, &claimed, about))
+            .map_err(|error| input(error.to_string()))?;
         private_file::create_private(file, &bytes)?;
-        let length = u64::try_from(bytes.len()).map_err(|error| internal(error.to_string()))?;
         Ok(EvidenceView {
             file: file.display().to_string(),
-            bytes: length,
+            bytes: bytes.len() as u64,
             records: gathered.records,
             revealed: gathered.revealed,
             notes: gathered.notes,
@@ -223,19 +193,8 @@ fn is_early(row: &RecordRow) -> bool {
 
 /// Whether no block is known to anchor a record.
 fn is_unanchored(row: &RecordRow) -> bool {
-    match row.state {
-        RecordState::Captured
-        | RecordState::Stored
-        | RecordState::Batched
-        | RecordState::Submitted
-        | RecordState::RightEnded => row.block.is_none(),
-        RecordState::Mined
-        | RecordState::Confirmed
-        | RecordState::Verified
-        | RecordState::Quarantined
-        | RecordState::Dropped
-        | RecordState::Tampered => false,
-    }
+    use RecordState::{Batched, Captured, RightEnded, Stored, Submitted};
+    row.block.is_none() && matches!(row.state, Captured | Stored | Batched | Submitted | RightEnded)
 }
 
 /// What this program itself says about a bundle, using the pins that it suggests.
@@ -256,10 +215,7 @@ const ABOUT: &str = "chain proofs";
 
 /// The chain proofs of a site.
 pub(in crate::site) struct ChainProofs {
-    plant: Plant,
-    hub: Arc<Hub>,
-    life: Arc<Lifetime>,
-    link: Arc<Link>,
+    parts: Parts,
     /// Why the last round failed, and since when rounds do.
     trouble: Mutex<Option<(Timestamp, String)>>,
 }
@@ -267,16 +223,15 @@ pub(in crate::site) struct ChainProofs {
 impl ChainProofs {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
-        let Parts { plant, hub, life, link, .. } = parts.clone();
-        Self { plant, hub, life, link, trouble: Mutex::default() }
+        Self { parts: parts.clone(), trouble: Mutex::default() }
     }
 
     /// Collects proofs until the site ends.
     pub async fn keep(self: Arc<Self>) {
         let mut rounds = Rounds::default();
-        while self.life.beat(LOOK).await {
-            let Some(network) = self.link.network_now() else { continue };
-            let result = collect(&self.plant, &network, &mut rounds).await;
+        while self.parts.life.beat(LOOK).await {
+            let Some(network) = self.parts.link.network_now() else { continue };
+            let result = collect(&self.parts.plant, &network, &mut rounds).await;
             self.told(result);
         }
     }
@@ -289,7 +244,7 @@ impl ChainProofs {
         let problem = problem.map(|why| clean(&why, 200));
         if let (1.., Some(why)) = (missed, &problem) {
             let text = format!("the chain's proofs of {missed} batches could not be kept: {why}");
-            self.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
+            self.parts.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
         }
         let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
         let since = trouble.as_ref().map_or_else(Timestamp::now, |(since, _)| *since);
@@ -298,7 +253,7 @@ impl ChainProofs {
 
     /// The state of the proofs, if there are any or should be.
     pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
-        let counts = self.plant.ledger.proofs.chain_proof_counts()?;
+        let counts = self.parts.plant.ledger.proofs.chain_proof_counts()?;
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if counts.newest.is_none() && counts.missed == 0 && trouble.is_none() {
             return Ok(None);

@@ -6,6 +6,8 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use authros_evidence::{Bundle, RecordReport, Report};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 
 use crate::model::{Head, clean};
 use crate::pipeline::importer;
@@ -80,16 +82,8 @@ fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str
     out.push_str("</tr>\n");
 }
 
-/// A table of facts, each with its name before it.
-fn facts(out: &mut String, rows: &[Vec<String>]) {
-    classed(out, "facts", &[], rows);
-}
-
-fn table(out: &mut String, head: &[&str], rows: &[Vec<String>]) {
-    classed(out, "plain", head, rows);
-}
-
-fn classed(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
+/// A table; of facts, each with its name before it, there is no head.
+fn table(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
     put(out, format_args!("<table class=\"{class}\">\n"));
     if !head.is_empty() {
         // Paper repeats it on each sheet.
@@ -99,6 +93,10 @@ fn classed(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
     }
     rows.iter().for_each(|cells| row(out, "td", cells.iter().map(String::as_str)));
     out.push_str("</table>\n");
+}
+
+fn facts(out: &mut String, rows: &[Vec<String>]) {
+    table(out, "facts", &[], rows);
 }
 
 /// The page.
@@ -168,7 +166,7 @@ fn levels(out: &mut String, report: &Report) {
     let mut sorted: Vec<&RecordReport> = report.records.iter().collect();
     sorted.sort_by_key(|record| (record.captured_at, record.seq, record.digest));
     let rows: Vec<Vec<String>> = sorted.into_iter().take(MOST_ROWS).map(level_row).collect();
-    classed(out, "levels", &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
+    table(out, "levels", &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
     if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
         put(out, format_args!("<p>and {more} more records</p>\n"));
     }
@@ -188,16 +186,13 @@ fn level_row(record: &RecordReport) -> Vec<String> {
 
 fn completeness(out: &mut String, report: &Report) {
     out.push_str("<h2>(f) Completeness of numbers</h2>\n");
-    let rows: Vec<Vec<String>> = report
-        .complete
-        .iter()
-        .take(MOST_ROWS)
-        .map(|stretch| {
-            let names = [stretch.topic_id.to_string(), stretch.recorder.to_string()];
-            names.into_iter().chain([stretch.standing.word().to_owned(), stretch.text.clone()]).collect()
+    let stretches = report.complete.iter().take(MOST_ROWS);
+    let rows: Vec<Vec<String>> = stretches
+        .map(|one| {
+            vec![one.topic_id.to_string(), one.recorder.to_string(), one.standing.word().to_owned(), one.text.clone()]
         })
         .collect();
-    table(out, &["topic", "recorder", "result", "what is present"], &rows);
+    table(out, "plain", &["topic", "recorder", "result", "what is present"], &rows);
 }
 
 /// Whether it was disclosed for itself: a recorder's statements are reported under (f).
@@ -272,7 +267,7 @@ fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordRe
         return;
     };
     let rows: Vec<Vec<String>> = value.flatten(MOST_FIELDS).into_iter().map(|(path, text)| vec![path, text]).collect();
-    table(out, &["field", "value"], &rows);
+    table(out, "plain", &["field", "value"], &rows);
 }
 
 fn easy(out: &mut String, readable: &Readable) {
@@ -282,7 +277,7 @@ fn easy(out: &mut String, readable: &Readable) {
     for shown in &readable.tables {
         put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&shown.title)));
         let head: Vec<&str> = shown.head.iter().map(String::as_str).collect();
-        table(out, &head, &shown.rows);
+        table(out, "plain", &head, &shown.rows);
     }
     if let Some(shown) = &readable.plot {
         plot(out, shown);
@@ -311,16 +306,7 @@ const EDGE: f64 = 24.0;
 
 /// The bytes of a PNG as a data URL.
 pub(super) fn data_uri(png: &[u8]) -> String {
-    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = "data:image/png;base64,".to_owned();
-    for three in png.chunks(3) {
-        let bits = three.iter().fold(0u32, |bits, byte| bits << 8 | u32::from(*byte)) << (8 * (3 - three.len()));
-        for at in 0..4usize {
-            let letter = LETTERS.get((bits >> (18 - 6 * at) & 63) as usize).copied().unwrap_or(b'A');
-            out.push(if at > three.len() { '=' } else { char::from(letter) });
-        }
-    }
-    out
+    format!("data:image/png;base64,{}", STANDARD.encode(png))
 }
 
 /// Points that can be drawn.
@@ -355,7 +341,7 @@ pub(super) fn plot(out: &mut String, plot: &Plot) {
         escape(&plot.title)
     );
     if plot.path {
-        let _infallible = writeln!(svg, "<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>", path.join(" "));
+        put(&mut svg, format_args!("<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>\n", path.join(" ")));
     }
     let dots = path.iter().filter(|_| !plot.path).map(|at| (at.clone(), "#036", 1.2));
     for (at, colour, radius) in dots.chain(here.iter().map(|point| (place(point), "#a00", 4.0))) {

@@ -13,19 +13,16 @@ use authros_evidence::time::{
     Certificate, LONGEST_ANSWER, MOST_ROOTS, REQUEST_TYPE, Request, StampTree, check_token, token_of,
 };
 use sha2::{Digest as _, Sha256};
+use tokio::task::block_in_place;
 
-use crate::chain::web;
 use crate::config::TimeAuthority;
 use crate::crypto::random_bytes;
 use crate::model::{ErrorKind, Hash, Timestamp, clean};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
-use crate::service::hub::Hub;
 use crate::service::reply::{Failure, HealthLevel, PartHealth, StampView, StampedView};
-use crate::site::blocking;
-use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use crate::store::{KeptStamp, Proofs};
+use crate::store::KeptStamp;
 
 /// How long an authority may take from connecting to the end of its answer.
 const PATIENCE: Duration = Duration::from_secs(15);
@@ -67,10 +64,7 @@ struct Last {
 
 /// The stamps of a site.
 pub(in crate::site) struct TimeStamps {
-    proofs: Proofs,
-    hub: Arc<Hub>,
-    life: Arc<Lifetime>,
-    authorities: Vec<TimeAuthority>,
+    parts: Parts,
     /// Requests without a stamp since the site started.
     failures: AtomicU64,
     last: Mutex<Last>,
@@ -81,15 +75,13 @@ pub(in crate::site) struct TimeStamps {
 impl TimeStamps {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
-        let Parts { plant, hub, life, config, .. } = parts.clone();
-        let authorities = config.time_authorities.clone();
         let (failures, last, turn) = (AtomicU64::new(0), Mutex::default(), tokio::sync::Mutex::default());
-        Self { proofs: plant.ledger.proofs, hub, life, authorities, failures, last, turn }
+        Self { parts: parts.clone(), failures, last, turn }
     }
 
     /// Whether any authority is configured.
     pub fn is_wanted(&self) -> bool {
-        !self.authorities.is_empty()
+        !self.parts.config.time_authorities.is_empty()
     }
 
     fn with<Told>(&self, work: impl FnOnce(&mut Last) -> Told) -> Told {
@@ -98,18 +90,18 @@ impl TimeStamps {
 
     /// Stamps what is due, until the site ends.
     pub async fn keep(self: Arc<Self>) {
-        while self.life.beat(LOOK).await {
+        while self.parts.life.beat(LOOK).await {
             self.look(Moment::now()).await;
         }
     }
 
     /// Stamps what is due at this moment, unless it is too early to ask again.
-    async fn look(self: &Arc<Self>, now: Moment) {
+    async fn look(&self, now: Moment) {
         if self.with(|last| last.again.is_some_and(|again| again > now.steady)) {
             return;
         }
         let _turn = self.turn.lock().await;
-        match blocking(self, move |stamps| stamps.begin(false, now.wall)).await {
+        match block_in_place(|| self.begin(false, now.wall)) {
             Ok(_) => drop(self.ask_all(now).await),
             Err(failure) => self.failed(&failure, now),
         }
@@ -117,14 +109,14 @@ impl TimeStamps {
 
     /// Puts batches under stamps: at once, or if the last time was long enough ago.
     fn begin(&self, at_once: bool, now: Timestamp) -> Result<u64, Failure> {
-        let newest = self.proofs.stamp_counts()?.newest;
+        let newest = self.parts.plant.ledger.proofs.stamp_counts()?.newest;
         let due = newest.is_none_or(|newest| now.0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
         if !at_once && !due {
             return Ok(0);
         }
         let mut roots = 0;
         loop {
-            let more = self.proofs.begin_stamp(MOST_ROOTS, now)?;
+            let more = self.parts.plant.ledger.proofs.begin_stamp(MOST_ROOTS, now)?;
             roots += more;
             if more < MOST_ROOTS as u64 {
                 return Ok(roots);
@@ -133,15 +125,15 @@ impl TimeStamps {
     }
 
     /// Stamps now what is not stamped yet.
-    pub async fn stamp(self: &Arc<Self>) -> Result<StampView, Failure> {
+    pub async fn stamp(&self) -> Result<StampView, Failure> {
         if !self.is_wanted() {
             return Err(input("no time stamp authority is configured; set time.authorities (see docs/evidence.md)"));
         }
         let _turn = self.turn.lock().await;
         let now = Moment::now();
-        let roots = blocking(self, move |stamps| stamps.begin(true, now.wall)).await?;
+        let roots = block_in_place(|| self.begin(true, now.wall))?;
         let (tokens, problem) = self.ask_all(now).await;
-        let waiting = blocking(self, |stamps| Ok(stamps.proofs.stamp_counts()?.waiting)).await?;
+        let waiting = block_in_place(|| self.parts.plant.ledger.proofs.stamp_counts())?.waiting;
         match problem {
             Some(failure) if tokens.is_empty() => Err(failure),
             problem => Ok(StampView { roots, tokens, waiting, problem: problem.map(|failure| failure.message) }),
@@ -149,16 +141,16 @@ impl TimeStamps {
     }
 
     /// Asks each authority for its missing stamps; returns what it gave, and the first failure.
-    async fn ask_all(self: &Arc<Self>, now: Moment) -> (Vec<StampedView>, Option<Failure>) {
+    async fn ask_all(&self, now: Moment) -> (Vec<StampedView>, Option<Failure>) {
         let (mut tokens, mut problem) = (Vec::new(), None);
-        for authority in &self.authorities {
+        for authority in &self.parts.config.time_authorities {
             if let Err(failure) = self.ask(authority, &mut tokens).await {
                 self.failed(&failure, now);
                 problem.get_or_insert(failure);
             }
         }
         if problem.is_none() && self.with(|last| std::mem::take(last).trouble.is_some()) {
-            self.hub.notice_about(ABOUT, NoticeLevel::Info, "time stamping works again");
+            self.parts.hub.notice_about(ABOUT, NoticeLevel::Info, "time stamping works again");
         }
         (tokens, problem)
     }
@@ -175,15 +167,15 @@ impl TimeStamps {
         });
         if is_new {
             let text = format!("batches are waiting for time stamps; retrying: {}", failure.message);
-            self.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
+            self.parts.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
         }
     }
 
-    async fn ask(self: &Arc<Self>, authority: &TimeAuthority, tokens: &mut Vec<StampedView>) -> Result<(), Failure> {
+    async fn ask(&self, authority: &TimeAuthority, tokens: &mut Vec<StampedView>) -> Result<(), Failure> {
         let certificate = read(authority)?;
         let id = Hash(Sha256::digest(certificate.der()).into());
-        let waiting = move |stamps: &Self| Ok(stamps.proofs.waiting_stamps(id, AT_ONCE)?);
-        let waiting = blocking(self, waiting).await?;
+        let proofs = &self.parts.plant.ledger.proofs;
+        let waiting = block_in_place(|| proofs.waiting_stamps(id, AT_ONCE))?;
         if waiting.is_empty() {
             return Ok(());
         }
@@ -200,7 +192,7 @@ impl TimeStamps {
             let stamped = check_token(token, &request.imprint, Some(&request), pinned).map_err(told)?;
             stamped.by_pinned().map_err(told)?;
             let (token, before) = (token.to_vec(), stamped.before);
-            blocking(self, move |stamps| Ok(stamps.proofs.keep_token(key, id, before, token)?)).await?;
+            block_in_place(|| proofs.keep_token(key, id, before, token))?;
             tokens.push(StampedView { authority: clean(&authority.name, 80), before, roots: count });
         }
         Ok(())
@@ -211,7 +203,7 @@ impl TimeStamps {
         if !self.is_wanted() {
             return Ok(None);
         }
-        let counts = self.proofs.stamp_counts()?;
+        let counts = self.parts.plant.ledger.proofs.stamp_counts()?;
         let newest = counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("newest before {before}"));
         let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
         let trouble = self.with(|last| last.trouble.clone());
@@ -232,7 +224,7 @@ impl TimeStamps {
             let certificate = std::fs::read_to_string(&authority.certificate).ok()?;
             Some(PinnedAuthority { name: authority.name.clone(), certificate })
         };
-        self.authorities.iter().filter_map(pin).collect()
+        self.parts.config.time_authorities.iter().filter_map(pin).collect()
     }
 }
 
@@ -256,19 +248,20 @@ fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
     // Only authorities in the settings are asked.
     let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
     let client = if authority.url.starts_with("https://") {
-        let tls = web::tls(None).map_err(|why| input(format!("{why}; check this machine's ca-certificates")))?;
+        let tls =
+            authros_tls::tls(None).map_err(|why| input(format!("{why}; check this machine's ca-certificates")))?;
         client.use_preconfigured_tls(tls)
     } else {
         client.tls_built_in_root_certs(false)
     };
-    client.timeout(PATIENCE).build().map_err(|error| internal(web::innermost(&error)))
+    client.timeout(PATIENCE).build().map_err(|error| internal(authros_tls::innermost(&error)))
 }
 
 async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec<u8>) -> Result<Vec<u8>, Failure> {
     let name = clean(&authority.name, 80);
     let unreachable = |error: reqwest::Error| {
-        let why = if error.is_timeout() { "no answer in time".to_owned() } else { web::innermost(&error) };
-        let text = match web::tls_fault(&error, "SSL_CERT_FILE") {
+        let why = if error.is_timeout() { "no answer in time".to_owned() } else { authros_tls::innermost(&error) };
+        let text = match authros_tls::tls_fault(&error, "SSL_CERT_FILE") {
             Some(fault) => format!("the time stamp authority '{name}' {}; {}", fault.reason, fault.advice),
             None => format!("the time stamp authority '{name}' cannot be reached: {why}; check time.authorities"),
         };

@@ -3,19 +3,15 @@
 #[cfg(test)]
 mod tests;
 
-use std::sync::Arc;
+use tokio::task::block_in_place;
 
-use crate::model::{Address, ErrorKind, IncidentName, ProfileName, Timestamp, TopicName, clean, clean_lines};
+use crate::model::{Address, IncidentName, ProfileName, Timestamp, TopicName, clean, clean_lines};
 use crate::service::command::{self as ask, Ask, IncidentCommand};
 use crate::service::event::Part;
 use crate::service::failure::input;
-use crate::service::hub::Hub;
-use crate::service::reply::{Failure, IncidentNoteView, IncidentView, Reply, SpanCoverageView};
-use crate::site::audit::Log;
-use crate::site::blocking;
-use crate::site::identity::Owners;
+use crate::service::reply::{Failure, IncidentView, Reply};
 use crate::site::parts::Parts;
-use crate::store::{IncidentRow, IncidentSpan, Incidents as KeptIncidents, RecordQuery, SpanCoverage};
+use crate::store::{IncidentNote, IncidentRow, IncidentSpan, Incidents as KeptIncidents, RecordQuery, SpanCoverage};
 
 /// The most incidents of a profile.
 const MOST: usize = 200;
@@ -30,10 +26,7 @@ const WIDEST: usize = 255;
 
 /// Incidents as the operator opens, notes, closes and removes them.
 pub(in crate::site) struct Incidents {
-    kept: KeptIncidents,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
+    parts: Parts,
 }
 
 /// The description of a new incident.
@@ -46,40 +39,34 @@ struct Wanted {
 impl Incidents {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
-        let Parts { plant, hub, log, owners, .. } = parts.clone();
-        Self { kept: plant.ledger.incidents, hub, log, owners }
+        Self { parts: parts.clone() }
     }
 
     /// Answers one request.
-    pub async fn answer(self: &Arc<Self>, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
-        let owner = self.owners.address_of(profile)?;
+    pub async fn answer(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
+        let owner = self.parts.owners.address_of(profile)?;
         match command {
             IncidentCommand::OpenIncident { name, since, until, topics, note, robots: _ } => {
                 let wanted = wanted(name, (since, until), &topics, note.as_deref())?;
                 self.open(profile, owner, wanted).await.map(ask::OpenIncident::told)
             }
-            IncidentCommand::ListIncidents => self.list(owner).await.map(ask::ListIncidents::told),
-            IncidentCommand::ShowIncident { name } => self.show(owner, name).await.map(ask::ShowIncident::told),
+            IncidentCommand::ListIncidents => self.list(owner).map(ask::ListIncidents::told),
+            IncidentCommand::ShowIncident { name } => self.show(owner, &name).map(ask::ShowIncident::told),
             IncidentCommand::NoteIncident { name, text } => {
-                self.note(profile, owner, name, &text).await.map(ask::NoteIncident::told)
+                self.note(profile, owner, &name, &text).await.map(ask::NoteIncident::told)
             }
             IncidentCommand::CloseIncident { name } => {
-                self.close(profile, owner, name).await.map(ask::CloseIncident::told)
+                self.close(profile, owner, &name).await.map(ask::CloseIncident::told)
             }
             IncidentCommand::RemoveIncident { name } => {
-                self.remove(profile, owner, name).await.map(ask::RemoveIncident::told)
+                self.remove(profile, owner, &name).await.map(ask::RemoveIncident::told)
             }
         }
     }
 
-    async fn open(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        owner: Address,
-        wanted: Wanted,
-    ) -> Result<IncidentView, Failure> {
+    async fn open(&self, profile: &ProfileName, owner: Address, wanted: Wanted) -> Result<IncidentView, Failure> {
         let Wanted { name, span, note } = wanted;
-        let known = self.rows(owner).await?;
+        let known = block_in_place(|| self.kept().list(owner))?;
         if known.iter().any(|row| row.name == name) {
             return Err(taken(&name));
         }
@@ -88,81 +75,65 @@ impl Incidents {
                 "there are {MOST} incidents, the limit per profile; remove one with `authros incident remove NAME`"
             )));
         }
-        let (subject, named) = (subject(&name, &span), name.clone());
-        let opened = blocking(self, move |incidents| {
-            let opened = incidents.kept.open(owner, &named, &span, note.as_deref())?;
-            if opened { Ok(()) } else { Err(taken(&named)) }
-        });
-        self.log.deed(profile, "open incident", &subject, opened).await?;
-        self.hub.changed(Part::Uploads);
-        self.show(owner, name).await
+        let opened = async {
+            let opened = block_in_place(|| self.kept().open(owner, &name, &span, note.as_deref()))?;
+            if opened { Ok(()) } else { Err(taken(&name)) }
+        };
+        self.parts.log.deed(profile, "open incident", &subject(&name, &span), opened).await?;
+        self.parts.hub.changed(Part::Uploads);
+        self.show(owner, &name)
     }
 
-    async fn rows(self: &Arc<Self>, owner: Address) -> Result<Vec<IncidentRow>, Failure> {
-        blocking(self, move |incidents| Ok(incidents.kept.list(owner)?)).await
+    fn kept(&self) -> &KeptIncidents {
+        &self.parts.plant.ledger.incidents
     }
 
-    async fn list(self: &Arc<Self>, owner: Address) -> Result<Vec<IncidentView>, Failure> {
-        blocking(self, move |incidents| {
-            let kept = &incidents.kept;
-            kept.list(owner)?.into_iter().map(|row| covered(kept, owner, row)).collect()
-        })
-        .await
+    fn list(&self, owner: Address) -> Result<Vec<IncidentView>, Failure> {
+        let covered = |row| covered(self.kept(), owner, row);
+        block_in_place(|| self.kept().list(owner)?.into_iter().map(covered).collect())
     }
 
-    async fn show(self: &Arc<Self>, owner: Address, name: IncidentName) -> Result<IncidentView, Failure> {
-        blocking(self, move |incidents| {
-            let kept = &incidents.kept;
-            covered(kept, owner, known(kept, owner, &name)?)
-        })
-        .await
+    fn show(&self, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
+        block_in_place(|| view(self.kept(), owner, name))
     }
 
     async fn note(
-        self: &Arc<Self>,
+        &self,
         profile: &ProfileName,
         owner: Address,
-        name: IncidentName,
+        name: &IncidentName,
         text: &str,
     ) -> Result<IncidentView, Failure> {
         let text = note_text(text)?;
-        if self.show(owner, name.clone()).await?.notes.len() >= MOST_NOTES {
+        if self.show(owner, name)?.notes.len() >= MOST_NOTES {
             return Err(input(format!("{name} has {MOST_NOTES} notes, the limit per incident")));
         }
-        let named = name.clone();
-        let noted = blocking(self, move |incidents| found(&named, incidents.kept.note(owner, &named, &text)?));
-        self.log.deed(profile, "note incident", name.as_str(), noted).await?;
-        self.show(owner, name).await
+        let noted = async { found(name, block_in_place(|| self.kept().note(owner, name, &text))?) };
+        self.parts.log.deed(profile, "note incident", name.as_str(), noted).await?;
+        self.show(owner, name)
     }
 
-    async fn close(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        owner: Address,
-        name: IncidentName,
-    ) -> Result<IncidentView, Failure> {
-        if !self.show(owner, name.clone()).await?.open {
+    async fn close(&self, profile: &ProfileName, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
+        if !self.show(owner, name)?.open {
             return Err(input(format!("{name} is already closed; its records are held until it is removed")));
         }
-        let named = name.clone();
-        let closed = blocking(self, move |incidents| found(&named, incidents.kept.close(owner, &named)?));
-        self.log.deed(profile, "close incident", name.as_str(), closed).await?;
-        self.hub.changed(Part::Uploads);
-        self.show(owner, name).await
+        let closed = async { found(name, block_in_place(|| self.kept().close(owner, name))?) };
+        self.parts.log.deed(profile, "close incident", name.as_str(), closed).await?;
+        self.parts.hub.changed(Part::Uploads);
+        self.show(owner, name)
     }
 
     async fn remove(
-        self: &Arc<Self>,
+        &self,
         profile: &ProfileName,
         owner: Address,
-        name: IncidentName,
+        name: &IncidentName,
     ) -> Result<Vec<IncidentView>, Failure> {
-        let view = self.show(owner, name.clone()).await?;
-        let told = format!("{name}: {} records were held", view.records);
-        let removed = blocking(self, move |incidents| found(&name, incidents.kept.remove(owner, &name)?));
-        self.log.deed(profile, "remove incident", &told, removed).await?;
-        self.hub.changed(Part::Uploads);
-        self.list(owner).await
+        let told = format!("{name}: {} records were held", self.show(owner, name)?.records);
+        let removed = async { found(name, block_in_place(|| self.kept().remove(owner, name))?) };
+        self.parts.log.deed(profile, "remove incident", &told, removed).await?;
+        self.parts.hub.changed(Part::Uploads);
+        self.list(owner)
     }
 }
 
@@ -203,10 +174,7 @@ fn taken(name: &IncidentName) -> Failure {
 }
 
 fn unknown(name: &IncidentName) -> Failure {
-    Failure::new(
-        ErrorKind::Input,
-        format!("there is no incident {name}; `authros incident list` shows those there are"),
-    )
+    input(format!("there is no incident {name}; `authros incident list` shows those there are"))
 }
 
 fn found(name: &IncidentName, done: bool) -> Result<(), Failure> {
@@ -228,7 +196,7 @@ fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
 ///
 /// # Errors
 /// Kind `Input` if there is none of this name; errors of the ledger.
-pub(in crate::site) fn narrowed(
+pub(super) fn narrowed(
     kept: &KeptIncidents,
     owner: Address,
     name: &IncidentName,
@@ -243,21 +211,14 @@ pub(in crate::site) fn narrowed(
 ///
 /// # Errors
 /// See [`narrowed`].
-pub(in crate::site) fn view(
-    kept: &KeptIncidents,
-    owner: Address,
-    name: &IncidentName,
-) -> Result<IncidentView, Failure> {
+pub(super) fn view(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
     covered(kept, owner, known(kept, owner, name)?)
 }
 
 fn covered(kept: &KeptIncidents, owner: Address, row: IncidentRow) -> Result<IncidentView, Failure> {
-    let coverage: Vec<SpanCoverageView> =
-        kept.span_coverage(owner, &row.span)?.into_iter().map(coverage_view).collect();
-    let note = |note: crate::store::IncidentNote| IncidentNoteView {
-        at: note.at,
-        text: clean_lines(&note.text, LONGEST_NOTE),
-    };
+    let clean_topic = |one: SpanCoverage| SpanCoverage { topic: clean(&one.topic, WIDEST), ..one };
+    let coverage: Vec<SpanCoverage> = kept.span_coverage(owner, &row.span)?.into_iter().map(clean_topic).collect();
+    let note = |note: IncidentNote| IncidentNote { text: clean_lines(&note.text, LONGEST_NOTE), ..note };
     Ok(IncidentView {
         name: row.name,
         open: row.closed_at.is_none(),
@@ -271,9 +232,4 @@ fn covered(kept: &KeptIncidents, owner: Address, row: IncidentRow) -> Result<Inc
         bytes: coverage.iter().map(|one| one.bytes).sum(),
         coverage,
     })
-}
-
-fn coverage_view(found: SpanCoverage) -> SpanCoverageView {
-    let SpanCoverage { topic, records, bytes, first, last, deleted, quarantined, lost } = found;
-    SpanCoverageView { topic: clean(&topic, WIDEST), records, bytes, first, last, deleted, quarantined, lost }
 }

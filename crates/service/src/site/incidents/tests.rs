@@ -2,12 +2,12 @@
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use super::*;
-use crate::model::{Digest, RecordKind, RecordState, Signature, SignerId, TopicId};
+use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Signature, SignerId, TopicId};
 use crate::site::testing::{Ground, profile};
 use crate::store::NewRecord;
 
-fn incidents(ground: &Ground) -> Arc<Incidents> {
-    Arc::new(Incidents::new(&ground.parts))
+fn incidents(ground: &Ground) -> Incidents {
+    Incidents::new(&ground.parts)
 }
 
 fn name(text: &str) -> IncidentName {
@@ -64,17 +64,17 @@ async fn an_incident_is_opened_noted_closed_and_removed_and_each_act_is_written_
 
     let again = incidents.open(&by, alice, of(1, None, &[], None).expect("good")).await.expect_err("the same name");
     assert_eq!(again.kind, ErrorKind::Input);
-    incidents.note(&by, alice, name("crash"), "second").await.expect("noted");
-    assert!(incidents.show(bob, name("crash")).await.is_err() && incidents.list(bob).await.expect("none").is_empty());
-    let closed = incidents.close(&by, alice, name("crash")).await.expect("closed");
+    incidents.note(&by, alice, &name("crash"), "second").await.expect("noted");
+    assert!(incidents.show(bob, &name("crash")).is_err() && incidents.list(bob).expect("none").is_empty());
+    let closed = incidents.close(&by, alice, &name("crash")).await.expect("closed");
     assert!(!closed.open && closed.until == closed.closed_at && closed.notes.len() == 2);
-    assert!(incidents.close(&by, alice, name("crash")).await.is_err(), "once");
-    assert_eq!(incidents.list(alice).await.expect("a list"), [closed]);
-    assert_eq!(incidents.remove(&by, alice, name("crash")).await.expect("removed"), []);
+    assert!(incidents.close(&by, alice, &name("crash")).await.is_err(), "once");
+    assert_eq!(incidents.list(alice).expect("a list"), [closed]);
+    assert_eq!(incidents.remove(&by, alice, &name("crash")).await.expect("removed"), []);
     for failure in [
-        incidents.remove(&by, alice, name("crash")).await.expect_err("gone"),
-        incidents.note(&by, alice, name("crash"), "x").await.expect_err("gone"),
-        incidents.close(&by, alice, name("crash")).await.expect_err("gone"),
+        incidents.remove(&by, alice, &name("crash")).await.expect_err("gone"),
+        incidents.note(&by, alice, &name("crash"), "x").await.expect_err("gone"),
+        incidents.close(&by, alice, &name("crash")).await.expect_err("gone"),
     ] {
         assert!(failure.kind == ErrorKind::Input && failure.message.contains("no incident crash"), "{failure}");
     }

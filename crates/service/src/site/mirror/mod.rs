@@ -1,33 +1,28 @@
 //! Mirrors a profile's records of the joined gateway here: follows the gateway's feed, takes in what is told there, and keeps the
 //! place. A lost connection is opened again, with pauses that grow to five seconds.
 
-mod following;
 mod own_erasures;
 mod places;
 pub(super) mod remote;
 
-use crate::paths::Home;
-use crate::pipeline::Plant;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
-use crate::site::identity::Owners;
-use crate::site::lifetime::Lifetime;
-use crate::site::parts::Parts;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::gateway::{Code, GatewayError};
-use crate::model::Address;
-use crate::pipeline::intake::{Anchors, sources};
-use crate::pipeline::{Network, Owner, PipelineError};
-use crate::service::event::NoticeLevel;
-use crate::service::reply::Failure;
-use following::Following;
 use own_erasures::OwnErasures;
-use places::Standing;
 use remote::{Mirrored, Remote};
+use tokio::task::block_in_place;
+
+use self::places::{Places, Standing, Told};
+use crate::event::Part;
+use crate::gateway::{Client, Code, FeedPage, Fetched, GatewayError, Place};
+use crate::model::{Address, Digest, Timestamp};
+use crate::pipeline::intake::{Accepted, Anchors, Intake, Wish, is_wanted, sources, wish};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{Network, Owner, PipelineError};
+use crate::service::reply::Failure;
+use crate::site::parts::Parts;
+use crate::store::notes::{FeedTaken, TakenOfFeed};
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
@@ -71,25 +66,16 @@ impl Broken {
 
 /// The site that this one joins through its gateway, if it joins one.
 pub(in crate::site) struct Joined {
-    home: Home,
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
+    parts: Parts,
     remote: Option<Arc<Remote>>,
 }
 
 impl Joined {
     /// From the shared parts.
     pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
-        let Parts { home, plant, hub, log, owners, link, life, .. } = parts.clone();
-        Self { home, plant, hub, log, owners, link, life, remote }
+        Self { parts: parts.clone(), remote }
     }
-}
 
-impl Joined {
     /// Whether this site joins a gateway.
     pub fn joins(&self) -> bool {
         self.remote.is_some()
@@ -101,13 +87,13 @@ impl Joined {
     }
 
     /// Mirrors a profile's records of the gateway until its owner is closed or the site ends.
-    pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
+    pub async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
         let Some(remote) = &self.remote else { return };
         let (mut pause, mut stale) = (PAUSES.0, None);
         let mut told = OwnErasures::default();
         remote.not_asked(&owner.profile);
-        while !self.life.is_stopping() && self.owners.is_open(&owner) {
-            let known = self.link.network_now();
+        while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
+            let known = self.parts.link.network_now();
             // d_E decrypts the transport key.
             let Some(network) = known.filter(|_| !owner.is_locked()) else {
                 remote.not_asked(&owner.profile);
@@ -143,7 +129,7 @@ impl Joined {
     async fn rest(&self, pause: Duration) {
         tokio::select! {
             () = tokio::time::sleep(pause) => {}
-            () = self.life.stopped() => {}
+            () = self.parts.life.stopped() => {}
         }
     }
 
@@ -152,20 +138,19 @@ impl Joined {
             Broken::Gateway(error) => {
                 // The chain has other keys by now than those the transport key was allocated under: allocate again.
                 if matches!(error, GatewayError::Refused(Code::NotRegistered)) {
-                    drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
+                    drop(std::fs::remove_file(self.parts.home.transport_key(&owner.profile)));
                 }
                 error.into()
             }
             Broken::Other(failure) => failure,
         };
         let seconds = pause.as_secs();
-        let text = format!(
+        self.parts.hub.alarm(&format!(
             "records of '{}' are not arriving from the gateway {}, retry in {seconds} s: {}",
             owner.profile,
             remote.address(),
             failure.message
-        );
-        self.hub.notice(NoticeLevel::Error, &text);
+        ));
         remote.note(&owner.profile, Mirrored::Failed(failure));
     }
 
@@ -178,17 +163,18 @@ impl Joined {
     ) -> Result<(), Broken> {
         told.connected();
         let keeper = remote.keeper(network)?;
-        let mut client = remote.connect(&self.home, owner, network).await?;
+        let mut client = remote.connect(&self.parts.home, owner, network).await?;
         let anchors = Anchors::default();
         let mut following = Following::load(self, (owner, network), (keeper, &anchors))?;
         remote.note(&owner.profile, Mirrored::Behind);
-        let mut rights = self.hub.feed.subscribe();
+        let mut rights = self.parts.hub.feed.subscribe();
         let mut is_slow_told = false;
         let has_others =
             |followed: &BTreeSet<Address>| sources(network, owner).keys().any(|source| !followed.contains(source));
         // Where the chain is read anew, rights are judged by what is read then.
-        let is_known = || self.link.network_now().is_none_or(|now| Arc::ptr_eq(&now.directory, &network.directory));
-        let is_open = || !self.life.is_stopping() && self.owners.is_open(owner) && !owner.is_locked();
+        let is_known =
+            || self.parts.link.network_now().is_none_or(|now| Arc::ptr_eq(&now.directory, &network.directory));
+        let is_open = || !self.parts.life.is_stopping() && self.parts.owners.is_open(owner) && !owner.is_locked();
         while !client.is_spent() && is_open() && is_known() {
             rights.mark_unchanged();
             if following.adjust()? {
@@ -201,7 +187,7 @@ impl Joined {
                 loop {
                     tokio::select! {
                         page = &mut asking => break page?,
-                        () = self.life.stopped() => return Ok(()),
+                        () = self.parts.life.stopped() => return Ok(()),
                         Ok(()) = rights.changed() => {
                             // Somebody shares from now on: what is asked for next includes that.
                             if has_others(&followed) {
@@ -234,6 +220,230 @@ impl Joined {
             remote.address(),
             owner.profile,
         );
-        self.hub.notice(NoticeLevel::Warning, &text);
+        self.parts.hub.warn(&text);
+    }
+}
+
+/// How long the watcher here may lag behind the block of a proof before the record is for later.
+const BEHIND: Duration = Duration::from_secs(3);
+/// Records asked for at once.
+const WINDOW: usize = 64;
+/// Pauses before the next page, by how many in a row brought nothing new.
+const PAGES: [(usize, Duration); 2] = [(10_000, Duration::from_millis(100)), (100, Duration::from_millis(10))];
+/// The shortest time between two pages without any entry.
+const EMPTY: Duration = Duration::from_millis(100);
+
+/// The reader's side of one session.
+struct Following<'a> {
+    joined: &'a Joined,
+    intake: Intake<'a>,
+    reader: Reader<'a>,
+    note: TakenOfFeed,
+    places: Places,
+    /// As it was stored last.
+    saved: FeedTaken,
+    /// Pages in a row that brought nothing new: a feed of what is here already may be long and honest.
+    idle: usize,
+    asked: Instant,
+}
+
+impl<'a> Following<'a> {
+    /// From where it was.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn load(
+        joined: &'a Joined,
+        (owner, network): (&'a Owner, &'a Network),
+        (keeper, anchors): (Address, &'a Anchors),
+    ) -> Result<Self, PipelineError> {
+        let note = TakenOfFeed { domain: network.domain, keeper, reader: owner.address };
+        let plant = &joined.parts.plant;
+        let saved = block_in_place(|| plant.ledger.notes.read(&note))?.unwrap_or_default();
+        Ok(Self {
+            joined,
+            intake: Intake { plant, network, anchors, keeper, patience: BEHIND },
+            reader: Reader { plant, network, reader: owner },
+            note,
+            places: Places::load(owner.address, saved.clone()),
+            saved,
+            idle: 0,
+            asked: Instant::now(),
+        })
+    }
+
+    /// Follows who shares now, and nobody else; again where more can be read than before. Returns whether more may come for that.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn adjust(&mut self) -> Result<bool, PipelineError> {
+        let each = sources(self.reader.network, self.reader.reader).into_iter().map(|(owner, grant)| {
+            let epochs = block_in_place(|| self.reader.epochs_of(owner))?;
+            Ok((owner, (Place::grant_of(&grant), epochs)))
+        });
+        let sources = each.collect::<Result<_, PipelineError>>()?;
+        Ok(self.places.adjust(&sources, Timestamp::now()))
+    }
+
+    /// The owners that are followed.
+    pub fn owners(&self) -> BTreeSet<Address> {
+        self.places.owners()
+    }
+
+    /// The next page; nothing if nobody is to be asked about now.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn next(&mut self, client: &mut Client) -> Result<Option<FeedPage>, GatewayError> {
+        self.asked = Instant::now();
+        let Some(asked) = self.places.asks(self.asked) else {
+            tokio::time::sleep(TICK).await;
+            return Ok(None);
+        };
+        client.feed(asked).await.map(Some)
+    }
+
+    /// Takes in what a page tells, and what is due of what had to wait. Returns how the reader stands then.
+    ///
+    /// # Errors
+    /// If the connection breaks, or chain or store fail.
+    pub async fn take(&mut self, client: &mut Client, page: Option<FeedPage>) -> Result<Standing, Broken> {
+        let due = self.still_wanted()?;
+        self.intake.patience = Duration::ZERO;
+        self.take_all(client, &due).await?;
+        if let Some(page) = page {
+            let is_another = self.places.is_of_another(&page);
+            let mut is_new = false;
+            if !is_another {
+                let wanted = self.wanted(&page)?;
+                self.intake.patience = BEHIND;
+                is_new = self.take_all(client, &wanted).await?;
+                self.places.took(&page, Instant::now());
+            }
+            self.save()?;
+            self.pace(is_another || page.entries.is_empty(), is_new).await;
+        } else {
+            self.save()?;
+        }
+        Ok(self.places.standing(Instant::now()))
+    }
+
+    /// Keeps a gateway from wearing this site out with pages that bring nothing.
+    async fn pace(&mut self, is_empty: bool, is_new: bool) {
+        if is_empty && self.places.is_look_between() {
+            return;
+        }
+        self.idle = if is_new { 0 } else { self.idle + 1 };
+        let pause = match is_empty {
+            true => EMPTY.checked_sub(self.asked.elapsed()),
+            false => PAGES.iter().find(|(pages, _)| self.idle > *pages).map(|(_, pause)| *pause),
+        };
+        if let Some(pause) = pause {
+            tokio::time::sleep(pause).await;
+        }
+    }
+
+    /// What is due of what had to wait, and is not here by another way.
+    fn still_wanted(&mut self) -> Result<Vec<Told>, PipelineError> {
+        let mut due = self.places.due(Instant::now());
+        let rows = block_in_place(|| {
+            self.reader.plant.ledger.records.find_all(&due.iter().map(|told| told.digest).collect::<Vec<_>>())
+        })?;
+        let mut rows = rows.iter();
+        due.retain(|told| {
+            let is_wanted = is_wanted(rows.next().and_then(Option::as_ref), told.is_erased);
+            if !is_wanted {
+                self.places.done(told);
+            }
+            is_wanted
+        });
+        Ok(due)
+    }
+
+    /// What to ask for of a page. Of owners that nobody follows nothing is believed.
+    fn wanted(&mut self, page: &FeedPage) -> Result<Vec<Told>, PipelineError> {
+        let mut wanted = Vec::new();
+        for entry in &page.entries {
+            let Some(newest) = self.places.newest(&entry.owner) else { continue };
+            let told = Told::from(entry);
+            match wish(&self.reader, entry, newest)? {
+                Wish::Ask => wanted.push(told),
+                Wish::Later => self.places.is_locked(told, Instant::now()),
+                Wish::Pass => self.places.done(&told),
+            }
+        }
+        Ok(wanted)
+    }
+
+    /// Returns whether anything changed here.
+    async fn take_all(&mut self, client: &mut Client, wanted: &[Told]) -> Result<bool, Broken> {
+        let (mut left, mut changed) = (wanted, false);
+        while !left.is_empty() {
+            let digests: Vec<Digest> = left.iter().take(WINDOW).map(|told| told.digest).collect();
+            let records = client.records(&digests).await?;
+            let (asked, rest) = left.split_at(records.len().min(left.len()));
+            for (told, record) in asked.iter().zip(records) {
+                changed |= self.take_one(*told, record).await?;
+            }
+            left = rest;
+        }
+        Ok(changed)
+    }
+
+    async fn take_one(&mut self, told: Told, record: Result<Fetched, GatewayError>) -> Result<bool, Broken> {
+        let (reader, hub, Told { owner, digest, .. }) = (self.reader.reader, &self.joined.parts.hub, told);
+        let accepted = match record {
+            Ok(record) => self.intake.accept(reader, owner, digest, record).await?,
+            Err(GatewayError::Erased(erased)) => self.intake.accept_erased(reader, owner, digest, *erased).await?,
+            // Its owner does not state it: nothing is left that could be shown, and when that changes the feed tells it anew.
+            Err(GatewayError::Refused(Code::NotFound)) if told.is_erased => Accepted::Held(false),
+            // It has no bytes of it now, or cannot read them, or its right is not clear to it.
+            Err(GatewayError::Refused(_)) => {
+                self.places.wait(told, false, Instant::now());
+                return Ok(false);
+            }
+            Err(GatewayError::Crypto(error)) => {
+                if self.places.wait(told, false, Instant::now()) {
+                    hub.alarm(&PipelineError::from(error).to_string());
+                }
+                return Ok(false);
+            }
+            Err(error) => return Err(error.into()),
+        };
+        match accepted {
+            Accepted::Held(_) => self.places.done(&told),
+            Accepted::Later => {
+                self.places.wait(told, true, Instant::now());
+                // The others need not wait for the same watcher again.
+                self.intake.patience = Duration::ZERO;
+            }
+            // One bad record must not keep the others away.
+            Accepted::Refused(ref refused) => {
+                self.places.done(&told);
+                hub.alarm(&refused.to_string());
+            }
+        }
+        let is_new = matches!(accepted, Accepted::Held(true));
+        if is_new {
+            hub.changed(Part::Uploads);
+            hub.changed(Part::Grants);
+            hub.confirmed.notify_one();
+        }
+        Ok(is_new)
+    }
+
+    /// Stores how far all is dealt with.
+    fn save(&mut self) -> Result<(), PipelineError> {
+        let taken = self.places.taken();
+        if taken != self.saved {
+            block_in_place(|| self.joined.parts.plant.ledger.notes.write(&self.note, &taken))?;
+            self.saved = taken;
+        }
+        Ok(())
+    }
+
+    /// The owners whose records the gateway refuses for longer than it needs to see a block, for people.
+    pub fn refused(&self) -> String {
+        self.places.long_refused().map(ToString::to_string).collect::<Vec<_>>().join(", ")
     }
 }

@@ -13,7 +13,6 @@ use crate::model::bytes::hex;
 use crate::model::{Address, Digest, PublicKey, clean};
 use crate::pipeline::retention::{self, is_owners, notice_of};
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::service::event::NoticeLevel;
 use crate::service::reply::{ErasureView, Failure};
 use crate::store::notes::ErasuresTold;
 
@@ -91,7 +90,7 @@ impl OwnErasures {
         if let Some(known) = self.known {
             return Ok(known);
         }
-        let known = block_in_place(|| joined.plant.ledger.notes.read(note))?.unwrap_or(0);
+        let known = block_in_place(|| joined.parts.plant.ledger.notes.read(note))?.unwrap_or(0);
         (self.known, self.after) = (Some(known), known);
         Ok(known)
     }
@@ -110,12 +109,12 @@ impl Joined {
         }
         let keeper = remote.keeper(network)?;
         // Numbers are the ledger's own: those of a restored home begin anew.
-        let ledger = hex(self.plant.ledger.records.recorder().as_bytes());
+        let ledger = hex(self.parts.plant.ledger.records.recorder().as_bytes());
         let note = ErasuresTold { domain: network.domain, ledger, keeper, owner: owner.address };
         let mut known = told.load(self, &note)?;
         told.begin(Instant::now());
         for _ in 0..MOST_PAGES {
-            let page = block_in_place(|| self.plant.ledger.erasures.list(told.after, MOST_ERASURES))
+            let page = block_in_place(|| self.parts.plant.ledger.erasures.list(told.after, MOST_ERASURES))
                 .map_err(PipelineError::from)?;
             let records = block_in_place(|| self.own(owner.address, network, &page.erasures))?;
             let Some(outcome) = self.tell_some(client, remote, records, &mut told.will).await? else { return Ok(()) };
@@ -128,7 +127,7 @@ impl Joined {
                 self.note(remote, owner, &outcome).await;
                 (known, told.known, told.will) = (last, Some(last), Will::Unknown);
                 if !told.left {
-                    let kept = block_in_place(|| self.plant.ledger.notes.write(&note, &last));
+                    let kept = block_in_place(|| self.parts.plant.ledger.notes.write(&note, &last));
                     kept.map_err(PipelineError::from)?;
                 }
             }
@@ -172,7 +171,7 @@ impl Joined {
         if told.stated_under == Some(keys.signing.public) {
             return Ok(true);
         }
-        let done = block_in_place(|| retention::restate(&self.plant, owner, &keys.signing))?;
+        let done = block_in_place(|| retention::restate(&self.parts.plant, owner, &keys.signing))?;
         told.stated_under = done.then_some(keys.signing.public);
         Ok(done)
     }
@@ -186,7 +185,7 @@ impl Joined {
     ) -> Result<Vec<ErasureNotice>, PipelineError> {
         let mut own = Vec::with_capacity(erasures.len());
         for (digest, statement, account) in erasures {
-            let one = notice_of(&self.plant, network, (*digest, statement, account))?;
+            let one = notice_of(&self.parts.plant, network, (*digest, statement, account))?;
             own.extend(one.filter(|one| one.is_of(owner)));
         }
         Ok(own)
@@ -197,29 +196,28 @@ impl Joined {
         let Told { taken, left, refused } = outcome;
         if *taken > 0 {
             let (subject, heard) = (format!("{taken} records"), format!("the gateway {address} erases its copies"));
-            if let Err(failure) = self.log.write(&owner.profile, "erase elsewhere", &subject, &heard).await {
-                self.hub.notice(NoticeLevel::Warning, &failure.message);
+            if let Err(failure) = self.parts.log.write(&owner.profile, "erase elsewhere", &subject, &heard).await {
+                self.parts.hub.warn(&failure.message);
             }
         }
         if left + refused > 0 {
-            let text = format!(
+            self.parts.hub.warn(&format!(
                 "the gateway {address} keeps its copies of {} records that '{}' had erased: {left} it may erase later and is told \
                  of again, {refused} it does not",
                 left + refused,
                 owner.profile
-            );
-            self.hub.notice(NoticeLevel::Warning, &text);
+            ));
         }
     }
 
     fn warn_of_copies(&self, remote: &Remote, code: Code, count: usize) {
         let (address, why) = (remote.address(), clean(&GatewayError::Refused(code).to_string(), 300));
         let text = format!("the gateway {address} was told what was erased and keeps its copies ({count}): {why}");
-        self.hub.notice(NoticeLevel::Warning, &text);
+        self.parts.hub.warn(&text);
     }
 
     /// What an erasure does not reach, where this site joins a gateway.
-    pub(in crate::site) fn names_who_is_told(&self, mut view: ErasureView) -> ErasureView {
+    pub fn names_who_is_told(&self, mut view: ErasureView) -> ErasureView {
         if let (Some(remote), Some(copies)) = (&self.remote, view.stays.first_mut()) {
             *copies = format!("copies that readers have fetched; the gateway {} erases its own", remote.address());
         }

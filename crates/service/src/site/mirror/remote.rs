@@ -20,7 +20,6 @@ use crate::gateway::{
 use crate::model::{Address, Domain, ErrorKind, ProfileName, SignerId, clean};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner};
-use crate::service::event::NoticeLevel;
 use crate::service::failure::{internal, refused};
 use crate::service::reply::Failure;
 use crate::site::chain::connection::Lost;
@@ -299,7 +298,7 @@ impl Joined {
     ///
     /// # Errors
     /// Why the last attempt failed, or that not all are here yet.
-    pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
+    pub async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
         match self.settled(profile, FIRST_ROUND).await? {
             Ok(_) => Ok(()),
             Err(text) => Err(Failure::new(ErrorKind::Incomplete, format!("{text}; try again in a moment"))),
@@ -308,10 +307,10 @@ impl Joined {
 
     /// Whether the gateway tells of records that cannot be had; after this long, in words, that more is still arriving.
     async fn settled(&self, profile: &ProfileName, most: Duration) -> Result<Result<bool, String>, Failure> {
-        let Some(remote) = self.remote.as_ref().filter(|_| self.home.original().is_none()) else {
+        let Some(remote) = self.remote.as_ref().filter(|_| self.parts.home.original().is_none()) else {
             return Ok(Ok(false));
         };
-        self.link.network().await?;
+        self.parts.link.network().await?;
         remote.settled(profile, most).await.transpose().map(|lacks| lacks.ok_or_else(|| remote.still_arriving()))
     }
 
@@ -319,11 +318,7 @@ impl Joined {
     ///
     /// # Errors
     /// Why the last attempt failed.
-    pub(in crate::site) async fn arriving(
-        &self,
-        profile: &ProfileName,
-        most: Duration,
-    ) -> Result<Option<String>, Failure> {
+    pub async fn arriving(&self, profile: &ProfileName, most: Duration) -> Result<Option<String>, Failure> {
         Ok(match self.settled(profile, most).await? {
             Ok(lacks) => lacks.then(|| {
                 "the gateway tells of records that it does not give now, or whose keys are not here yet; they come by \
@@ -335,32 +330,32 @@ impl Joined {
     }
 
     /// The words for a list that may not be all; none if this site joins no gateway.
-    pub(in crate::site) fn still_arriving(&self) -> Option<String> {
+    pub fn still_arriving(&self) -> Option<String> {
         self.remote.as_ref().map(|remote| remote.still_arriving())
     }
 
     /// Tells the gateway of a grant, so that it need not wait for the chain.
-    pub(in crate::site) async fn tell_of_grant(&self, owner: &Owner, network: &Network, notice: GrantNotice) {
+    pub async fn tell_of_grant(&self, owner: &Owner, network: &Network, notice: GrantNotice) {
         if let Some(remote) = &self.remote {
             let told =
-                async { remote.connect(&self.home, owner, network).await?.grant(&owner.signing(), notice).await };
+                async { remote.connect(&self.parts.home, owner, network).await?.grant(&owner.signing(), notice).await };
             self.warn_untold(told.await.err());
         }
     }
 
     /// Tells the gateway of a revoke, so that it obeys at once.
-    pub(in crate::site) async fn tell_of_revoke(&self, owner: &Owner, network: &Network, notice: RevokeNotice) {
+    pub async fn tell_of_revoke(&self, owner: &Owner, network: &Network, notice: RevokeNotice) {
         if let Some(remote) = &self.remote {
-            let told =
-                async { remote.connect(&self.home, owner, network).await?.revoke(&owner.signing(), notice).await };
+            let told = async {
+                remote.connect(&self.parts.home, owner, network).await?.revoke(&owner.signing(), notice).await
+            };
             self.warn_untold(told.await.err());
         }
     }
 
     fn warn_untold(&self, error: Option<GatewayError>) {
         if let Some(error) = error {
-            let text = format!("the gateway could not be told and will learn of it from the chain: {error}");
-            self.hub.notice(NoticeLevel::Warning, &text);
+            self.parts.hub.warn(&format!("the gateway could not be told and will learn of it from the chain: {error}"));
         }
     }
 }

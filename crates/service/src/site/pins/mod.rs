@@ -4,9 +4,6 @@
 mod tests;
 
 use crate::pipeline::Pins;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::identity::Owners;
 use crate::site::parts::Parts;
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -18,7 +15,6 @@ use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
 use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
-use crate::store::Pins as KeptPins;
 
 /// Widest publisher shown, characters.
 const WIDEST: usize = 400;
@@ -36,10 +32,7 @@ fn cleaned(publisher: Publisher) -> Publisher {
 
 /// Pinned publishers as the operator sees and decides about them.
 pub(in crate::site) struct Pinning {
-    kept: KeptPins,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
+    parts: Parts,
     /// Judges publishers.
     pins: Arc<Pins>,
 }
@@ -47,19 +40,12 @@ pub(in crate::site) struct Pinning {
 impl Pinning {
     /// From the shared parts.
     pub fn new(parts: &Parts, pins: &Arc<Pins>) -> Self {
-        let Parts { plant, hub, log, owners, .. } = parts.clone();
-        Self { kept: plant.ledger.pins, hub, log, owners, pins: Arc::clone(pins) }
+        Self { parts: parts.clone(), pins: Arc::clone(pins) }
     }
-}
 
-impl Pinning {
     /// Pins and alarms of a profile; needs no passphrase.
-    pub(super) async fn view(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        topic: Option<&TopicName>,
-    ) -> Result<PinsView, Failure> {
-        let owner = self.owners.address_of(profile)?;
+    pub async fn view(&self, profile: &ProfileName, topic: Option<&TopicName>) -> Result<PinsView, Failure> {
+        let owner = self.parts.owners.address_of(profile)?;
         let topic = topic.map(|topic| topic.as_str().to_owned());
         let wanted = |name: &str| topic.as_deref().is_none_or(|topic| topic == name);
         let settings = self.pins.all_listed().filter(|(name, _)| wanted(name)).map(|(topic, publisher)| PinView {
@@ -69,32 +55,30 @@ impl Pinning {
             at: None,
         });
         let mut pins: Vec<PinView> = settings.collect();
-        let kept = block_in_place(|| self.kept.list(owner, topic.as_deref()))?;
+        let kept = block_in_place(|| self.parts.plant.ledger.pins.list(owner, topic.as_deref()))?;
         pins.extend(kept.into_iter().map(|row| PinView {
             topic: clean(&row.topic, 255),
             publisher: cleaned(row.publisher),
             source: row.source,
             at: Some(row.at),
         }));
-        let alarms = block_in_place(|| self.kept.alarms(owner, topic.as_deref()))?;
+        let alarms = block_in_place(|| self.parts.plant.ledger.pins.alarms(owner, topic.as_deref()))?;
         let alarms = alarms.into_iter().map(|row| AlarmView {
             topic: clean(&row.topic, 255),
             publisher: clean(&row.publisher, WIDEST),
-            reason: row.reason,
-            at: row.at,
-            open: row.open,
+            ..row
         });
         Ok(PinsView { mode: self.pins.mode(), pins, alarms: alarms.collect() })
     }
 
     /// Accepts publishers of a topic; if none is named, those being read now.
-    pub(super) async fn pin(
-        self: &Arc<Self>,
+    pub async fn pin(
+        &self,
         profile: &ProfileName,
         topic: &TopicName,
         publishers: Vec<Publisher>,
     ) -> Result<PinsView, Failure> {
-        let owner = self.owners.address_of(profile)?;
+        let owner = self.parts.owners.address_of(profile)?;
         let publishers = if publishers.is_empty() { self.pins.live(topic.as_str()) } else { publishers };
         if publishers.is_empty() {
             return Err(input(format!(
@@ -104,20 +88,15 @@ impl Pinning {
         for publisher in &publishers {
             let (subject, one) = (format!("{topic} {publisher}"), std::slice::from_ref(publisher));
             let pinned = async { Ok(block_in_place(|| self.pins.pin(owner, topic.as_str(), one))?) };
-            self.log.deed(profile, "pin", &subject, pinned).await?;
+            self.parts.log.deed(profile, "pin", &subject, pinned).await?;
         }
-        self.hub.changed(Part::Topics);
+        self.parts.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await
     }
 
     /// No longer accepts a caller id on a topic.
-    pub(super) async fn unpin(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        topic: &TopicName,
-        caller_id: &str,
-    ) -> Result<PinsView, Failure> {
-        let owner = self.owners.address_of(profile)?;
+    pub async fn unpin(&self, profile: &ProfileName, topic: &TopicName, caller_id: &str) -> Result<PinsView, Failure> {
+        let owner = self.parts.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
         if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
             return Err(input(format!("{name} is pinned to {topic} by ros.publishers; remove it there")));
@@ -130,22 +109,22 @@ impl Pinning {
                 _ => Ok(()),
             }
         };
-        self.log.deed(profile, "unpin", &format!("{topic} {name}"), unpinned).await?;
-        self.hub.changed(Part::Topics);
+        self.parts.log.deed(profile, "unpin", &format!("{topic} {name}"), unpinned).await?;
+        self.parts.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await
     }
 
     /// Topics with an open alarm about a publisher.
     pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
-        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };
-        let alarms = block_in_place(|| self.kept.alarms(owner, None))?;
+        let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashSet::new()) };
+        let alarms = block_in_place(|| self.parts.plant.ledger.pins.alarms(owner, None))?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, by first sight or by the settings.
     pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
-        let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
-        let kept = block_in_place(|| self.kept.list(owner, None))?;
+        let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
+        let kept = block_in_place(|| self.parts.plant.ledger.pins.list(owner, None))?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
         let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
         let mut names: HashMap<String, HashSet<String>> = HashMap::new();

@@ -3,11 +3,6 @@
 #[cfg(test)]
 mod tests;
 
-use crate::pipeline::Plant;
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::identity::Owners;
-use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use crate::site::reading::Reading;
 use std::collections::BTreeSet;
@@ -16,16 +11,15 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use super::blocking;
 use super::reading::view::record_view;
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
 use crate::pipeline::columns::Shown;
 use crate::pipeline::{Author, Owner, quarantine};
 use crate::service::command::Held;
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::input;
 use crate::service::reply::{DecidedView, Failure, HeldView, QuarantineView};
-use crate::store::{HeldQuery, HeldRow};
+use crate::store::{HeldQuery, HeldRow, RecordRow};
 
 /// How long a discard waits for the quarantine records to be in a block.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -36,11 +30,7 @@ const MOST: usize = 100_000;
 
 /// The quarantine.
 pub(in crate::site) struct Quarantine {
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    life: Arc<Lifetime>,
+    parts: Parts,
     reading: Arc<Reading>,
     /// Quarantine records are sealed one at a time.
     reporting: tokio::sync::Mutex<()>,
@@ -49,37 +39,32 @@ pub(in crate::site) struct Quarantine {
 impl Quarantine {
     /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
-        let Parts { plant, hub, log, owners, life, .. } = parts.clone();
-        Self { plant, hub, log, owners, life, reading: Arc::clone(reading), reporting: tokio::sync::Mutex::default() }
+        Self { parts: parts.clone(), reading: Arc::clone(reading), reporting: tokio::sync::Mutex::default() }
     }
-}
 
-impl Quarantine {
     /// Seals the quarantine records that are due, minute by minute, until the site ends.
-    pub(super) async fn keep(self: Arc<Self>) {
-        while !self.life.is_stopping() {
-            if !self.life.beat(LOOK).await {
+    pub async fn keep(self: Arc<Self>) {
+        while !self.parts.life.is_stopping() {
+            if !self.parts.life.beat(LOOK).await {
                 return;
             }
             // It is counted once records are acknowledged again.
-            if block_in_place(|| self.plant.ledger.records.takes_records()).is_err() {
+            if block_in_place(|| self.parts.plant.ledger.records.takes_records()).is_err() {
                 continue;
             }
-            for owner in self.owners.all() {
+            for owner in self.parts.owners.all() {
                 if let Err(failure) = self.report(&owner.author, quarantine::minute(Timestamp::now())).await {
-                    let profile = &owner.profile;
-                    let text = format!("quarantined messages of {profile} are not counted yet: {}", failure.message);
-                    self.hub.notice(NoticeLevel::Error, &text);
+                    let (profile, why) = (&owner.profile, failure.message);
+                    self.parts.hub.alarm(&format!("quarantined messages of {profile} are not counted yet: {why}"));
                 }
             }
         }
     }
 
     /// Counts what was quarantined before this minute.
-    async fn report(self: &Arc<Self>, author: &Arc<Author>, before: u64) -> Result<(), Failure> {
+    async fn report(&self, author: &Author, before: u64) -> Result<(), Failure> {
         let _one_at_a_time = self.reporting.lock().await;
-        let author = Arc::clone(author);
-        blocking(self, move |quarantine| Ok(quarantine::report(&quarantine.plant, &author, before)?)).await?;
+        block_in_place(|| quarantine::report(&self.parts.plant, author, before))?;
         Ok(())
     }
 
@@ -89,23 +74,19 @@ impl Quarantine {
     }
 
     /// A profile's quarantined messages; needs no passphrase.
-    pub(super) async fn view(
-        self: &Arc<Self>,
+    pub async fn view(
+        &self,
         profile: &ProfileName,
         topic: Option<TopicName>,
         limit: usize,
     ) -> Result<QuarantineView, Failure> {
-        let owner = self.owners.address_of(profile)?;
+        let owner = self.parts.owners.address_of(profile)?;
         let name = topic.as_ref().map(ToString::to_string);
         let query =
             HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
-        let (rows, counts) = blocking(self, move |quarantine| {
-            Ok((
-                quarantine.plant.ledger.quarantine.held(owner, &query)?,
-                quarantine.plant.ledger.counts.by_state(Some(owner))?,
-            ))
-        })
-        .await?;
+        let ledger = &self.parts.plant.ledger;
+        let rows = block_in_place(|| ledger.quarantine.held(owner, &query))?;
+        let counts = block_in_place(|| ledger.counts.by_state(Some(owner)))?;
         let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
         let keys = self.reading.own_keys();
         let shown = self.reading.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
@@ -121,20 +102,22 @@ impl Quarantine {
         })
     }
 
+    /// All that is quarantined, or all of a topic.
+    fn held(&self, owner: &Owner, topic: Option<String>) -> Result<Vec<HeldRow>, Failure> {
+        let query = HeldQuery { topic, limit: MOST, ..HeldQuery::default() };
+        Ok(block_in_place(|| self.parts.plant.ledger.quarantine.held(owner.address, &query))?)
+    }
+
     /// The quarantined records named by a person; definitions are among them only by their topic.
-    async fn named(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>, Failure> {
-        let address = owner.address;
-        let query =
-            HeldQuery { topic: held.topic.as_ref().map(ToString::to_string), limit: MOST, ..HeldQuery::default() };
-        let mut rows =
-            blocking(self, move |quarantine| Ok(quarantine.plant.ledger.quarantine.held(address, &query)?)).await?;
+    async fn named(&self, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>, Failure> {
+        let mut rows = self.held(owner, held.topic.as_ref().map(ToString::to_string))?;
         if held.topic.is_some() {
             return Ok(rows);
         }
         let mut wanted = BTreeSet::new();
         for id in &held.ids {
-            let row = self.reading.find_record(id).await?;
-            if row.owner != address || row.state != RecordState::Quarantined {
+            let row = self.reading.find_record(id)?;
+            if row.owner != owner.address || row.state != RecordState::Quarantined {
                 return Err(input(format!(
                     "record {} is not in quarantine (it is {}); `authros quarantine list` shows those that are",
                     row.id,
@@ -148,47 +131,37 @@ impl Quarantine {
     }
 
     /// Lets quarantined messages be anchored; the tag in their sealed head stays.
-    pub(super) async fn release(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+    pub async fn release(&self, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
-        let action = "release quarantined";
-        let subjects = self.audit_each(owner, action, &rows).await?;
-        let released = self.release_rows(owner, &held, &rows).await;
-        self.audit_ends(owner, action, &subjects, released).await?;
-        self.hub.stored.notify_waiters();
+        let released = self.release_rows(owner, &held, &rows);
+        self.audited(owner, "release quarantined", &rows, released).await?;
+        self.parts.hub.stored.notify_waiters();
         let messages = messages(&rows);
         let text = format!("{messages} messages released; they are anchored like others and keep their tag");
         Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
     }
 
-    async fn release_rows(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
+    async fn release_rows(&self, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
         // The record of the quarantine comes first, so that its count includes everything that was held.
         self.report(&owner.author, u64::MAX).await?;
-        let digests = self.with_definitions(owner, rows).await?;
-        let asked: Vec<Digest> = digests.into_iter().collect();
-        blocking(self, move |quarantine| Ok(quarantine.plant.ledger.quarantine.release(&asked)?)).await?;
+        let digests: Vec<Digest> = self.with_definitions(owner, rows)?.into_iter().collect();
+        block_in_place(|| self.parts.plant.ledger.quarantine.release(&digests))?;
         self.decided(owner, held)
     }
 
     /// A released message needs its definition, which is quarantined with its first message.
-    async fn with_definitions(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        rows: &[HeldRow],
-    ) -> Result<BTreeSet<Digest>, Failure> {
-        let topics: BTreeSet<String> = rows.iter().map(|row| row.record.topic.clone()).collect();
+    fn with_definitions(&self, owner: &Owner, rows: &[HeldRow]) -> Result<BTreeSet<Digest>, Failure> {
+        let topics: BTreeSet<&String> = rows.iter().map(|row| &row.record.topic).collect();
         let mut digests: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
         for topic in topics {
-            let (address, query) =
-                (owner.address, HeldQuery { topic: Some(topic), limit: MOST, ..HeldQuery::default() });
-            let held =
-                blocking(self, move |quarantine| Ok(quarantine.plant.ledger.quarantine.held(address, &query)?)).await?;
+            let held = self.held(owner, Some(topic.clone()))?;
             digests.extend(held.iter().filter(|row| !row.is_message()).map(|row| row.record.digest));
         }
         Ok(digests)
     }
 
     /// Deletes quarantined messages, once the quarantine records that count them are on the chain.
-    pub(super) async fn discard(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
+    pub async fn discard(&self, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
         self.report(&owner.author, u64::MAX).await?;
         // Asked again: the reports are known only now.
@@ -196,10 +169,8 @@ impl Quarantine {
         let known: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
         rows_now.retain(|row| row.is_message() && known.contains(&row.record.digest));
         let reports = self.anchored_reports(&rows_now).await?;
-        let action = "discard quarantined";
-        let subjects = self.audit_each(owner, action, &rows_now).await?;
-        let discarded = self.discard_rows(owner, &held, &rows_now).await;
-        self.audit_ends(owner, action, &subjects, discarded).await?;
+        let discarded = self.discard_rows(owner, &held, &rows_now);
+        self.audited(owner, "discard quarantined", &rows_now, discarded).await?;
         let messages = messages(&rows_now);
         let counted = reports.len();
         let text = format!(
@@ -209,34 +180,26 @@ impl Quarantine {
         Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
     }
 
-    async fn discard_rows(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
+    async fn discard_rows(&self, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
         let digests: Vec<Digest> = rows.iter().map(|row| row.record.digest).collect();
         // A backup taken now must not see the bytes gone while the rows are not.
         let one_at_a_time = self.reporting.lock().await;
-        blocking(self, move |quarantine| Ok(quarantine::discard(&quarantine.plant, &digests)?)).await?;
+        block_in_place(|| quarantine::discard(&self.parts.plant, &digests))?;
         drop(one_at_a_time);
         self.decided(owner, held)
     }
 
     /// The quarantine records that count these, as soon as all of them are in a block.
-    async fn anchored_reports(self: &Arc<Self>, rows: &[HeldRow]) -> Result<Vec<Digest>, Failure> {
+    async fn anchored_reports(&self, rows: &[HeldRow]) -> Result<Vec<Digest>, Failure> {
         let reports: BTreeSet<Digest> = rows.iter().filter_map(|row| row.report).collect();
+        let reports: Vec<Digest> = reports.into_iter().collect();
         let counted = rows.iter().all(|row| row.report.is_some());
+        let is_standing = |row: &RecordRow| (RecordState::Mined..=RecordState::Verified).contains(&row.state);
         let deadline = Instant::now() + PATIENCE;
-        while counted && !self.life.is_stopping() {
-            let asked = reports.clone();
-            let standing = blocking(self, move |quarantine| {
-                let mut standing = true;
-                for digest in asked {
-                    let row = quarantine.plant.ledger.records.find(digest)?;
-                    standing &=
-                        row.is_some_and(|row| (RecordState::Mined..=RecordState::Verified).contains(&row.state));
-                }
-                Ok(standing)
-            })
-            .await?;
-            if standing {
-                return Ok(reports.into_iter().collect());
+        while counted && !self.parts.life.is_stopping() {
+            let found = block_in_place(|| self.parts.plant.ledger.records.find_all(&reports))?;
+            if found.iter().all(|row| row.as_ref().is_some_and(is_standing)) {
+                return Ok(reports);
             }
             if Instant::now() >= deadline {
                 break;
@@ -250,36 +213,27 @@ impl Quarantine {
         ))
     }
 
-    /// One line for each topic, before the deed; returns their subjects.
-    async fn audit_each(
-        self: &Arc<Self>,
+    /// Does it between two lines of the log for each topic.
+    async fn audited(
+        &self,
         owner: &Arc<Owner>,
         action: &str,
         rows: &[HeldRow],
-    ) -> Result<Vec<String>, Failure> {
+        deed: impl Future<Output = Result<(), Failure>>,
+    ) -> Result<(), Failure> {
         let mut subjects = Vec::new();
         let topics: BTreeSet<&str> = rows.iter().map(|row| row.record.topic.as_str()).collect();
         for topic in topics {
             let of_topic = || rows.iter().filter(|row| row.record.topic == topic && row.is_message());
             let (count, first) = (of_topic().count(), of_topic().next().map_or("none", |row| row.record.id.as_str()));
             let subject = format!("{topic}: {count} messages starting with {first}");
-            self.log.begin(owner, action, &subject).await?;
+            self.parts.log.begin(owner, action, &subject).await?;
             subjects.push(subject);
         }
-        Ok(subjects)
-    }
-
-    /// The second line of each, after the deed.
-    async fn audit_ends(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        action: &str,
-        subjects: &[String],
-        outcome: Result<(), Failure>,
-    ) -> Result<(), Failure> {
+        let outcome = deed.await;
         for subject in subjects {
             // What went wrong is reported once, below.
-            drop(self.log.end(owner, action, subject, outcome.clone()).await);
+            drop(self.parts.log.end(owner, action, &subject, outcome.clone()).await);
         }
         outcome
     }
@@ -287,10 +241,10 @@ impl Quarantine {
     /// Deciding about a whole topic closes its alarms.
     fn decided(&self, owner: &Owner, held: &Held) -> Result<(), Failure> {
         if let Some(topic) = &held.topic {
-            block_in_place(|| self.plant.ledger.pins.close_alarms(owner.address, topic.as_str()))?;
+            block_in_place(|| self.parts.plant.ledger.pins.close_alarms(owner.address, topic.as_str()))?;
         }
-        self.hub.changed(Part::Topics);
-        self.hub.changed(Part::Uploads);
+        self.parts.hub.changed(Part::Topics);
+        self.parts.hub.changed(Part::Uploads);
         Ok(())
     }
 }

@@ -9,22 +9,18 @@ use std::collections::{BTreeSet, HashSet};
 use std::sync::{Arc, Mutex};
 
 use serde_json::{Value, json};
+use tokio::task::block_in_place;
 
-use super::audit::Log;
-use super::blocking;
-use super::chain::link::Link;
 use super::contacts::Contacts;
 use super::devices::enrolled;
-use super::identity::Owners;
 use super::parts::Parts;
-use crate::config::Config;
 use crate::failure::input;
 use crate::model::{
     Address, Digest, ErrorKind, GapReport, ProfileName, RecordKind, RetentionReport, SignerId, Timestamp, TopicName,
     clean,
 };
 use crate::pipeline::columns::Heads;
-use crate::pipeline::{Network, Plant, network_pin};
+use crate::pipeline::{Network, network_pin};
 use crate::reply::{CoverageView, Failure};
 use crate::ros::recording::{Beside, BesideContent};
 use crate::store::notes::Enrolled;
@@ -32,11 +28,7 @@ use crate::store::{Coverage, CoverageQuery};
 
 /// Records as people read them.
 pub(in crate::site) struct Reading {
-    config: Arc<Config>,
-    plant: Plant,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
+    parts: Parts,
     contacts: Arc<Contacts>,
     /// Heads of records opened for lists.
     heads: Heads,
@@ -47,26 +39,27 @@ pub(in crate::site) struct Reading {
 impl Reading {
     /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
-        let Parts { config, plant, log, owners, link, .. } = parts.clone();
-        let (contacts, heads, nameless) = (Arc::clone(contacts), Heads::default(), Mutex::default());
-        Self { config, plant, log, owners, link, contacts, heads, nameless }
+        let (parts, contacts) = (parts.clone(), Arc::clone(contacts));
+        Self { parts, contacts, heads: Heads::default(), nameless: Mutex::default() }
     }
 
     /// The network; if its chain cannot be asked now, what this home kept of it, to read own records by.
     ///
     /// # Errors
     /// Why the link is down, if the home is bound to no chain yet.
-    pub async fn network_or_kept(self: &Arc<Self>) -> Result<Network, Failure> {
-        let failure = match self.link.network().await {
-            Ok(_) if self.link.is_silent() => Failure::new(ErrorKind::Unreachable, "it did not answer when last asked"),
+    pub async fn network_or_kept(&self) -> Result<Network, Failure> {
+        let failure = match self.parts.link.network().await {
+            Ok(_) if self.parts.link.is_silent() => {
+                Failure::new(ErrorKind::Unreachable, "it did not answer when last asked")
+            }
             Ok(network) => return Ok(network),
             Err(failure) => failure,
         };
-        blocking(self, move |reading| match network_pin(&reading.plant.ledger.rights)? {
-            Some(pin) => Ok(Network::kept(&reading.plant, pin, &clean(&failure.message, 400))?),
+        let plant = &self.parts.plant;
+        match block_in_place(|| network_pin(&plant.ledger.rights))? {
+            Some(pin) => Ok(block_in_place(|| Network::kept(plant, pin, &clean(&failure.message, 400)))?),
             None => Err(failure),
-        })
-        .await
+        }
     }
 
     /// Forgets the heads that were opened for lists.
@@ -85,14 +78,14 @@ impl Reading {
     ///
     /// # Errors
     /// A span that ends before it begins, too many parts, or no robot of that name.
-    pub(in crate::site) async fn coverage(
-        self: &Arc<Self>,
+    pub async fn coverage(
+        &self,
         profile: &ProfileName,
         (topic, robot): (TopicName, Option<String>),
         span: (Option<Timestamp>, Option<Timestamp>),
         parts: usize,
     ) -> Result<CoverageView, Failure> {
-        let owner = self.owners.address_of(profile)?;
+        let owner = self.parts.owners.address_of(profile)?;
         let (since, until) = (span.0, span.1.unwrap_or_else(Timestamp::now));
         if since.is_some_and(|since| since >= until) {
             return Err(input("the span ends before it begins; --since must be earlier than --until"));
@@ -102,16 +95,12 @@ impl Reading {
         }
         // What robots recorded arrives without the names of its topics.
         self.learn_own_names(profile).await?;
-        let (name, asked) = (topic.to_string(), robot.clone());
-        let (found, robots) = blocking(self, move |reading| {
-            let enrolled = enrolled::of_account(&reading.plant.ledger.notes, owner)?;
-            let signers = asked.map(|robot| devices_of(&enrolled, &robot)).transpose()?;
-            let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
-            let found = reading.plant.ledger.counts.coverage(&query)?;
-            let robots = names(&enrolled, &found.signers);
-            Ok((found, robots))
-        })
-        .await?;
+        let (ledger, name) = (&self.parts.plant.ledger, topic.to_string());
+        let enrolled = block_in_place(|| enrolled::of_account(&ledger.notes, owner))?;
+        let signers = robot.as_ref().map(|robot| devices_of(&enrolled, robot)).transpose()?;
+        let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
+        let found = block_in_place(|| ledger.counts.coverage(&query))?;
+        let robots = names(&enrolled, &found.signers);
         let robot = robot.map(|robot| clean(&robot, 64));
         let Coverage { since, first, last, parts, .. } = found;
         Ok(CoverageView { topic, robot, robots, since, until, first, last, parts })

@@ -18,7 +18,7 @@ use crate::ros::readable::{self, Exported};
 use crate::ros::recording::{Described, TYPE_HASH, TypeFacts};
 use crate::service::command::{self as ask, Ask, LONGEST_PATH, Viewing};
 use crate::service::reply::{Failure, OpenedView, PathView, Reply};
-use crate::site::{blocking, reading};
+use crate::site::reading;
 use crate::store::{RecordQuery, RecordRow};
 
 /// Messages up to this length include their bytes when viewed; longer ones only as files.
@@ -40,11 +40,7 @@ struct Opened {
 
 impl Reading {
     /// Answers a request about opened records.
-    pub(in crate::site) async fn handle_viewing(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        viewing: Viewing,
-    ) -> Result<Reply, Failure> {
+    pub async fn handle_viewing(&self, owner: &Arc<Owner>, viewing: Viewing) -> Result<Reply, Failure> {
         match viewing {
             Viewing::ViewFile { id, kind } => {
                 self.file_of(owner, &id, kind).await.map(Box::new).map(ask::ViewFile::told)
@@ -54,11 +50,7 @@ impl Reading {
     }
 
     /// Checks, decrypts and decodes one record, shared or own.
-    pub(in crate::site) async fn open_record(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        id: &str,
-    ) -> Result<OpenedView, Failure> {
+    pub async fn open_record(&self, owner: &Arc<Owner>, id: &str) -> Result<OpenedView, Failure> {
         let opened = self.opened(owner, id, "decrypt").await?;
         Ok(block_in_place(|| {
             let mut view = view_of(&opened, owner);
@@ -70,12 +62,7 @@ impl Reading {
         }))
     }
 
-    async fn file_of(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        id: &str,
-        kind: Option<Exported>,
-    ) -> Result<OpenedView, Failure> {
+    async fn file_of(&self, owner: &Arc<Owner>, id: &str, kind: Option<Exported>) -> Result<OpenedView, Failure> {
         let opened = self.opened(owner, id, "export message").await?;
         block_in_place(|| {
             let mut view = view_of(&opened, owner);
@@ -94,15 +81,15 @@ impl Reading {
         })
     }
 
-    async fn opened(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
+    async fn opened(&self, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
         let opened = async {
             let record = reader.open(&row).await?;
             let described = self.described(&reader, &row, &record).await?;
             Ok((record, described))
         };
-        let (record, described) = self.log.deed(&owner.profile, deed, &row.id, opened).await?;
+        let (record, described) = self.parts.log.deed(&owner.profile, deed, &row.id, opened).await?;
         let (row, reason) = (as_signed(row, &record), reason_of(record.verdict, &network));
         Ok(Opened { row, record, reason, described })
     }
@@ -121,7 +108,7 @@ impl Reading {
         let (head, about) = (&record.head, importer::about(&record.head.tags));
         let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
         let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash, md5sum: &head.md5sum };
-        let folders = Folders::of_prefixes(OsStr::new(&self.config.definitions));
+        let folders = Folders::of_prefixes(OsStr::new(&self.parts.config.definitions));
         let mut described = block_in_place(|| Described::of(facts, &folders));
         if described.definition.as_ref().is_some_and(|definition| definition.is_ambiguous(&record.body)) {
             let ambiguity = "its wide texts fit in more than one form (middlewares differ), so values may be wrong";
@@ -130,20 +117,15 @@ impl Reading {
         Ok(described)
     }
 
-    async fn path_to(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
+    async fn path_to(&self, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {
         let records = records.clamp(2, LONGEST_PATH);
         let (row, network) = self.authorised(owner, id).await?;
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
         let subject = format!("{} and up to {records} records before it", row.id);
-        self.log.deed(&owner.profile, "decrypt", &subject, self.path_of(&reader, row, records)).await
+        self.parts.log.deed(&owner.profile, "decrypt", &subject, self.path_of(&reader, row, records)).await
     }
 
-    async fn path_of(
-        self: &Arc<Self>,
-        reader: &Reader<'_>,
-        row: RecordRow,
-        records: usize,
-    ) -> Result<PathView, Failure> {
+    async fn path_of(&self, reader: &Reader<'_>, row: RecordRow, records: usize) -> Result<PathView, Failure> {
         let last = reader.open(&row).await?;
         let described = self.described(reader, &row, &last).await?;
         let definition = described.definition.clone().ok_or_else(|| without_definition(&row, &described))?;
@@ -152,7 +134,7 @@ impl Reading {
             Failure::new(ErrorKind::Usage, format!("messages of {kind} contain no position, so there is no path"))
         })?;
         let (mut places, mut unread) = (vec![here], 0);
-        for earlier in self.before(&row, records - 1).await? {
+        for earlier in self.before(&row, records - 1)? {
             let opened = if reader.authorise(&earlier).is_ok() { reader.open(&earlier).await.ok() } else { None };
             match opened.and_then(|opened| readable::place(&definition, &opened.body)) {
                 Some(place) => places.push(place),
@@ -166,7 +148,7 @@ impl Reading {
     }
 
     /// Messages of the record's stream that were captured before it, newest first.
-    async fn before(self: &Arc<Self>, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>, Failure> {
+    fn before(&self, row: &RecordRow, most: usize) -> Result<Vec<RecordRow>, Failure> {
         let query = RecordQuery {
             owner: Some(row.owner),
             topic_ids: Some(vec![row.topic_id]),
@@ -176,7 +158,7 @@ impl Reading {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.records.list(&query)?)).await?;
+        let mut page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
         page.rows.retain(|earlier| earlier.state != RecordState::Dropped);
         Ok(page.rows)
     }

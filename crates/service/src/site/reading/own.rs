@@ -16,48 +16,39 @@ use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
-use crate::site::blocking;
 use crate::site::incidents::narrowed;
 use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
 
 impl Reading {
     /// Own records; needs no passphrase.
-    pub(in crate::site) async fn list_own(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        query: UploadQuery,
-    ) -> Result<RecordPage, Failure> {
-        let owner = self.owners.address_of(profile)?;
-        let index = self.owners.get(profile).map(|owner| owner.index());
-        self.name_asked(owner, index, query.topic.clone()).await?;
+    pub async fn list_own(&self, profile: &ProfileName, query: UploadQuery) -> Result<RecordPage, Failure> {
+        let owner = self.parts.owners.address_of(profile)?;
+        let index = self.parts.owners.get(profile).map(|owner| owner.index());
+        self.name_asked(owner, index, query.topic.as_ref())?;
         self.learn_own_names(profile).await?;
         let filters = self.own_tag_filters(profile, &query.tags)?;
         let incident = query.incident.clone();
         let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
-        let page = blocking(self, move |reading| {
-            let ledger = &reading.plant.ledger;
+        let ledger = &self.parts.plant.ledger;
+        let page = block_in_place(|| {
             let query = match incident {
                 Some(name) => narrowed(&ledger.incidents, owner, &name, query)?,
                 None => query,
             };
-            Ok(ledger.records.list(&query)?)
-        })
-        .await?;
+            Ok::<_, Failure>(ledger.records.list(&query)?)
+        })?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false);
         self.note_erased(&mut page.records)?;
         Ok(page)
     }
 
     /// Records of all profiles of the home, each with its owner; needs no passphrase.
-    pub(in crate::site) async fn list_all(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
+    pub fn list_all(&self, query: UploadQuery) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
             return Err(input("an incident belongs to one profile: omit --all, or the incident".to_owned()));
         }
-        let page = blocking(self, move |reading| {
-            let owners = Some(reading.owners.accounts());
-            Ok(reading.plant.ledger.records.list(&RecordQuery { owners, owner: None, ..record_query(query) })?)
-        })
-        .await?;
+        let query = RecordQuery { owners: Some(self.parts.owners.accounts()), ..record_query(query) };
+        let page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
         self.note_erased(&mut page.records)?;
         let names = self.contacts.names()?;
@@ -73,11 +64,11 @@ impl Reading {
             return Ok(Vec::new());
         }
         // IK stays in memory while the keyring is locked: records are sealed with it.
-        let index = self
-            .owners
-            .get(profile)
-            .map_or_else(|| self.owners.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
-        let topics = self.topics_of(self.owners.address_of(profile)?)?;
+        let index = self.parts.owners.get(profile).map_or_else(
+            || self.parts.owners.unlocked(profile).map(|owner| owner.index()),
+            |owner| Ok(owner.index()),
+        )?;
+        let topics = self.topics_of(self.parts.owners.address_of(profile)?)?;
         Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
     }
 
@@ -85,67 +76,58 @@ impl Reading {
     pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<(), Failure> {
         let gone = ShownState::Verified(Caveat::Deleted);
         for record in records.iter_mut().filter(|record| record.state == gone) {
-            let retained = block_in_place(|| self.plant.ledger.retention.find(record.digest))?;
+            let retained = block_in_place(|| self.parts.plant.ledger.retention.find(record.digest))?;
             record.erased = retained.and_then(|retained| retained.erased).map(|erasure| erasure.to_string());
         }
         Ok(())
     }
 
     /// The topics of which an owner has records here.
-    pub(in crate::site) fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
-        let counts = block_in_place(|| self.plant.ledger.counts.by_state(Some(owner)))?;
+    pub fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
+        let counts = block_in_place(|| self.parts.plant.ledger.counts.by_state(Some(owner)))?;
         Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
     /// A record by its id, regardless of its owner.
-    pub(in crate::site) async fn find_record(self: &Arc<Self>, id: &str) -> Result<RecordRow, Failure> {
-        let id = id.to_owned();
-        blocking(self, move |reading| {
-            let row = reading.plant.ledger.records.by_id(&id)?;
-            Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(&id, 64)))?)
-        })
-        .await
+    pub fn find_record(&self, id: &str) -> Result<RecordRow, Failure> {
+        let row = block_in_place(|| self.parts.plant.ledger.records.by_id(id))?;
+        Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(id, 64)))?)
     }
 
-    pub(in crate::site) async fn own_record(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        id: &str,
-    ) -> Result<RecordRow, Failure> {
-        let row = self.find_record(id).await?;
-        if row.owner == self.owners.address_of(profile)? {
-            Ok(row)
-        } else {
-            Err(PipelineError::NoRecord(row.id).into())
+    /// One of the profile's own.
+    pub fn own_record(&self, profile: &ProfileName, id: &str) -> Result<RecordRow, Failure> {
+        let row = self.find_record(id)?;
+        match row.owner == self.parts.owners.address_of(profile)? {
+            true => Ok(row),
+            false => Err(PipelineError::NoRecord(row.id).into()),
         }
     }
 
     /// A record's provenance and state, step by step.
-    pub(in crate::site) async fn provenance(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        id: &str,
-    ) -> Result<Provenance, Failure> {
-        let shown = self.compared_one(&self.own_record(profile, id).await?, &self.own_keys())?;
+    pub fn provenance(&self, profile: &ProfileName, id: &str) -> Result<Provenance, Failure> {
+        let shown = self.compared_one(&self.own_record(profile, id)?, &self.own_keys())?;
         let row = &shown.row;
         let step = |word: &str, text: String| (word.to_owned(), text);
         let topic = clean(&row.topic, 255);
         let of = if row.is_named() { topic.as_str() } else { "a topic whose name is unknown here" };
         let mut steps = vec![
-            step("message", format!("{} bytes of {of}, captured {}", row.bytes, moment(row.captured_at))),
-            step("record", format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, moment(row.acknowledged_at))),
+            step("message", format!("{} bytes of {of}, captured {}", row.bytes, row.captured_at.in_milliseconds())),
+            step(
+                "record",
+                format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, row.acknowledged_at.in_milliseconds()),
+            ),
             step("digest", format!("SM3 {}", row.digest)),
             step("signature", format!("SM2 by signer {}", row.signer)),
         ];
         if row.state >= RecordState::Stored {
             steps.push(step("store", "ciphertext stored with its row".to_owned()));
         }
-        let digest = row.digest;
-        let placed = blocking(self, move |reading| Ok(reading.plant.ledger.records.placed(digest)?)).await?;
+        let ledger = &self.parts.plant.ledger;
+        let placed = block_in_place(|| ledger.records.placed(row.digest))?;
         let place = placed.and_then(|placed| placed.place);
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
-            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, moment(place.closed_at))));
+            steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
             let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
             steps.push(step("proof", format!("leaf {index} of {count}, {hashes} hashes to the root")));
         }
@@ -158,11 +140,11 @@ impl Reading {
         if let (Some(block), Some(hash)) = (row.block, row.block_hash) {
             steps.push(step("block", format!("{block} {hash}")));
             // A run without a chain has seen no block.
-            let head = *self.link.scans().borrow();
-            let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
+            let head = *self.parts.link.scans().borrow();
+            let (deep, wanted) = (head + 1 - block.min(head + 1), self.parts.config.confirmations);
             steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} required"))));
         }
-        if let Some(retained) = blocking(self, move |reading| Ok(reading.plant.ledger.retention.find(digest)?)).await? {
+        if let Some(retained) = block_in_place(|| ledger.retention.find(row.digest))? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
             steps.extend(retained.erased.map(|erasure| step("erased", erasure.to_string())));
@@ -187,35 +169,32 @@ impl Reading {
 
     /// The files with which others check a record using openssl and a node; accounts are redacted in `proof.json`
     /// unless `addresses` are requested.
-    pub(in crate::site) async fn export_upload(
-        self: &Arc<Self>,
+    pub async fn export_upload(
+        &self,
         owner: &Arc<Owner>,
         id: &str,
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
-        let row = self.own_record(&owner.profile, id).await?;
+        let row = self.own_record(&owner.profile, id)?;
         let network = self.network_or_kept().await?;
         let files = self.files_of(&network, &row, addresses);
-        self.log.deed(&owner.profile, "export record", &row.id, files).await
+        self.parts.log.deed(&owner.profile, "export record", &row.id, files).await
     }
 
     async fn files_of(
-        self: &Arc<Self>,
+        &self,
         network: &Network,
         row: &RecordRow,
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
-        let digest = row.digest;
-        let wanted = row.clone();
-        let stored = move |reading: &Self| {
-            Ok((reading.plant.stored_bytes(&wanted)?, reading.plant.ledger.records.placed(digest)?))
-        };
-        let (blob, placed) = blocking(self, stored).await?;
+        let (plant, digest) = (&self.parts.plant, row.digest);
+        let blob = block_in_place(|| plant.stored_bytes(row))?;
+        let placed = block_in_place(|| plant.ledger.records.placed(digest))?;
         // Block, transaction and path of one moment, whatever the row was when it was asked for.
         let (row, place) = placed.map_or_else(|| (row.clone(), None), |placed| (placed.row, placed.place));
         let row = &row;
-        let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retention.find(digest)?)).await?;
-        let gone = gone.filter(|gone| gone.anchored || is_stated(&self.plant, Some(network), digest, gone));
+        let gone = block_in_place(|| plant.ledger.retention.find(digest))?;
+        let gone = gone.filter(|gone| gone.anchored || is_stated(plant, Some(network), digest, gone));
         let blob = blob.ok_or_else(|| match gone {
             Some(retained) => PipelineError::gone(&row.id, retained),
             None => PipelineError::Missing(row.id.clone()),
@@ -224,8 +203,7 @@ impl Reading {
         if let Some(field) = header.as_ref().and_then(|header| columns::header_difference(row, header)) {
             return Err(PipelineError::RowDiffers { id: row.id.clone(), field }.into());
         }
-        let (asked, asking) = (row.clone(), network.clone());
-        let signer = blocking(self, move |reading| Ok(authority::signer_of(&reading.plant, &asking, &asked)?)).await?;
+        let signer = block_in_place(|| authority::signer_of(plant, network, row))?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         let signed = record::signed_bytes(&network.domain, &row.digest);
         let pin = network.chain.pin();
@@ -295,12 +273,6 @@ fn unchecked() -> String {
          open here; check again while the console or `authros serve` has the keyring open",
         standing(RecordState::Verified)
     )
-}
-
-/// A moment to the millisecond.
-fn moment(at: Timestamp) -> String {
-    let text = at.to_string();
-    text.get(..23).map_or_else(|| text.clone(), |head| format!("{}Z", head.trim_end_matches('Z')))
 }
 
 /// What a record's state means, for readers who wonder what is still to come.

@@ -4,6 +4,8 @@ use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use tokio::task::block_in_place;
+
 use super::view::{reason_of, record_page, record_query};
 use crate::crypto::GrantedKeys;
 use crate::model::{Address, Scope, TopicId};
@@ -14,22 +16,17 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
 use crate::service::reply::{CheckView, ContractAnswer, Failure, RecordPage};
-use crate::site::blocking;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
 impl Reading {
     /// Records of all owners with an active grant to this profile, within each grant's scope.
-    pub(in crate::site) async fn list_shared(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        query: UploadQuery,
-    ) -> Result<RecordPage, Failure> {
+    pub async fn list_shared(&self, owner: &Arc<Owner>, query: UploadQuery) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
             return Err(input(
                 "incidents cover your own records: use `authros uploads list --incident NAME`".to_owned(),
             ));
         }
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
         let mut grants = authority::shared_with(&network.directory, owner.address);
         grants.retain(|grant| wanted.is_none_or(|wanted| wanted == grant.terms.owner));
@@ -40,12 +37,12 @@ impl Reading {
         if scopes.is_empty() {
             return Ok(RecordPage { records: Vec::new(), next: None, arriving: None });
         }
-        self.log.asked(owner, "list shared", &query).await?;
+        self.parts.log.asked(owner, "list shared", &query).await?;
         let filters = self.shared_tag_filters(&network, owner, &grants, &query.tags)?;
-        let readable = self.readable_topics(&scopes).await?;
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        let readable = self.readable_topics(&scopes)?;
+        let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
         for owner in scopes.keys() {
-            self.name_asked(*owner, reader.index_of(*owner), query.topic.clone()).await?;
+            self.name_asked(*owner, reader.index_of(*owner), query.topic.as_ref())?;
             self.learn_names(&reader, *owner).await?;
         }
         let query = RecordQuery {
@@ -55,7 +52,7 @@ impl Reading {
             filters: filters.clone(),
             ..record_query(query)
         };
-        let mut page = self.readable_page(&reader, query, &filters).await?;
+        let mut page = self.readable_page(&reader, query, &filters)?;
         let names = self.contacts.names()?;
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
@@ -64,15 +61,14 @@ impl Reading {
     }
 
     /// The next page with a record that the reader's keys open; such pages may be short.
-    async fn readable_page(
-        self: &Arc<Self>,
+    fn readable_page(
+        &self,
         reader: &Reader<'_>,
         mut query: RecordQuery,
         filters: &[FilterChoice],
     ) -> Result<RecordPage, Failure> {
         loop {
-            let asked = query.clone();
-            let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.records.list(&asked)?)).await?;
+            let mut page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
                 let mut page = record_page(&self.compared(page.rows, reader, filters)?, page.next, true);
@@ -98,7 +94,7 @@ impl Reading {
         let [grant] = grants else {
             return Err(input("tags are searched among the records of one owner; give the owner as well"));
         };
-        let reader = Reader { plant: &self.plant, network, reader: owner };
+        let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         match reader.open_envelope(grant, grant.terms.epoch)?.keys {
             GrantedKeys::All { ref index_key, .. } => {
                 let topics = self.topics_of(grant.terms.owner)?;
@@ -110,18 +106,14 @@ impl Reading {
         }
     }
 
-    pub(in crate::site) async fn readable_topics(
-        self: &Arc<Self>,
-        scopes: &HashMap<Address, Scope>,
-    ) -> Result<Vec<TopicId>, Failure> {
+    /// The topics that these scopes cover.
+    pub fn readable_topics(&self, scopes: &HashMap<Address, Scope>) -> Result<Vec<TopicId>, Failure> {
         let mut ids = Vec::new();
         for (owner, scope) in scopes {
             match scope {
                 Scope::Topics(topics) => ids.extend(topics.iter().copied()),
                 Scope::All => {
-                    let owner = *owner;
-                    let counts =
-                        blocking(self, move |reading| Ok(reading.plant.ledger.counts.by_state(Some(owner))?)).await?;
+                    let counts = block_in_place(|| self.parts.plant.ledger.counts.by_state(Some(*owner)))?;
                     ids.extend(counts.topics.iter().filter_map(|topic| topic.topic_id));
                     ids.extend(counts.attachments);
                 }
@@ -132,35 +124,27 @@ impl Reading {
 
     /// A record that the owner may read at this moment, and the chain that says so; a refusal is counted. Own records are
     /// read without the chain too, others' never.
-    pub(in crate::site) async fn authorised(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        id: &str,
-    ) -> Result<(RecordRow, Network), Failure> {
-        let row = self.find_record(id).await?;
+    pub async fn authorised(&self, owner: &Arc<Owner>, id: &str) -> Result<(RecordRow, Network), Failure> {
+        let row = self.find_record(id)?;
         let is_own = row.owner == owner.address;
-        let network = if is_own { self.network_or_kept().await? } else { self.link.network().await? };
-        let allowed = Reader { plant: &self.plant, network: &network, reader: owner }.authorise(&row);
-        self.log.count_refusal(owner, &allowed);
+        let network = if is_own { self.network_or_kept().await? } else { self.parts.link.network().await? };
+        let allowed = Reader { plant: &self.parts.plant, network: &network, reader: owner }.authorise(&row);
+        self.parts.log.count_refusal(owner, &allowed);
         allowed?;
         Ok((row, network))
     }
 
     /// The paper's `Data_Check`: digest against the chain, signature; no key needed. The contract is asked about the
     /// right to read, too.
-    pub(in crate::site) async fn check_record(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        id: &str,
-    ) -> Result<CheckView, Failure> {
+    pub async fn check_record(&self, owner: &Arc<Owner>, id: &str) -> Result<CheckView, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
-        let reader = Reader { plant: &self.plant, network: &network, reader: owner };
+        let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
         let checked = async {
             let (verdict, digest) = reader.check(&row).await?;
-            let asked = authority::ask_contract(&self.plant, &network, owner.address, row.owner, row.epoch);
+            let asked = authority::ask_contract(&self.parts.plant, &network, owner.address, row.owner, row.epoch);
             Ok((verdict, digest, asked.await?))
         };
-        let (verdict, digest, answer) = self.log.deed(&owner.profile, "check", &row.id, checked).await?;
+        let (verdict, digest, answer) = self.parts.log.deed(&owner.profile, "check", &row.id, checked).await?;
         let contract = answer.map(|answer| ContractAnswer {
             reader: owner.address,
             owner: row.owner,

@@ -14,7 +14,6 @@ use crate::pipeline::columns::{Comparison, Keys, Shown};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::reply::{Failure, RecordPage, RecordView};
-use crate::site::blocking;
 use crate::site::identity::Owners;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
@@ -51,23 +50,23 @@ pub(super) fn reason_of(verdict: Verdict, network: &Network) -> Option<String> {
 
 impl Reading {
     /// Keys of the profiles whose keyrings were opened since the site began.
-    pub(in crate::site) fn own_keys(&self) -> OwnKeys {
-        OwnKeys::of(&self.owners)
+    pub fn own_keys(&self) -> OwnKeys {
+        OwnKeys::of(&self.parts.owners)
     }
 
     /// Rows ready to be shown; each must have the ids in `filters` by which they were found.
-    pub(in crate::site) fn compared(
+    pub fn compared(
         &self,
         rows: Vec<RecordRow>,
         keys: &dyn Keys,
         filters: &[FilterChoice],
     ) -> Result<Vec<Shown>, Failure> {
-        let comparison = Comparison { plant: &self.plant, keys, heads: &self.heads, filters };
+        let comparison = Comparison { plant: &self.parts.plant, keys, heads: &self.heads, filters };
         Ok(block_in_place(|| comparison.of(rows))?)
     }
 
     /// One row ready to be shown.
-    pub(in crate::site) fn compared_one(&self, row: &RecordRow, keys: &dyn Keys) -> Result<Shown, Failure> {
+    pub fn compared_one(&self, row: &RecordRow, keys: &dyn Keys) -> Result<Shown, Failure> {
         let shown = self.compared(vec![row.clone()], keys, &[])?.into_iter().next();
         Ok(shown.unwrap_or_else(|| Shown::unread(row.clone())))
     }
@@ -128,20 +127,16 @@ const MOST_NAMELESS: usize = 8192;
 
 impl Reading {
     /// Learns what can be learned now of the profile's own topics: those of its robots arrive without names.
-    pub(in crate::site) async fn learn_own_names(self: &Arc<Self>, profile: &ProfileName) -> Result<(), Failure> {
-        let owner = self.owners.get(profile).filter(|owner| !owner.is_locked());
-        let (Some(owner), Some(network)) = (owner, self.link.network_now()) else { return Ok(()) };
-        let reader = Reader { plant: &self.plant, network: &network, reader: &owner };
+    pub async fn learn_own_names(&self, profile: &ProfileName) -> Result<(), Failure> {
+        let owner = self.parts.owners.get(profile).filter(|owner| !owner.is_locked());
+        let (Some(owner), Some(network)) = (owner, self.parts.link.network_now()) else { return Ok(()) };
+        let reader = Reader { plant: &self.parts.plant, network: &network, reader: &owner };
         self.learn_names(&reader, owner.address).await
     }
 
     /// Opens a record of each stream of `owner` that has no name yet, as far as the reader may.
-    pub(in crate::site) async fn learn_names(
-        self: &Arc<Self>,
-        reader: &Reader<'_>,
-        owner: Address,
-    ) -> Result<(), Failure> {
-        let unnamed = blocking(self, move |reading| Ok(reading.plant.ledger.names.unnamed(owner, TRIES)?)).await?;
+    pub async fn learn_names(&self, reader: &Reader<'_>, owner: Address) -> Result<(), Failure> {
+        let unnamed = block_in_place(|| self.parts.plant.ledger.names.unnamed(owner, TRIES))?;
         for stream in unnamed {
             for digest in stream {
                 if self.learn_from(reader, digest).await? {
@@ -154,25 +149,24 @@ impl Reading {
 
     /// Names the topic that is asked for, if it is here under its pseudonym alone. With IK that is derived from the
     /// name, so no record has to be opened, nor believed.
-    pub(in crate::site) async fn name_asked(
-        self: &Arc<Self>,
+    pub fn name_asked(
+        &self,
         owner: Address,
         index: Option<IndexKey>,
-        topic: Option<TopicName>,
+        topic: Option<&TopicName>,
     ) -> Result<(), Failure> {
-        let (Some(index), Some(topic)) = (index, topic) else { return Ok(()) };
-        let name = topic.to_string();
+        let (Some(index), Some(name)) = (index, topic.map(ToString::to_string)) else { return Ok(()) };
         let id = topic_id(&index, &name);
-        blocking(self, move |reading| Ok(reading.plant.ledger.names.keep_topic(owner, id, name)?)).await
+        Ok(block_in_place(|| self.parts.plant.ledger.names.keep_topic(owner, id, name))?)
     }
 
     /// Learns the names of one record; whether there was something to learn.
-    async fn learn_from(self: &Arc<Self>, reader: &Reader<'_>, digest: Digest) -> Result<bool, Failure> {
+    async fn learn_from(&self, reader: &Reader<'_>, digest: Digest) -> Result<bool, Failure> {
         let tried = (reader.reader.address, digest);
         if self.nameless.lock().unwrap_or_else(PoisonError::into_inner).contains(&tried) {
             return Ok(false);
         }
-        let row = blocking(self, move |reading| Ok(reading.plant.ledger.records.find(digest)?)).await?;
+        let row = block_in_place(|| self.parts.plant.ledger.records.find(digest))?;
         let Some(row) = row else { return Ok(false) };
         let opened = match reader.open(&row).await {
             Ok(opened) => opened,
@@ -190,16 +184,14 @@ impl Reading {
         if !with_type {
             self.pass_over(tried);
         }
-        blocking(self, move |reading| {
-            let ledger = &reading.plant.ledger;
-            ledger.names.keep(row.owner, hex(&row.topic_id.0), topic)?;
+        block_in_place(|| {
+            let names = &self.parts.plant.ledger.names;
+            names.keep(row.owner, hex(&row.topic_id.0), topic)?;
             if with_type {
-                ledger.names.keep(row.owner, row.type_name, type_name)?;
+                names.keep(row.owner, row.type_name, type_name)?;
             }
-            Ok(())
+            Ok(true)
         })
-        .await?;
-        Ok(true)
     }
 
     /// This reader opens a record no more for its names.

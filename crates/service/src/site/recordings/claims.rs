@@ -30,7 +30,7 @@ impl Mark {
 
 /// Who seals a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Holder {
+pub(in crate::site) enum Holder {
     /// `bag import`.
     Import,
     /// `bag follow`.
@@ -39,11 +39,11 @@ pub(super) enum Holder {
 
 /// What is being sealed, each for its owner.
 #[derive(Debug, Default)]
-pub(super) struct Claims(Mutex<Vec<(Address, Mark, Holder)>>);
+pub(in crate::site) struct Claims(Mutex<Vec<(Address, Mark, Holder)>>);
 
 /// Some of them, until this is dropped.
 #[derive(Debug)]
-pub(super) struct Claim {
+pub(in crate::site) struct Claim {
     claims: Arc<Claims>,
     held: Vec<(Address, Mark, Holder)>,
 }

@@ -1,14 +1,16 @@
 //! An export: what this profile may read, each record checked and verified before it is written.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fs::File;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tempfile::NamedTempFile;
 use tokio::task::block_in_place;
 
-use super::writing::Draft;
 use super::{Recordings, Run};
-use crate::crypto::{CryptoError, OpenedRecord};
-use crate::model::{Address, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
+use crate::crypto::{CryptoError, OpenedRecord, private_file, unfinished};
+use crate::model::{Address, ErrorKind, RecordKind, Scope, TopicPattern, Verdict, clean};
 use crate::pipeline::reader::{Definitions, Opening, Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
 use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
@@ -16,7 +18,6 @@ use crate::ros::rosbag2::{METADATA, Tally};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
-use crate::site::blocking;
 use crate::store::{RecordQuery, RecordRow};
 
 /// Records requested from the ledger at a time.
@@ -39,11 +40,7 @@ struct Export<'a> {
 }
 
 impl Recordings {
-    pub(super) async fn export_recording(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: ExportWishes,
-    ) -> Result<ExportView, Failure> {
+    pub async fn export_recording(&self, owner: &Arc<Owner>, wishes: ExportWishes) -> Result<ExportView, Failure> {
         if !wishes.format.takes(wishes.compression) {
             let (format, compression) = (wishes.format.word(), wishes.compression);
             return Err(input(format!(
@@ -53,10 +50,9 @@ impl Recordings {
         let network = self.reading.network_or_kept().await?;
         let scopes = self.readable_scopes(owner, &network, &wishes)?;
         let file = clean(&wishes.path.display().to_string(), 300);
-        self.log.begin(owner, "export recording", &file).await?;
         let running = self.begin_run(&owner.profile, &wishes.path, "exporting");
-        let written = self.write_recording(owner, &network, &scopes, &wishes, &running.run).await;
-        self.log.end(owner, "export recording", &file, written).await
+        let written = self.write_recording(owner, &network, &scopes, &wishes, &running.run);
+        self.parts.log.deed(&owner.profile, "export recording", &file, written).await
     }
 
     /// The owners whose records are requested, and their scope.
@@ -87,18 +83,18 @@ impl Recordings {
     }
 
     async fn write_recording(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         scopes: &HashMap<Address, Scope>,
         wishes: &ExportWishes,
         run: &Run,
     ) -> Result<ExportView, Failure> {
-        let reader = Reader { plant: &self.plant, network, reader: owner };
+        let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         for address in scopes.keys() {
             self.reading.learn_names(&reader, *address).await?;
         }
-        let readable = self.reading.readable_topics(scopes).await?;
+        let readable = self.reading.readable_topics(scopes)?;
         let (draft, file) = block_in_place(|| Draft::begin(&wishes.path))?;
         let mut export = Export::begin(wishes, RecordingWriter::begin(wishes.format, wishes.compression, file)?);
         let mut seen = 0;
@@ -115,14 +111,13 @@ impl Recordings {
                 ..RecordQuery::default()
             };
             loop {
-                let asked = query.clone();
-                let page = blocking(self, move |recordings| Ok(recordings.plant.ledger.records.list(&asked)?)).await?;
+                let page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
                 for row in &page.rows {
                     export.take(&reader, row).await?;
                     seen += 1;
                     run.at(seen, 0, export.view.messages);
                 }
-                if self.life.is_stopping() {
+                if self.parts.life.is_stopping() {
                     return Err(internal("the site stopped before the recording was complete; repeat the command"));
                 }
                 query.after = page.next;
@@ -181,8 +176,9 @@ impl<'a> Export<'a> {
         }
         let encoding = importer::encoding(&opened.head.tags);
         let is_message = opened.header.kind == RecordKind::Data;
-        let format = self.wishes.format;
-        if !is_as_its_kind(encoding, &opened) || !format.holds(encoding) || !fits(format, opened.header.captured_at) {
+        let (format, seconds) = (self.wishes.format, opened.header.captured_at.seconds());
+        let is_too_late = format == RecordingFormat::Bag && u32::try_from(seconds).is_err();
+        if !is_as_its_kind(encoding, &opened) || !format.holds(encoding) || is_too_late {
             let refused = &mut self.view.refused;
             *if is_message { &mut refused.unsuitable } else { &mut refused.attachments } += 1;
             return Ok(());
@@ -274,7 +270,55 @@ fn is_as_its_kind(encoding: Encoding, opened: &OpenedRecord) -> bool {
     is_sound && importer::kind_of(encoding) == opened.header.kind
 }
 
-/// Whether the format can represent the record's time.
-fn fits(format: RecordingFormat, captured_at: Timestamp) -> bool {
-    format != RecordingFormat::Bag || u32::try_from(captured_at.seconds()).is_ok()
+/// A file being written; it is removed unless it is moved to its destination.
+pub(super) struct Draft {
+    target: PathBuf,
+    file: NamedTempFile,
+}
+
+impl Draft {
+    /// A new file (0600) beside `target`, which must not exist. What a killed export left there is removed.
+    pub fn begin(target: &Path) -> Result<(Self, File), Failure> {
+        let taken = || input(format!("{} already exists; choose a new file", target.display()));
+        if target.symlink_metadata().is_ok() {
+            return Err(taken());
+        }
+        if target.file_name().is_none() {
+            return Err(input(format!("{} is not a file", target.display())));
+        }
+        let folder = target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", target.display()));
+        unfinished::sweep(folder).map_err(failed)?;
+        let file = unfinished::new_file(folder).map_err(failed)?;
+        let open = file.as_file().try_clone().map_err(failed)?;
+        Ok((Self { target: target.to_owned(), file }, open))
+    }
+
+    /// Moves the file to its destination; one that has appeared there meanwhile is not replaced.
+    pub fn place(self) -> Result<(), Failure> {
+        let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
+        match std::fs::hard_link(self.file.path(), &self.target) {
+            Ok(()) => Ok(()),
+            // Not every file system has links.
+            Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => {
+                std::fs::rename(self.file.path(), &self.target).map_err(failed)
+            }
+            Err(error) => Err(failed(error)),
+        }
+    }
+
+    /// Moves the file into a new folder at its destination, with a description beside it that is made from the file's name
+    /// there. The folder appears whole.
+    pub fn place_in_folder(self, description: &str, describe: impl FnOnce(&str) -> String) -> Result<(), Failure> {
+        let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
+        let parent = self.target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = unfinished::UnfinishedFolder::new(parent).map_err(failed)?;
+        let name = format!("{}_0.mcap", self.target.file_name().unwrap_or_default().to_string_lossy());
+        std::fs::rename(self.file.path(), folder.path().join(&name)).map_err(failed)?;
+        private_file::create_private(&folder.path().join(description), describe(&name).as_bytes())?;
+        if self.target.symlink_metadata().is_ok() {
+            return Err(input(format!("{} already exists; choose a new folder", self.target.display())));
+        }
+        std::fs::rename(folder.path(), &self.target).map_err(failed)
+    }
 }

@@ -8,10 +8,11 @@ use std::sync::Arc;
 use tokio::runtime::Handle;
 
 use super::import::{ReadOut, left_out_list};
+use super::standings::at;
 use super::{Recordings, Run};
 use crate::chain::SEAL_ANEW;
 use crate::crypto::OpenedRecord;
-use crate::model::{RecordKind, RecordState, clean};
+use crate::model::{Header, RecordKind, RecordState, clean};
 use crate::paths::Home;
 use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
 use crate::pipeline::reader::{Definitions, Opening, Reader};
@@ -35,11 +36,7 @@ struct OldHome {
 
 impl Recordings {
     /// Seals every message of another home that this profile's keys open.
-    pub(super) async fn import_home(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: HomeWishes,
-    ) -> Result<ImportView, Failure> {
+    pub async fn import_home(self: &Arc<Self>, owner: &Arc<Owner>, wishes: HomeWishes) -> Result<ImportView, Failure> {
         let path = wishes.home.clone();
         let old = blocking(self, move |recordings| recordings.open_home(&wishes.home)).await?;
         if owner.epochs(old.network.domain).is_empty() {
@@ -53,7 +50,7 @@ impl Recordings {
         if owner.sealing().is_none() {
             self.profiles.register(owner).await?;
         }
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         if network.domain == old.network.domain {
             return Err(refused(
                 "both homes use the same chain and contract, so old and new records could not be distinguished; set \
@@ -74,7 +71,7 @@ impl Recordings {
             return Err(input(format!("{shown} has no ledger, so it is not a home; give the folder of the old home")));
         }
         let same = |path: &Path| path.canonicalize().ok();
-        if same(home.root()) == same(self.home.root()) {
+        if same(home.root()) == same(self.parts.home.root()) {
             return Err(input(format!("{shown} is this home itself; give the new one with --home")));
         }
         let Some(lock) = SiteLock::acquire(&home.site_lock())? else {
@@ -82,7 +79,7 @@ impl Recordings {
         };
         Ledger::check_version(&home.ledger())?;
         let ledger = Ledger::open(&home.ledger())?;
-        let plant = Plant { ciphertext: Ciphertext::of(&ledger), ledger, ..self.plant.clone() };
+        let plant = Plant { ciphertext: Ciphertext::of(&ledger), ledger, ..self.parts.plant.clone() };
         let pin = network_pin(&plant.ledger.rights)?.ok_or_else(|| {
             input(format!("{shown} was never bound to a chain, so it has no records; use it with the new chain"))
         })?;
@@ -99,87 +96,45 @@ impl Recordings {
         run: &Run,
         control: &CaptureSession,
     ) -> Result<ReadOut, Failure> {
-        let goes_on = || !control.is_closed() && !self.life.is_stopping();
+        let goes_on = || !control.is_closed() && !self.parts.life.is_stopping();
         let of = old.plant.ledger.counts.by_state(Some(owner.address))?.captured();
         let mut moving = Moving {
             there: Reader { plant: &old.plant, network: &old.network, reader: owner },
-            here: Reader { plant: &self.plant, network, reader: owner },
+            here: Reader { plant: &self.parts.plant, network, reader: owner },
             definitions: Definitions::default(),
         };
-        let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, Vec::new());
+        let mut importer =
+            Importer::new(&self.rings, Arc::clone(&owner.author), &self.parts.config.topic_rules, Vec::new());
         let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
         let mut left_out = BTreeMap::<(Arc<str>, &'static str), u64>::new();
-        let mut query = RecordQuery { owner: Some(owner.address), limit: PAGE, ..RecordQuery::default() };
         run.step("importing");
-        let mut done = 0;
-        let mut kinds = [RecordKind::Data, RecordKind::Attachment].into_iter();
-        query.kind = kinds.next();
-        'pages: loop {
-            let page = old.plant.ledger.records.list(&query)?;
-            for row in &page.rows {
-                match moving.message(row)? {
-                    Found::New(message, tags) => {
-                        if !importer.take_again(message, tags, &goes_on) {
-                            view.ended_early = true;
-                            break 'pages;
-                        }
-                    }
-                    Found::Here(topic) => *already.entry(topic).or_default() += 1,
-                    Found::Stays(why) => {
-                        view.skipped += u64::from(why.is_wanted());
-                        *left_out.entry((row.topic.as_str().into(), why.text())).or_default() += 1;
+        let query = RecordQuery { owner: Some(owner.address), limit: PAGE, ..RecordQuery::default() };
+        let kinds = [RecordKind::Data, RecordKind::Attachment].into_iter();
+        let rows =
+            kinds.flat_map(|kind| old.plant.ledger.records.all(RecordQuery { kind: Some(kind), ..query.clone() }));
+        for row in rows {
+            let row = row?;
+            match moving.message(&row)? {
+                Found::New(message, tags) => {
+                    if !importer.take_again(message, tags, &goes_on) {
+                        view.ended_early = true;
+                        break;
                     }
                 }
-                done += 1;
-                run.at(done.min(of), of, importer.offered());
-            }
-            query.after = page.next;
-            if query.after.is_none() {
-                query.kind = kinds.next();
-                if query.kind.is_none() {
-                    break;
+                Found::Here(topic) => *already.entry(topic).or_default() += 1,
+                Found::Stays { why, is_wanted } => {
+                    view.skipped += u64::from(is_wanted);
+                    *left_out.entry((row.topic.as_str().into(), why)).or_default() += 1;
                 }
             }
+            view.found += 1;
+            run.at(view.found.min(of), of, importer.offered());
         }
-        view.found = done;
         view.file = clean(&old.plant.ledger.path().parent().unwrap_or(Path::new("")).display().to_string(), 300);
         view.left_out = left_out_list(left_out);
         let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
         view.topics = already.into_iter().map(topic).collect();
         Ok(ReadOut { view, sessions: importer.finish(), whole: Vec::new() })
-    }
-}
-
-/// Why a message stays in the other home.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Stays {
-    Quarantined,
-    Discarded,
-    Tampered,
-    Deleted,
-    WithoutRight,
-    Missing,
-    Closed,
-}
-
-impl Stays {
-    /// Whether somebody may expect it here.
-    fn is_wanted(self) -> bool {
-        !matches!(self, Self::Discarded | Self::Deleted)
-    }
-
-    fn text(self) -> &'static str {
-        match self {
-            Self::Quarantined => "quarantined in the old home",
-            Self::Discarded => "discarded in the old home",
-            Self::Tampered => "not the bytes that were anchored",
-            Self::Deleted => "deleted by retention, or erased",
-            Self::WithoutRight => "signed by a device that had no right to sign",
-            Self::Missing => "the old home does not have its ciphertext",
-            Self::Closed => {
-                "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it"
-            }
-        }
     }
 }
 
@@ -197,8 +152,8 @@ enum Found {
     New(RecordedMessage, Vec<(String, String)>),
     /// A message of this topic that an earlier import sealed.
     Here(String),
-    /// It is not brought.
-    Stays(Stays),
+    /// It is not brought, and why; whether somebody may expect it here.
+    Stays { why: &'static str, is_wanted: bool },
 }
 
 /// Messages on their way from one home to another.
@@ -211,17 +166,28 @@ struct Moving<'a> {
 impl Moving<'_> {
     fn message(&mut self, row: &RecordRow) -> Result<Found, Failure> {
         let is_own = self.there.is_own_key(row.signer);
+        let stays = |why| Ok(Found::Stays { why, is_wanted: true });
         match row.state {
-            RecordState::Quarantined => return Ok(Found::Stays(Stays::Quarantined)),
-            RecordState::Dropped => return Ok(Found::Stays(Stays::Discarded)),
-            RecordState::Tampered => return Ok(Found::Stays(Stays::Tampered)),
+            RecordState::Quarantined => return stays("quarantined in the old home"),
+            RecordState::Dropped => {
+                return Ok(Found::Stays { why: "discarded in the old home", is_wanted: false });
+            }
+            RecordState::Tampered => return stays("not the bytes that were anchored"),
             // Nobody vouches for what a device signed without a right; what the owner signed, the owner signs again.
-            RecordState::RightEnded if !is_own => return Ok(Found::Stays(Stays::WithoutRight)),
-            _ if row.deleted_at.is_some() => return Ok(Found::Stays(Stays::Deleted)),
+            RecordState::RightEnded if !is_own => return stays("signed by a device that had no right to sign"),
+            _ if row.deleted_at.is_some() => {
+                return Ok(Found::Stays { why: "deleted by retention, or erased", is_wanted: false });
+            }
             _ => {}
         }
-        let Some(blob) = self.there.own_bytes(row)? else { return Ok(Found::Stays(Stays::Missing)) };
-        let Some(opened) = self.there.open_own(row, &blob)? else { return Ok(Found::Stays(Stays::Closed)) };
+        let Some(blob) = self.there.own_bytes(row)? else {
+            return stays("the old home does not have its ciphertext");
+        };
+        let Some(opened) = self.there.open_own(row, &blob)? else {
+            return stays(
+                "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it",
+            );
+        };
         if self.is_here(&opened)? {
             return Ok(Found::Here(opened.head.topic));
         }
@@ -253,29 +219,13 @@ impl Moving<'_> {
 
     /// Whether an earlier import sealed this record's message: then a record of the same topic and time names it.
     fn is_here(&self, opened: &OpenedRecord) -> Result<bool, Failure> {
-        let time = opened.header.captured_at;
-        let mut query = RecordQuery {
-            owner: Some(self.here.reader.address),
-            topic: Some(opened.head.topic.clone()),
-            kind: Some(opened.header.kind),
-            since: Some(time),
-            until: time.next(),
-            limit: PAGE,
-            ..RecordQuery::default()
-        };
+        let Header { kind, captured_at, .. } = opened.header;
         let former = opened.digest.to_hex();
-        loop {
-            let page = self.here.plant.ledger.records.list(&query)?;
-            for row in &page.rows {
-                let sealed = self.here.own_contents(row)?;
-                if sealed.is_some_and(|sealed| sealed.head.tags.get(FORMER_RECORD) == Some(&former)) {
-                    return Ok(true);
-                }
-            }
-            query.after = page.next;
-            if query.after.is_none() {
-                return Ok(false);
+        for sealed in self.here.own_opened(at(&opened.head.topic, kind, Some(captured_at))) {
+            if sealed?.1.head.tags.get(FORMER_RECORD) == Some(&former) {
+                return Ok(true);
             }
         }
+        Ok(false)
     }
 }

@@ -8,20 +8,18 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::choosing::Choosing;
 use super::claims::{Claim, Holder};
-use super::sealed_before::SealedBefore;
-use super::standings::Parts;
+use super::standings::{Parts, SealedBefore};
 use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
-use crate::model::{Digest, ErrorKind, clean};
-use crate::pipeline::importer::Importer;
+use crate::model::{Digest, ErrorKind, RecordKind, TopicPattern, clean};
+use crate::pipeline::importer::{Importer, fault, kind_of};
 use crate::pipeline::reader::Reader;
+use crate::pipeline::recorded_names::RecordedNames;
 use crate::pipeline::{CaptureSession, Network, Owner};
-use crate::ros::recording::{BESIDE, Recording, content_of};
+use crate::ros::recording::{BESIDE, Findings, RecordedMessage, Recording, content_of};
 use crate::ros::rosbag2::files_of;
 use crate::service::command::ImportWishes;
-use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
 use crate::site::blocking;
@@ -44,7 +42,7 @@ pub(super) struct ReadOut {
 }
 
 impl Recordings {
-    pub(super) async fn import_recording(
+    pub async fn import_recording(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         wishes: ImportWishes,
@@ -56,7 +54,7 @@ impl Recordings {
             self.profiles.register(owner).await?;
         }
         // Without a chain nothing would ever be verified.
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let (author, path) = (Arc::clone(owner), wishes.path.clone());
         // Until its records are verified, also where nobody waits for that any more.
         let claim = Arc::new(self.claim(owner, &path)?);
@@ -95,13 +93,13 @@ impl Recordings {
         self.sealer.begin()?;
         let file = clean(&path.display().to_string(), 300);
         let running = self.begin_run(&owner.profile, path, "reading");
-        self.log.begin(owner, action, &file).await?;
+        self.parts.log.begin(owner, action, &file).await?;
         // Ends the import as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
         self.capture.note(&owner.profile, &control);
         let (run, stop) = (Arc::clone(&running.run), Arc::clone(&control));
         let read = blocking(self, move |recordings| read(recordings, &run, &stop)).await;
-        let imported = self.log.end(owner, action, &file, read).await;
+        let imported = self.parts.log.end(owner, action, &file, read).await;
         let ended = match imported {
             Ok(read) => self.settle_import(owner, read, &running.run).await,
             Err(failure) => Err(failure),
@@ -147,8 +145,8 @@ impl Recordings {
             };
             blocking(self, note).await?;
         }
-        let text = format!("{}: {} messages imported, {} already there", view.file, view.imported, view.already);
-        self.hub.notice(NoticeLevel::Info, &text);
+        let ImportView { file, imported, already, .. } = &view;
+        self.parts.hub.inform(&format!("{file}: {imported} messages imported, {already} already there"));
         Ok(view)
     }
 
@@ -162,16 +160,16 @@ impl Recordings {
         control: &CaptureSession,
     ) -> Result<ReadOut, Failure> {
         let mut recording = Recording::open(&wishes.path)?;
-        let goes_on = || !control.is_closed() && !self.life.is_stopping();
+        let goes_on = || !control.is_closed() && !self.parts.life.is_stopping();
         run.step("hashing");
         let (digest, digests) = digests_of(&wishes.path, run, &goes_on)?;
         let file: String = digest.to_hex().chars().take(16).collect();
         let mut tags = wishes.tags.clone();
         tags.push((RECORDING.to_owned(), file.clone()));
-        let reader = Reader { plant: &self.plant, network, reader: owner };
+        let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let mut parts = Parts::new(self, SealedBefore::new(reader), &file, digests, wishes.again)?;
         run.step("importing");
-        let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, tags);
+        let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.parts.config.topic_rules, tags);
         let mut choosing = Choosing::new(&wishes.topics);
         let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
         while let Some(message) = recording.next_message()? {
@@ -262,4 +260,46 @@ fn digests_of(
         digests.insert(name, digest);
     }
     Ok((Digest(folder.finish()), digests))
+}
+
+/// Chooses the messages of one recording.
+#[derive(Debug)]
+pub(super) struct Choosing {
+    patterns: Vec<TopicPattern>,
+    names: RecordedNames,
+    left_out: BTreeMap<(Arc<str>, &'static str), u64>,
+}
+
+impl Choosing {
+    /// Topics that match any of these patterns; of none, all.
+    pub fn new(patterns: &[TopicPattern]) -> Self {
+        Self { patterns: patterns.to_vec(), names: RecordedNames::default(), left_out: BTreeMap::new() }
+    }
+
+    /// The topic under which a message is sealed; `None` if it is not wanted, or was counted as left out.
+    pub fn topic(&mut self, message: &RecordedMessage) -> Option<Arc<str>> {
+        let recorded = &message.channel.topic;
+        let is_message = kind_of(message.channel.encoding) == RecordKind::Data;
+        let named = if is_message { self.names.resolve(recorded) } else { Ok(Arc::clone(recorded)) };
+        // Patterns choose topics; what is beside the messages has none, and belongs to the recording as a whole.
+        let matches = |name: &Arc<str>| self.patterns.iter().any(|pattern| pattern.matches(name));
+        let is_chosen = || is_message && [Some(recorded), named.as_ref().ok()].into_iter().flatten().any(matches);
+        if !self.patterns.is_empty() && !is_chosen() {
+            return None;
+        }
+        match (named, fault(message)) {
+            (Ok(topic), None) => Some(topic),
+            (Err(why), _) | (_, Some(why)) => {
+                *self.left_out.entry((Arc::clone(recorded), why)).or_default() += 1;
+                None
+            }
+        }
+    }
+
+    /// What was left out, here and by the reader.
+    pub fn left_out(&self, findings: &Findings) -> Vec<LeftOut> {
+        let mut list = left_out_list(self.left_out.clone());
+        list.extend_from_slice(&findings.unusable);
+        list
+    }
 }

@@ -1,6 +1,6 @@
 //! What is sealed already of a recording's files, however it was: alone, with its folder, or while it was recorded.
 //!
-//! Each file is known by its own SM3, also within a folder.
+//! Each file is known by its own SM3, also within a folder; its messages by the file, the time and the content.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -8,16 +8,20 @@ use std::sync::Arc;
 
 use super::Recordings;
 use super::follow::followed_as;
-use super::sealed_before::SealedBefore;
-use crate::model::{Address, Digest};
-use crate::ros::recording::RecordedMessage;
+use super::import::RECORDING;
+use crate::crypto::sm3::sm3;
+use crate::model::{Address, Digest, RecordKind, Timestamp};
+use crate::pipeline::importer::kind_of;
+use crate::pipeline::reader::Reader;
+use crate::ros::recording::{Beside, Encoding, RecordedMessage};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
+use crate::store::RecordQuery;
 use crate::store::notes::{Imported, Standing, Standings};
 
 impl Recordings {
     pub(super) fn standings(&self, owner: Address, digest: Digest) -> Result<Standings, Failure> {
-        Ok(self.plant.ledger.notes.read(&Imported { owner, file: digest })?.unwrap_or_default())
+        Ok(self.parts.plant.ledger.notes.read(&Imported { owner, file: digest })?.unwrap_or_default())
     }
 
     /// Adds that topics of a file stand so, and that its records may have a tag; what is whole stays whole.
@@ -28,7 +32,7 @@ impl Recordings {
         topics: impl IntoIterator<Item = String>,
         standing: Standing,
     ) -> Result<(), Failure> {
-        self.plant.ledger.notes.change(&Imported { owner, file: digest }, |standings| {
+        self.parts.plant.ledger.notes.change(&Imported { owner, file: digest }, |standings| {
             standings.tags.extend(tag.map(str::to_owned));
             for topic in topics {
                 let known = standings.topics.entry(topic).or_insert(standing);
@@ -78,7 +82,7 @@ impl<'a> Parts<'a> {
             if again {
                 continue;
             }
-            let followed = followed_as(&recordings.plant.ledger.notes, owner, path)?;
+            let followed = followed_as(&recordings.parts.plant.ledger.notes, owner, path)?;
             // Two files of one content have the same standings, and each may have been followed.
             let tags = std::mem::take(&mut part.before.tags);
             part.before = recordings.standings(owner, *digest)?;
@@ -130,5 +134,76 @@ impl<'a> Parts<'a> {
             return Vec::new();
         }
         self.by_content.into_iter().map(|(digest, part)| (digest, part.met)).collect()
+    }
+}
+
+/// Records requested from the ledger at a time.
+const PAGE: usize = 1000;
+
+/// How often a content was sealed, with each value of the tag that names the file.
+type Contents = HashMap<[u8; 32], HashMap<String, u64>>;
+
+/// Looks up messages of one recording among its owner's records.
+pub(super) struct SealedBefore<'a> {
+    reader: Reader<'a>,
+    /// For each topic and time met: what was sealed there and not met yet. Two recordings may have the same topics and
+    /// times, so only records that name the file count, and only by their content. Metadata of MCAP has no time of its own:
+    /// what it gets depends on whether the end of the file was known.
+    met: HashMap<(Arc<str>, Option<Timestamp>), Contents>,
+}
+
+impl<'a> SealedBefore<'a> {
+    /// For the owner who reads.
+    pub fn new(reader: Reader<'a>) -> Self {
+        Self { reader, met: HashMap::new() }
+    }
+
+    /// Whose records it looks among.
+    pub fn owner(&self) -> Address {
+        self.reader.reader.address
+    }
+
+    /// Whether this message of a file is sealed, by records with one of these tags; each stands for one message.
+    pub fn take(
+        &mut self,
+        topic: &Arc<str>,
+        message: &RecordedMessage,
+        tags: &BTreeSet<String>,
+    ) -> Result<bool, Failure> {
+        let encoding = message.channel.encoding;
+        let time = (encoding != Encoding::Beside(Beside::Metadata)).then_some(message.time);
+        let key = (Arc::clone(topic), time);
+        if !self.met.contains_key(&key) {
+            let contents = self.contents(topic, kind_of(encoding), time)?;
+            self.met.insert(key.clone(), contents);
+        }
+        let left = self.met.get_mut(&key).and_then(|contents| contents.get_mut(&sm3(&[&message.body])));
+        let left = left.and_then(|left| left.iter_mut().find(|(tag, left)| **left > 0 && tags.contains(*tag)));
+        let Some((_, left)) = left else { return Ok(false) };
+        *left -= 1;
+        Ok(true)
+    }
+
+    fn contents(&self, topic: &str, kind: RecordKind, time: Option<Timestamp>) -> Result<Contents, Failure> {
+        let mut contents = Contents::new();
+        for found in self.reader.own_opened(at(topic, kind, time)) {
+            let (_, opened) = found?;
+            if let Some(tag) = opened.head.tags.get(RECORDING) {
+                *contents.entry(sm3(&[&opened.body])).or_default().entry(tag.clone()).or_default() += 1;
+            }
+        }
+        Ok(contents)
+    }
+}
+
+/// A query for records of a topic and kind, captured at this moment, or whenever.
+pub(super) fn at(topic: &str, kind: RecordKind, time: Option<Timestamp>) -> RecordQuery {
+    RecordQuery {
+        topic: Some(topic.to_owned()),
+        kind: Some(kind),
+        since: time,
+        until: time.and_then(Timestamp::next),
+        limit: PAGE,
+        ..RecordQuery::default()
     }
 }

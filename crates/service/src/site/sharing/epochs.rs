@@ -1,18 +1,20 @@
 //! Epochs: beginning a new one at a revoke, a rotation or an expiry, and re-wrapping the remaining readers' keys. The
-//! recorder switches before the transaction is sent.
+//! recorder switches before the transaction is sent. Keys of epochs that a keyring lacks, because it is older than the chain, are
+//! fetched from there, and otherwise told.
 
-use super::Sharing;
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, MutexGuard, PoisonError};
 
 use tokio::task::block_in_place;
 
+use super::Sharing;
 use crate::chain::Call;
-use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
-use crate::model::{Address, GrantTerms, Scope, Token};
+use crate::crypto::{GrantedKeys, WrappedKeys, signer_id, wrap};
+use crate::model::{GrantTerms, ProfileName, Scope, Token};
 use crate::pipeline::directory::{Granted, kept};
+use crate::pipeline::epoch::EpochKeys;
 use crate::pipeline::{Network, Owner, PipelineError, authority, recovery};
-use crate::service::event::{NoticeLevel, Part};
+use crate::service::event::Part;
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
 
@@ -21,12 +23,8 @@ const ENVELOPES_A_CALL: usize = 8;
 
 impl Sharing {
     /// Begins a new epoch.
-    pub(in crate::site) async fn rotate(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        why: &str,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+    pub async fn rotate(&self, owner: &Arc<Owner>, why: &str) -> Result<TransactionView, Failure> {
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         let call = |new_token, envelope| Call::Rotate { new_token, envelope };
@@ -35,8 +33,8 @@ impl Sharing {
 
     /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the remaining readers. The key goes to
     /// the chain with the same transaction, wrapped for its owner. The keys of earlier epochs are not needed.
-    pub(in crate::site) async fn begin_epoch(
-        self: &Arc<Self>,
+    pub async fn begin_epoch(
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         purpose: &str,
@@ -45,17 +43,18 @@ impl Sharing {
         self.repeat_epochs(owner, network).await?;
         let next = network.directory.epoch(owner.address) + 1;
         let token = owner.prepare_epoch(network.domain, next)?;
-        let envelope = recovery::own_envelope(&self.plant, network, owner, next)?;
+        let envelope = recovery::own_envelope(&self.parts.plant, network, owner, next)?;
         if !crate::crypto::fault::is_off("revoke") {
             owner.seal_under(network.domain, next)?;
         }
-        let sent = self.sender.send(&network.chain, &owner.eoa(), call(token, envelope), purpose).await;
+        let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call(token, envelope), purpose).await;
         let (action, what) = purpose.split_once(' ').unwrap_or((purpose, ""));
         let subject = format!("{what} epoch {next}");
         let sent = sent.map_err(Failure::from);
-        let (transaction, receipt) = self.log.ended(&owner.profile, action, subject.trim_start(), sent).await?;
-        self.link.scanned(receipt.block).await;
-        let known = block_in_place(|| kept::token(&self.plant.ledger.rights, &network.directory, owner.address, next))?;
+        let (transaction, receipt) = self.parts.log.ended(&owner.profile, action, subject.trim_start(), sent).await?;
+        self.parts.link.scanned(receipt.block).await;
+        let known =
+            block_in_place(|| kept::token(&self.parts.plant.ledger.rights, &network.directory, owner.address, next))?;
         if known.is_some_and(|known| known != token) {
             return Err(refused(format!(
                 "epoch {next} of '{}' was begun by another site with the same keys; run the command again, and let only \
@@ -66,13 +65,12 @@ impl Sharing {
         owner.confirm_epoch(network.domain, next)?;
         self.note_missing(owner, network)?;
         if let Err(failure) = self.rewrap(owner, network).await {
-            let text = format!(
+            self.parts.hub.alarm(&format!(
                 "some readers of {} do not have all keys up to epoch {next} yet: {}",
                 owner.profile, failure.message
-            );
-            self.hub.notice(NoticeLevel::Error, &text);
+            ));
         }
-        self.hub.changed(Part::Grants);
+        self.parts.hub.changed(Part::Grants);
         Ok(TransactionView {
             transaction: Some(transaction),
             block: Some(receipt.block),
@@ -83,24 +81,25 @@ impl Sharing {
 
     /// Begins the epochs that the chain had before and lost again. None of them is used for a second time: readers who were
     /// revoked know their keys.
-    async fn repeat_epochs(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn repeat_epochs(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let seen = owner.confirmed_epoch(network.domain);
         for epoch in network.directory.epoch(owner.address) + 1..=seen {
             let new_token = owner.prepare_epoch(network.domain, epoch)?;
-            let envelope = recovery::own_envelope(&self.plant, network, owner, epoch)?;
+            let envelope = recovery::own_envelope(&self.parts.plant, network, owner, epoch)?;
             let call = Call::Rotate { new_token, envelope };
-            let sent = self.sender.send(&network.chain, &owner.eoa(), call, "rotate (again)").await;
+            let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, "rotate (again)").await;
             let subject = format!("epoch {epoch}");
-            let sent = self.log.ended(&owner.profile, "rotate again", &subject, sent.map_err(Failure::from)).await?;
-            self.link.scanned(sent.1.block).await;
+            let sent =
+                self.parts.log.ended(&owner.profile, "rotate again", &subject, sent.map_err(Failure::from)).await?;
+            self.parts.link.scanned(sent.1.block).await;
         }
         self.went_back(owner, network);
         Ok(())
     }
 
     /// Finishes an epoch that was begun but did not reach the chain, and re-wraps what is missing.
-    pub(in crate::site) async fn finish_epoch(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
-        let network = self.link.network().await?;
+    pub async fn finish_epoch(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         // Transactions of the previous run may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
@@ -114,12 +113,8 @@ impl Sharing {
         self.rewrap(owner, &network).await
     }
 
-    pub(in crate::site) async fn settle_open(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        network: &Network,
-    ) -> Result<(), Failure> {
-        let ledger = self.plant.ledger.clone();
+    pub async fn settle_open(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+        let ledger = self.parts.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
             let open = block_in_place(|| ledger.lanes.open_lane(account))?;
@@ -127,7 +122,7 @@ impl Sharing {
                 return Ok(());
             }
             let head = network.chain.head().await?.number;
-            self.sender.tend(&network.chain, &owner.eoa()).await?;
+            self.parts.sender.tend(&network.chain, &owner.eoa()).await?;
             network.chain.next_block(head, std::time::Duration::from_secs(1)).await?;
         }
         Err(refused(format!("earlier transactions of '{}' are still not in a block", owner.profile)))
@@ -136,11 +131,7 @@ impl Sharing {
     /// Active readers who lack an envelope, by its epoch: of the current one for their current key, or of an earlier one that
     /// began since their grant, because the epoch after it began before they could be given it. Not those who are being
     /// revoked.
-    pub(in crate::site) fn lacking(
-        &self,
-        owner: &Owner,
-        network: &Network,
-    ) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
+    pub fn lacking(&self, owner: &Owner, network: &Network) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
         if self.went_back(owner, network) {
             return Ok(BTreeMap::new());
         }
@@ -170,11 +161,7 @@ impl Sharing {
     ///
     /// # Errors
     /// The last failure; it is tried again.
-    pub(in crate::site) async fn rewrap(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        network: &Network,
-    ) -> Result<(), Failure> {
+    pub async fn rewrap(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let mut failed = None;
         for (epoch, grants) in self.lacking(owner, network)? {
             failed = self.rewrap_epoch(owner, network, epoch, grants).await.err().or(failed);
@@ -183,7 +170,7 @@ impl Sharing {
     }
 
     async fn rewrap_epoch(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         epoch: u64,
@@ -202,27 +189,19 @@ impl Sharing {
         }
         let readers: Vec<String> = envelopes.iter().map(|(reader, _)| reader.short()).collect();
         let subject = format!("epoch {epoch} for {}", readers.join(" "));
-        let sent =
-            self.log.deed(&owner.profile, "wrap", &subject, self.wrap_all(owner, network, epoch, &envelopes)).await;
-        sent.and(failed.map_or(Ok(()), Err))
-    }
-
-    async fn wrap_all(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        network: &Network,
-        epoch: u64,
-        envelopes: &[(Address, Vec<u8>)],
-    ) -> Result<(), Failure> {
-        let mut failed = None;
-        for chunk in envelopes.chunks(ENVELOPES_A_CALL) {
-            let call = Call::Wrap { epoch, envelopes: chunk.to_vec() };
-            match self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await {
-                Ok((_, receipt)) => self.link.scanned(receipt.block).await,
-                Err(error) => failed = Some(Failure::from(error)),
+        let wrapped = async {
+            let mut failed = None;
+            for chunk in envelopes.chunks(ENVELOPES_A_CALL) {
+                let call = Call::Wrap { epoch, envelopes: chunk.to_vec() };
+                match self.parts.sender.send(&network.chain, &owner.eoa(), call, "wrap").await {
+                    Ok((_, receipt)) => self.parts.link.scanned(receipt.block).await,
+                    Err(error) => failed = Some(Failure::from(error)),
+                }
             }
-        }
-        failed.map_or(Ok(()), Err)
+            failed.map_or(Ok(()), Err)
+        };
+        let sent = self.parts.log.deed(&owner.profile, "wrap", &subject, wrapped).await;
+        sent.and(failed.map_or(Ok(()), Err))
     }
 
     fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {
@@ -235,7 +214,7 @@ impl Sharing {
     }
 
     /// Wraps the keys of `epochs` for the grantee of `terms`: all topics, or only `topics`.
-    pub(in crate::site) fn wrap_keys(
+    pub fn wrap_keys(
         &self,
         owner: &Owner,
         network: &Network,
@@ -263,6 +242,165 @@ impl Sharing {
             }
         };
         let wrapped = WrappedKeys { terms, keys };
-        Ok(wrap(self.plant.provider, &network.domain, &wrapped, &owner.signing(), &reader.envelope)?)
+        Ok(wrap(self.parts.plant.provider, &network.domain, &wrapped, &owner.signing(), &reader.envelope)?)
+    }
+}
+
+/// The most epochs that are named.
+const MOST_NAMED: usize = 8;
+
+/// What open profiles lack.
+#[derive(Default)]
+pub(super) struct Missing {
+    epochs: BTreeMap<ProfileName, Lack>,
+    /// Why newer SM2 pairs of the chain are not in the keyring, or those of the keyring not on the chain.
+    pairs: BTreeMap<ProfileName, String>,
+    /// That the chain has an earlier epoch than it had before.
+    back: BTreeMap<ProfileName, String>,
+}
+
+/// What one profile lacks.
+struct Lack {
+    /// The epochs.
+    epochs: Vec<u64>,
+    /// Whether the current one is among them: nothing is sealed then.
+    current: bool,
+    /// The newest event of the chain when this was found out.
+    seen: u64,
+}
+
+impl Lack {
+    fn text(&self, profile: &ProfileName) -> String {
+        let named: Vec<String> = self.epochs.iter().take(MOST_NAMED).map(ToString::to_string).collect();
+        let more = if self.epochs.len() > MOST_NAMED { ", ..." } else { "" };
+        let sealed = if self.current { " and nothing new is sealed" } else { "" };
+        let rotate = if self.current { ", or seal under a new epoch with `authros keys rotate`" } else { "" };
+        format!(
+            "the keyring of '{profile}' lacks the keys of epochs {}{more}: their records cannot be opened here{sealed}; \
+             the chain does not return them to these keys, so restore a newer backup of the keyring{rotate}",
+            named.join(", ")
+        )
+    }
+}
+
+impl Sharing {
+    fn missing(&self) -> MutexGuard<'_, Missing> {
+        self.missing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Brings keyring and recorder to the chain's epochs: keys that the keyring lacks are fetched from there, and records
+    /// are sealed under the current epoch, or one that was begun and never reached the chain. Without the key of the
+    /// current epoch nothing is sealed: nobody knows who reads under an earlier one. The caller holds the owner's changes.
+    pub fn take_up_epoch(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        if owner.is_locked() {
+            return Ok(());
+        }
+        self.fetch_missing(owner, network)?;
+        if !recovery::holds_current(network, owner) {
+            owner.author.rest();
+            self.parts.hub.changed(Part::Identity);
+            return Ok(());
+        }
+        let (domain, on_chain) = (network.domain, network.directory.epoch(owner.address));
+        owner.confirm_epoch(domain, on_chain)?;
+        let newest = owner.epochs(domain).last().copied().unwrap_or(on_chain).max(on_chain);
+        let signer = signer_id(&owner.public_keys().0);
+        let stale = |keys: &EpochKeys| {
+            let other = owner.token(domain, keys.epoch) != Some(keys.token);
+            keys.domain != domain || keys.epoch < newest || keys.signer != signer || other
+        };
+        if owner.sealing().is_none_or(|keys| stale(&keys)) {
+            owner.seal_under(domain, newest)?;
+        }
+        self.foresee_expiry(owner, network, None)?;
+        self.parts.hub.changed(Part::Identity);
+        Ok(())
+    }
+
+    /// Whether the chain may have keys that an open profile lacks, and was not asked for them since its newest event.
+    pub fn has_news(&self, owner: &Owner, network: &Network) -> bool {
+        if network.directory.epoch(owner.address) == 0 {
+            return false;
+        }
+        match self.missing().epochs.get(&owner.profile) {
+            Some(lack) => lack.seen != network.directory.newest(),
+            None => !recovery::holds_current(network, owner),
+        }
+    }
+
+    fn fetch_missing(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        let lacking = block_in_place(|| recovery::lacking(&self.parts.plant, network, owner))?;
+        if !lacking.is_empty() {
+            let still = block_in_place(|| recovery::recover_epochs(&self.parts.plant, network, owner, &lacking))?;
+            let fetched = lacking.len() - still.len();
+            if fetched > 0 {
+                let profile = &owner.profile;
+                self.parts.hub.inform(&format!(
+                    "the chain returned the keys of {fetched} epochs that the keyring of '{profile}' lacked"
+                ));
+            }
+        }
+        self.note_missing(owner, network)
+    }
+
+    /// Notes what the keyring lacks now, and tells it once.
+    pub(super) fn note_missing(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        // Read before: an event that comes meanwhile is news.
+        let seen = network.directory.newest();
+        let epochs = block_in_place(|| recovery::lacking(&self.parts.plant, network, owner))?;
+        if epochs.is_empty() {
+            self.missing().epochs.remove(&owner.profile);
+            return Ok(());
+        }
+        let lack = Lack { current: !recovery::holds_current(network, owner), epochs, seen };
+        let text = lack.text(&owner.profile);
+        let before = self.missing().epochs.insert(owner.profile.clone(), lack);
+        if before.is_none_or(|before| before.text(&owner.profile) != text) {
+            self.parts.hub.alarm(&text);
+            self.parts.hub.changed(Part::Health);
+        }
+        Ok(())
+    }
+
+    /// Notes why a profile lacks newer SM2 pairs that the chain has; `None` if it has them.
+    pub fn note_pairs(&self, owner: &Owner, why: Option<String>) {
+        match why {
+            Some(why) => {
+                self.parts.hub.alarm(&why);
+                self.missing().pairs.insert(owner.profile.clone(), why);
+            }
+            None => drop(self.missing().pairs.remove(&owner.profile)),
+        }
+    }
+
+    /// Whether the chain has an earlier epoch than it had before, as an older copy or a node that is behind does. A reader
+    /// revoked since may stand in it again, so nothing is wrapped for anyone until the owner has looked.
+    pub fn went_back(&self, owner: &Owner, network: &Network) -> bool {
+        let (chain, seen) = (network.directory.epoch(owner.address), owner.confirmed_epoch(network.domain));
+        if chain >= seen {
+            if self.missing().back.remove(&owner.profile).is_some() {
+                self.parts.hub.changed(Part::Health);
+            }
+            return false;
+        }
+        let text = format!(
+            "the chain has epoch {chain} of '{}' and had epoch {seen} before: it is an older copy, in which a reader \
+             revoked since may have a grant again; look at `authros grants list`, revoke as before, then run \
+             `authros keys rotate`",
+            owner.profile
+        );
+        if self.missing().back.insert(owner.profile.clone(), text.clone()).is_none() {
+            self.parts.hub.alarm(&text);
+            self.parts.hub.changed(Part::Health);
+        }
+        true
+    }
+
+    /// What open profiles lack, in words; `None` if they have all keys.
+    pub fn missing_text(&self) -> Option<String> {
+        let missing = self.missing();
+        let mut texts: Vec<String> = missing.pairs.values().chain(missing.back.values()).cloned().collect();
+        texts.extend(missing.epochs.iter().map(|(profile, lack)| lack.text(profile)));
+        (!texts.is_empty()).then(|| texts.join("; "))
     }
 }

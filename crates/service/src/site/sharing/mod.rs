@@ -1,31 +1,28 @@
 //! Granting and revoking, and the list of who may read what.
 
 mod epochs;
-mod missing;
 pub(super) mod overdue;
 #[cfg(test)]
 mod tests;
 
-use crate::pipeline::{Plant, Sender};
-use crate::service::hub::Hub;
-use crate::site::audit::Log;
-use crate::site::chain::link::Link;
 use crate::site::contacts::Contacts;
 use crate::site::devices::enrolled::Enrolments;
-use crate::site::identity::Owners;
-use crate::site::lifetime::Lifetime;
 use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
 use crate::store::Reserve;
 use crate::store::notes::{GrantedEarlier, GrantedTopic};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
+
+use tokio::task::block_in_place;
 
 use crate::chain::Call;
+use crate::crypto::{GrantedKeys, WrappedKeys};
 use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName};
+use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName, clean};
 use crate::pipeline::directory::{Granted, kept};
-use crate::pipeline::{Owner, authority};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::Epochs;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
@@ -34,18 +31,12 @@ use crate::store::RecordRow;
 
 /// Who may read what of this home's owners.
 pub(in crate::site) struct Sharing {
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
-    sender: Arc<Sender>,
+    parts: Parts,
     contacts: Arc<Contacts>,
     enrolments: Arc<Enrolments>,
     joined: Arc<Joined>,
     reserve: Arc<Reserve>,
-    missing: missing::Missing,
+    missing: Mutex<epochs::Missing>,
 }
 
 impl Sharing {
@@ -57,35 +48,21 @@ impl Sharing {
         joined: &Arc<Joined>,
         reserve: &Arc<Reserve>,
     ) -> Self {
-        let Parts { plant, hub, log, owners, link, life, sender, .. } = parts.clone();
-        Self {
-            plant,
-            hub,
-            log,
-            owners,
-            link,
-            life,
-            sender,
-            contacts: Arc::clone(contacts),
-            enrolments: Arc::clone(enrolments),
-            joined: Arc::clone(joined),
-            reserve: Arc::clone(reserve),
-            missing: missing::Missing::default(),
-        }
+        let (parts, contacts, enrolments) = (parts.clone(), Arc::clone(contacts), Arc::clone(enrolments));
+        let (joined, reserve) = (Arc::clone(joined), Arc::clone(reserve));
+        Self { parts, contacts, enrolments, joined, reserve, missing: Mutex::default() }
     }
-}
 
-impl Sharing {
     /// Shares with an account: its envelope goes on the chain.
-    pub(super) async fn grant(
-        self: &Arc<Self>,
+    pub async fn grant(
+        &self,
         owner: &Arc<Owner>,
         grantee: &Party,
         topics: &[TopicName],
         epochs: Epochs,
         expires: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
@@ -120,20 +97,20 @@ impl Sharing {
         };
         let earlier = covered.iter().any(|known| *known < epoch);
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
-        self.log.begin(owner, "grant", &grantee.to_string()).await?;
+        self.parts.log.begin(owner, "grant", &grantee.to_string()).await?;
         self.settle_revocation(owner, grantee)?;
         self.foresee_expiry(owner, &network, expires)?;
         let call = Call::AuthorityGrant { grantee, epoch, expiry: terms.expiry, scope: terms.scope, envelope };
-        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
-        let sent = self.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
+        let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
+        let sent = self.parts.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
         // The envelope opens for the grantee alone. Without this note the list says nothing of earlier epochs.
         let note = GrantedEarlier { transaction };
-        drop(tokio::task::block_in_place(|| self.plant.ledger.notes.write(&note, &earlier)));
+        drop(block_in_place(|| self.parts.plant.ledger.notes.write(&note, &earlier)));
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
         self.joined.tell_of_grant(owner, &network, notice).await;
-        self.link.scanned(receipt.block).await;
-        self.hub.changed(Part::Grants);
+        self.parts.link.scanned(receipt.block).await;
+        self.parts.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
         Ok(TransactionView {
             transaction: Some(transaction),
@@ -152,19 +129,19 @@ impl Sharing {
             Scope::All => None,
             Scope::Topics(topics) => Some(topics.as_slice()),
         };
-        let sealed = || self.plant.ledger.counts.sealed_in_epoch(terms.owner, terms.epoch, topics);
-        let (records, since) = tokio::task::block_in_place(sealed)?;
+        let sealed = || self.parts.plant.ledger.counts.sealed_in_epoch(terms.owner, terms.epoch, topics);
+        let (records, since) = block_in_place(sealed)?;
         Ok(EpochRecords { records, since })
     }
 
     /// Extends an active grant; its keys and the epoch stay as they are.
-    pub(super) async fn extend(
-        self: &Arc<Self>,
+    pub async fn extend(
+        &self,
         owner: &Arc<Owner>,
         grantee: &Party,
         expires: Option<Timestamp>,
     ) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let grantee = self.contacts.resolve(grantee)?;
         let Some(grant) = self.active_grant(&network, owner.address, grantee) else {
@@ -180,11 +157,11 @@ impl Sharing {
         }
         let call = Call::Extend { grantee, expiry: expires };
         let subject = grantee.to_string();
-        self.log.begin(owner, "extend", &subject).await?;
-        let sent = self.sender.send(&network.chain, &owner.eoa(), call, "extend").await.map_err(Failure::from);
-        let (transaction, receipt) = self.log.end(owner, "extend", &subject, sent).await?;
-        self.link.scanned(receipt.block).await;
-        self.hub.changed(Part::Grants);
+        self.parts.log.begin(owner, "extend", &subject).await?;
+        let sent = self.parts.sender.send(&network.chain, &owner.eoa(), call, "extend").await.map_err(Failure::from);
+        let (transaction, receipt) = self.parts.log.end(owner, "extend", &subject, sent).await?;
+        self.parts.link.scanned(receipt.block).await;
+        self.parts.hub.changed(Part::Grants);
         let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends at {expires}"));
         Ok(TransactionView {
             transaction: Some(transaction),
@@ -194,30 +171,25 @@ impl Sharing {
         })
     }
 
-    pub(super) fn active_grant(
-        &self,
-        network: &crate::pipeline::Network,
-        owner: Address,
-        grantee: Address,
-    ) -> Option<Granted> {
+    pub fn active_grant(&self, network: &Network, owner: Address, grantee: Address) -> Option<Granted> {
         authority::standing_grant(&network.directory, owner, grantee)
     }
 
     /// Names are stored under their pseudonyms on the chain, so that each grant finds its own.
     fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
-        tokio::task::block_in_place(|| {
+        block_in_place(|| {
             topics.iter().try_for_each(|topic| {
                 let note = GrantedTopic { owner: owner.address, topic: owner.topic_id(topic) };
-                Ok(self.plant.ledger.notes.write(&note, topic)?)
+                Ok(self.parts.plant.ledger.notes.write(&note, topic)?)
             })
         })
     }
 
     /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` if no name
     /// known here matches the pseudonym on the chain.
-    pub(super) fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
-        tokio::task::block_in_place(|| {
-            let ledger = &self.plant.ledger;
+    pub fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
+        block_in_place(|| {
+            let ledger = &self.parts.plant.ledger;
             let name_of = |id: &TopicId| {
                 let kept = ledger.notes.read(&GrantedTopic { owner: owner.address, topic: *id })?;
                 let others = ledger.names.of_topic(owner.address, *id)?;
@@ -229,10 +201,10 @@ impl Sharing {
     }
 
     /// Grants given and received.
-    pub(super) async fn rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
-        let network = self.link.network().await?;
+    pub async fn rows(&self, owner: &Arc<Owner>) -> Result<Vec<GrantRow>, Failure> {
+        let network = self.parts.link.network().await?;
         let me = owner.address;
-        let grants = tokio::task::block_in_place(|| kept::history(&self.plant.ledger.rights, &network.directory, me))?;
+        let grants = block_in_place(|| kept::history(&self.parts.plant.ledger.rights, &network.directory, me))?;
         let names = self.contacts.names()?;
         let with_name = |mut row: GrantRow| {
             let other = if row.owner == me { row.grantee } else { row.owner };
@@ -243,19 +215,14 @@ impl Sharing {
         grants.iter().map(|grant| self.grant_row(owner, &network, grant).map(with_name)).collect()
     }
 
-    fn grant_row(
-        &self,
-        owner: &Owner,
-        network: &crate::pipeline::Network,
-        grant: &Granted,
-    ) -> Result<GrantRow, Failure> {
+    fn grant_row(&self, owner: &Owner, network: &Network, grant: &Granted) -> Result<GrantRow, Failure> {
         let given = grant.terms.owner == owner.address;
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
             Scope::Topics(ids) if given => {
                 let names = self.granted_topics(owner, ids)?;
                 let shown = |(name, id): (Option<String>, &TopicId)| {
-                    name.map_or_else(|| RecordRow::unnamed(*id), |name| crate::model::clean(&name, 255))
+                    name.map_or_else(|| RecordRow::unnamed(*id), |name| clean(&name, 255))
                 };
                 names.into_iter().zip(ids).map(shown).collect()
             }
@@ -280,32 +247,25 @@ impl Sharing {
     /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere.
     fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
         let note = GrantedEarlier { transaction: grant.transaction };
-        Ok(tokio::task::block_in_place(|| self.plant.ledger.notes.read(&note))?)
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&note))?)
     }
 
     /// Whether a received grant opens epochs before its own, by the keys in its envelope; `None` = it does not open.
-    fn received_earlier(&self, owner: &Owner, network: &crate::pipeline::Network, grant: &Granted) -> Option<bool> {
-        let reader = crate::pipeline::reader::Reader { plant: &self.plant, network, reader: owner };
+    fn received_earlier(&self, owner: &Owner, network: &Network, grant: &Granted) -> Option<bool> {
+        let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         let envelope = reader.open_envelope(grant, grant.terms.epoch).ok()?;
         let first = match &envelope.keys {
-            crate::crypto::GrantedKeys::All { epochs, .. } => epochs.iter().map(|(epoch, _)| *epoch).min(),
-            crate::crypto::GrantedKeys::Topics { keys } => keys.iter().map(|(epoch, ..)| *epoch).min(),
+            GrantedKeys::All { epochs, .. } => epochs.iter().map(|(epoch, _)| *epoch).min(),
+            GrantedKeys::Topics { keys } => keys.iter().map(|(epoch, ..)| *epoch).min(),
         };
         first.map(|first| first < grant.terms.epoch)
     }
 
-    fn received_topics(
-        &self,
-        owner: &Owner,
-        network: &crate::pipeline::Network,
-        grant: &Granted,
-        ids: &[TopicId],
-    ) -> Vec<String> {
-        let reader = crate::pipeline::reader::Reader { plant: &self.plant, network, reader: owner };
+    fn received_topics(&self, owner: &Owner, network: &Network, grant: &Granted, ids: &[TopicId]) -> Vec<String> {
+        let reader = Reader { plant: &self.parts.plant, network, reader: owner };
         match reader.open_envelope(grant, grant.terms.epoch).as_deref() {
-            Ok(crate::crypto::WrappedKeys { keys: crate::crypto::GrantedKeys::Topics { keys }, .. }) => {
-                let mut names: Vec<String> =
-                    keys.iter().map(|(_, topic, _, _)| crate::model::clean(topic, 255)).collect();
+            Ok(WrappedKeys { keys: GrantedKeys::Topics { keys }, .. }) => {
+                let mut names: Vec<String> = keys.iter().map(|(_, topic, _, _)| clean(topic, 255)).collect();
                 names.sort();
                 names.dedup();
                 names
@@ -318,11 +278,8 @@ impl Sharing {
 /// Why a grant cannot end at the requested time; the chain's time may be ahead of this machine's clock.
 fn too_early(now: Timestamp) -> String {
     let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
-    let chain = if ahead > 60 {
-        format!(": grants use the chain's time, which is {ahead} s ahead of this machine's clock")
-    } else {
-        String::new()
-    };
+    let why = || format!(": grants use the chain's time, which is {ahead} s ahead of this machine's clock");
+    let chain = if ahead > 60 { why() } else { String::new() };
     format!("the grant would end before it starts{chain}; give a later --expires")
 }
 
@@ -330,9 +287,8 @@ fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {
     if topics.is_empty() {
         return Scope::All;
     }
-    let mut ids = Vec::with_capacity(topics.len());
-    for topic in topics {
-        let id = owner.topic_id(topic.as_str());
+    let mut ids: Vec<TopicId> = Vec::with_capacity(topics.len());
+    for id in topics.iter().map(|topic| owner.topic_id(topic.as_str())) {
         if !ids.contains(&id) {
             ids.push(id);
         }

@@ -9,14 +9,12 @@ use tokio::task::block_in_place;
 
 use super::Sharing;
 use crate::chain::Call;
-use crate::event::NoticeLevel;
 use crate::failure::refused;
 use crate::gateway::RevokeNotice;
 use crate::model::{Address, ErrorKind, Timestamp};
 use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner};
 use crate::reply::{Failure, TransactionView};
-use crate::site::blocking;
 use crate::store::notes::Revoking;
 
 /// How long before an expiry the next epoch is prepared, nanoseconds.
@@ -29,42 +27,34 @@ impl Sharing {
     /// Prepares the end of the sealing epoch if a grant that covers it runs out soon, or did while nobody looked: from
     /// that moment on records are sealed under the next epoch, whether or not the chain answers. `also` is an expiry
     /// that is not on the chain yet.
-    pub(in crate::site) fn foresee_expiry(
+    pub fn foresee_expiry(&self, owner: &Owner, network: &Network, also: Option<Timestamp>) -> Result<(), Failure> {
+        self.foresee(owner, network, also, Timestamp(network.directory.now().0 + FORESIGHT))
+    }
+
+    /// The same however far away that moment is: with a locked keyring it could not be done when the time comes.
+    pub fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+        self.foresee(owner, network, None, Timestamp(u64::MAX))
+    }
+
+    fn foresee(
         &self,
         owner: &Owner,
         network: &Network,
         also: Option<Timestamp>,
+        before: Timestamp,
     ) -> Result<(), Failure> {
-        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
-            return Ok(());
-        };
-        let earliest = earliest_expiry(owner, network, epoch).into_iter().chain(also).min();
-        if let Some(moment) = earliest.filter(|moment| moment.0 < network.directory.now().0 + FORESIGHT) {
-            owner.prepare_epoch(network.domain, epoch + 1)?;
-            owner.seal_from(moment, network.domain, epoch + 1)?;
-        }
-        Ok(())
-    }
-
-    /// The same however far away that moment is: with a locked keyring it could not be done when the time comes.
-    pub(in crate::site) fn foresee_locked(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
-        let Some(epoch) = owner.sealing().filter(|keys| keys.domain == network.domain).map(|keys| keys.epoch) else {
-            return Ok(());
-        };
-        if let Some(moment) = earliest_expiry(owner, network, epoch) {
-            owner.prepare_epoch(network.domain, epoch + 1)?;
-            owner.seal_from(moment, network.domain, epoch + 1)?;
+        let Some(keys) = owner.sealing().filter(|keys| keys.domain == network.domain) else { return Ok(()) };
+        let earliest = earliest_expiry(owner, network, keys.epoch).into_iter().chain(also).min();
+        if let Some(moment) = earliest.filter(|moment| *moment < before) {
+            owner.prepare_epoch(network.domain, keys.epoch + 1)?;
+            owner.seal_from(moment, network.domain, keys.epoch + 1)?;
         }
         Ok(())
     }
 
     /// Sends what is overdue: the next epoch if a grant that covers the current one has run out or records are sealed
     /// under the next one already, interrupted revocations, missing envelopes.
-    pub(in crate::site) async fn settle_overdue(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        network: &Network,
-    ) -> Result<(), Failure> {
+    pub async fn settle_overdue(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if self.has_news(owner, network) {
             let _one_at_a_time = owner.changes.lock().await;
             self.take_up_epoch(owner, network)?;
@@ -80,7 +70,7 @@ impl Sharing {
         told
     }
 
-    async fn settle_chain(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
+    async fn settle_chain(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if !self.owes(owner, network)? {
             return Ok(());
         }
@@ -93,7 +83,7 @@ impl Sharing {
     }
 
     /// Whether the chain is owed anything that needs the profile's keys.
-    pub(in crate::site) fn owes(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
+    pub fn owes(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
         Ok(self.is_behind(owner, network)? || !self.lacking(owner, network)?.is_empty())
     }
 
@@ -113,8 +103,8 @@ impl Sharing {
 
     /// Begins the next epoch: through the interrupted revocation, if there is one, because a rotation would give the
     /// new key to the reader who is to lose access.
-    pub(in crate::site) async fn next_epoch(
-        self: &Arc<Self>,
+    pub async fn next_epoch(
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         why: &str,
@@ -130,14 +120,14 @@ impl Sharing {
     }
 
     /// Requested revocations that are not on the chain yet.
-    pub(in crate::site) fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
+    pub fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
         let mut owed = self.read_owed(owner)?;
         owed.retain(|grantee| self.active_grant(network, owner.address, *grantee).is_some());
         Ok(owed)
     }
 
     /// Notes that `grantee` is to lose the grant, whatever happens now.
-    pub(in crate::site) fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+    pub fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         self.change_owed(owner, |owed| {
             if !owed.contains(&grantee) {
                 owed.push(grantee);
@@ -146,13 +136,13 @@ impl Sharing {
     }
 
     /// The revocation is on the chain, or a new grant takes its place.
-    pub(in crate::site) fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
+    pub fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         self.change_owed(owner, |owed| owed.retain(|other| *other != grantee))
     }
 
     fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
         let note = Revoking { owner: owner.address };
-        Ok(block_in_place(|| self.plant.ledger.notes.read(&note))?.unwrap_or_default())
+        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&note))?.unwrap_or_default())
     }
 
     fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<(), Failure> {
@@ -160,7 +150,7 @@ impl Sharing {
             change(owed);
             Ok(())
         };
-        block_in_place(|| self.plant.ledger.notes.change(&Revoking { owner: owner.address }, changed))
+        block_in_place(|| self.parts.plant.ledger.notes.change(&Revoking { owner: owner.address }, changed))
     }
 }
 
@@ -173,15 +163,15 @@ pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: 
 
 impl Sharing {
     /// Sends what the chain is owed, and after a failure again with growing pauses.
-    pub(in crate::site) async fn keep_settled(self: Arc<Self>) {
+    pub async fn keep_settled(self: Arc<Self>) {
         let mut resting: HashMap<Address, (Instant, Duration)> = HashMap::new();
-        while !self.life.is_stopping() {
-            if !self.life.beat(Duration::from_secs(1)).await {
+        while !self.parts.life.is_stopping() {
+            if !self.parts.life.beat(Duration::from_secs(1)).await {
                 return;
             }
-            let Some(network) = self.link.network_now() else { continue };
+            let Some(network) = self.parts.link.network_now() else { continue };
             // What is overdue needs keys that a locked keyring does not have; keys sealed ahead work without them.
-            for owner in self.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
+            for owner in self.parts.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;
                 }
@@ -192,7 +182,7 @@ impl Sharing {
                 let pause = resting.get(&owner.address).map_or(Duration::from_secs(2), |(_, pause)| *pause * 2);
                 let pause = pause.min(LONGEST_REST);
                 resting.insert(owner.address, (Instant::now() + pause, pause));
-                self.hub.notice(NoticeLevel::Error, &failure.message);
+                self.parts.hub.alarm(&failure.message);
             }
         }
     }
@@ -203,12 +193,8 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 impl Sharing {
     /// Stops sharing with an account. What it has read cannot be recalled.
-    pub(in crate::site) async fn revoke(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        grantee: Address,
-    ) -> Result<TransactionView, Failure> {
-        let network = self.link.network().await?;
+    pub async fn revoke(&self, owner: &Arc<Owner>, grantee: Address) -> Result<TransactionView, Failure> {
+        let network = self.parts.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         if self.active_grant(&network, owner.address, grantee).is_none() {
             return Err(refused(format!(
@@ -221,19 +207,18 @@ impl Sharing {
             Err(failure) => failure,
         };
         // Space helps only if the disk is full.
-        if failure.kind != ErrorKind::Home || !blocking(self, |sharing| Ok(sharing.reserve.release()?)).await? {
+        if failure.kind != ErrorKind::Home || !block_in_place(|| self.reserve.release())? {
             return Err(failure);
         }
-        let _space_is_for_this = self.plant.ledger.records.hold();
-        self.hub.notice(
-            NoticeLevel::Error,
+        let _space_is_for_this = self.parts.plant.ledger.records.hold();
+        self.parts.hub.alarm(
             "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory",
         );
         self.revoke_again(owner, &network, grantee).await
     }
 
     async fn revoke_once(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         grantee: Address,
@@ -255,19 +240,19 @@ impl Sharing {
 
     /// Resumes what is left of an attempt that the full disk interrupted at any point.
     async fn revoke_again(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         network: &Network,
         grantee: Address,
     ) -> Result<TransactionView, Failure> {
         self.settle_open(owner, network).await?;
         let head = network.chain.head().await?.number;
-        drop(tokio::time::timeout(PATIENCE, self.link.scanned(head)).await);
+        drop(tokio::time::timeout(PATIENCE, self.parts.link.scanned(head)).await);
         if self.active_grant(network, owner.address, grantee).is_some() {
             return self.revoke_once(owner, network, grantee).await;
         }
         let epoch = network.directory.epoch(owner.address);
-        self.log.write(&owner.profile, "revoke", &format!("{grantee} epoch {epoch}"), "done").await?;
+        self.parts.log.write(&owner.profile, "revoke", &format!("{grantee} epoch {epoch}"), "done").await?;
         owner.confirm_epoch(network.domain, epoch)?;
         self.settle_revocation(owner, grantee)?;
         let view = TransactionView { transaction: None, block: None, epoch, text: String::new() };

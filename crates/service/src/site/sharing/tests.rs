@@ -55,11 +55,12 @@ async fn an_epoch_whose_keys_did_not_reach_a_reader_before_the_next_began_is_giv
     let new_token = alice.prepare_epoch(network.domain, 3).expect("prepared");
     alice.seal_under(network.domain, 3).expect("sealed under it");
     let call = crate::chain::Call::Rotate { new_token, envelope: Vec::new() };
-    let (_, receipt) = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
-    sharing.link.scanned(receipt.block).await;
+    let (_, receipt) =
+        sharing.parts.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
+    sharing.parts.link.scanned(receipt.block).await;
     alice.confirm_epoch(network.domain, 3).expect("confirmed");
     let readable = || {
-        let reader = crate::pipeline::reader::Reader { plant: &sharing.plant, network: &network, reader: &bob };
+        let reader = crate::pipeline::reader::Reader { plant: &sharing.parts.plant, network: &network, reader: &bob };
         let grant = sharing.active_grant(&network, alice.address, bob.address).expect("stands");
         let envelopes = reader.envelopes(&grant).expect("read");
         let mut epochs: Vec<u64> = envelopes.iter().map(|envelope| envelope.terms.epoch).collect();
@@ -113,8 +114,9 @@ async fn without_the_current_key_nothing_is_sealed_it_is_told_and_a_rotation_goe
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
     // An epoch of which no envelope opens, as if another program had begun it.
     let call = crate::chain::Call::Rotate { new_token: crate::model::Token([7; 32]), envelope: vec![7; 360] };
-    let (_, receipt) = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
-    sharing.link.scanned(receipt.block).await;
+    let (_, receipt) =
+        sharing.parts.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
+    sharing.parts.link.scanned(receipt.block).await;
     // Refused before: the site ended at its start, and so did each command that unlocks.
     site.profiles.resume(&alice).await.expect("it goes on with what there is");
     assert!(alice.sealing().is_none(), "nobody knows who reads under the first epoch now");
@@ -137,18 +139,18 @@ async fn a_key_from_the_chain_is_believed_only_if_the_token_commits_to_it() {
     let alice = registered(&site, "alice").await;
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
     let token = alice.prepare_epoch(network.domain, 2).expect("prepared");
-    let envelope = recovery::own_envelope(&sharing.plant, &network, &alice, 2).expect("wrapped");
+    let envelope = recovery::own_envelope(&sharing.parts.plant, &network, &alice, 2).expect("wrapped");
     // The envelope is the owner's, and so is its signature, but the epoch has another key.
     let other = crate::model::Token([9; 32]);
     for (number, new_token) in [(2, other), (3, token)] {
         let call = crate::chain::Call::Rotate { new_token, envelope: envelope.clone() };
-        let (_, receipt) = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("sent");
-        sharing.link.scanned(receipt.block).await;
+        let (_, receipt) = sharing.parts.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("sent");
+        sharing.parts.link.scanned(receipt.block).await;
         assert_eq!(network.directory.epoch(alice.address), number);
     }
-    let lacking = recovery::lacking(&sharing.plant, &network, &alice).expect("compared");
+    let lacking = recovery::lacking(&sharing.parts.plant, &network, &alice).expect("compared");
     assert_eq!(lacking, [2, 3]);
-    let still = recovery::recover_epochs(&sharing.plant, &network, &alice, &lacking).expect("read");
+    let still = recovery::recover_epochs(&sharing.parts.plant, &network, &alice, &lacking).expect("read");
     assert_eq!(still, [2, 3], "nothing is believed");
     site.stop().await;
 }
@@ -158,15 +160,15 @@ async fn pairs_that_nobody_handed_over_are_told_and_those_handed_over_are_taken(
     let (site, _folder) = site_with_chain();
     let alice = registered(&site, "alice").await;
     let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
-    let sm2 = sharing.plant.provider;
+    let sm2 = sharing.parts.plant.provider;
     let token = alice.token(network.domain, 1).expect("its token");
     // As another machine of the same owner does, whose keyring this one is an older copy of.
     let elsewhere = async |pair: &crate::crypto::SmKeyPair, envelope: Vec<u8>| {
         let signing = alice.signing();
         let proven = crate::crypto::prove(sm2, &network.domain, &alice.address, &signing, &pair.public, token);
         let call = crate::chain::Call::RotateKeys { identity: proven.expect("proven"), envelope };
-        let sent = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotateKeys").await;
-        sharing.link.scanned(sent.expect("on the chain").1.block).await;
+        let sent = sharing.parts.sender.send(&network.chain, &alice.eoa(), call, "rotateKeys").await;
+        sharing.parts.link.scanned(sent.expect("on the chain").1.block).await;
     };
     let (first, second) = (
         crate::crypto::SmKeyPair::generate(sm2).expect("a pair"),

@@ -6,16 +6,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
-use super::audit::Log;
-use super::blocking;
-use super::chain::link::Link;
-use super::identity::Owners;
-use super::lifetime::Lifetime;
+use tokio::task::block_in_place;
+
 use super::parts::Parts;
 use super::reading::Reading;
-use crate::config::Config;
 use crate::event::{NoticeLevel, Part};
-use crate::hub::Hub;
 use crate::model::{ByteSize, ProfileName, Timestamp};
 use crate::paths::Home;
 use crate::pipeline::{Plant, network_pin};
@@ -26,14 +21,7 @@ use crate::store::{Ledger, Reserve, StoreError};
 
 /// The disk under a site.
 pub(in crate::site) struct Storage {
-    home: Home,
-    config: Arc<Config>,
-    plant: Plant,
-    hub: Arc<Hub>,
-    log: Arc<Log>,
-    owners: Arc<Owners>,
-    link: Arc<Link>,
-    life: Arc<Lifetime>,
+    parts: Parts,
     /// Space for the states of records on a full disk.
     states: Reserve,
     reading: Arc<Reading>,
@@ -48,16 +36,8 @@ pub(in crate::site) struct Storage {
 impl Storage {
     /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
-        let Parts { home, config, plant, hub, log, owners, link, life, .. } = parts.clone();
         Self {
-            home,
-            config,
-            plant,
-            hub,
-            log,
-            owners,
-            link,
-            life,
+            parts: parts.clone(),
             states: working_reserve(&parts.home, parts.config.disk_reserve),
             reading: Arc::clone(reading),
             naming: tokio::sync::Mutex::default(),
@@ -118,26 +98,26 @@ pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
 
 impl Storage {
     /// Watches the free space on the disk, and whether the cache is away, until the site ends.
-    pub(in crate::site) async fn keep_room(self: Arc<Self>) {
+    pub async fn keep_room(self: Arc<Self>) {
         let (mut held, mut pause, mut away) = (None, LOOKS.0, None);
-        let reserve = self.config.disk_reserve;
-        while !self.life.is_stopping() {
-            if !self.life.beat(pause).await {
+        let reserve = self.parts.config.disk_reserve;
+        while !self.parts.life.is_stopping() {
+            if !self.parts.life.beat(pause).await {
                 return;
             }
-            let now_away = self.plant.ciphertext.cache().and_then(|cache| cache.away).map(|away| away.since);
+            let now_away = self.parts.plant.ciphertext.cache().and_then(|cache| cache.away).map(|away| away.since);
             if std::mem::replace(&mut away, now_away) != now_away {
-                self.hub.changed(Part::Health);
+                self.parts.hub.changed(Part::Health);
             }
-            let Ok(free) = blocking(&self, |storage| Ok(free_bytes(storage.home.root())?)).await else { continue };
+            let Ok(free) = block_in_place(|| free_bytes(self.parts.home.root())) else { continue };
             pause = if free.saturating_sub(reserve) / FASTEST > LOOKS.1.as_secs() { LOOKS.1 } else { LOOKS.0 };
             if free < reserve && held.is_none() {
-                held = Some(self.plant.ledger.records.hold());
+                held = Some(self.parts.plant.ledger.records.hold());
                 self.tell_room(NoticeLevel::Error, &self.full_text(free));
             }
             if free < reserve.min(LAST) && self.states.is_held() {
                 // Removing a file takes no space.
-                drop(blocking(&self, |storage| Ok(storage.states.release()?)).await);
+                drop(block_in_place(|| self.states.release()));
             }
             // Somewhat more than the reserve, so that it does not flutter.
             if free >= reserve.saturating_add(reserve / 4) {
@@ -145,15 +125,15 @@ impl Storage {
                     self.tell_room(NoticeLevel::Info, "there is disk space again: records are accepted again");
                 }
                 if !self.states.is_held() && free >= reserve.saturating_add(MOST_FOR_STATES) {
-                    drop(blocking(&self, |storage| Ok(storage.states.refill()?)).await);
+                    drop(block_in_place(|| self.states.refill()));
                 }
             }
         }
     }
 
     fn tell_room(&self, level: NoticeLevel, text: &str) {
-        self.hub.notice(level, text);
-        self.hub.changed(Part::Health);
+        self.parts.hub.notice(level, text);
+        self.parts.hub.changed(Part::Health);
     }
 
     fn full_text(&self, free: u64) -> String {
@@ -161,9 +141,9 @@ impl Storage {
             "the disk of {} has {} left, less than disk.reserve ({}): no further record is acknowledged; captured \
              messages wait in memory, and those that do not fit are dropped and counted; free some space, then capture \
              resumes automatically",
-            self.home.root().display(),
+            self.parts.home.root().display(),
             ByteSize(free),
-            ByteSize(self.config.disk_reserve)
+            ByteSize(self.parts.config.disk_reserve)
         )
     }
 
@@ -171,14 +151,14 @@ impl Storage {
     ///
     /// # Errors
     /// If its notes cannot be read.
-    pub(in crate::site) fn fault(&self) -> Result<Option<String>, Failure> {
-        if self.plant.ledger.records.takes_records().is_err() {
-            return Ok(Some(self.full_text(free_bytes(self.home.root()).unwrap_or(0))));
+    pub fn fault(&self) -> Result<Option<String>, Failure> {
+        if self.parts.plant.ledger.records.takes_records().is_err() {
+            return Ok(Some(self.full_text(free_bytes(self.parts.home.root()).unwrap_or(0))));
         }
-        let ledger = &self.plant.ledger;
+        let ledger = &self.parts.plant.ledger;
         let missed = ledger.notes.read(&StoreWasGone {})?;
         let unbound = missed.is_some() && network_pin(&ledger.rights)?.is_none();
-        Ok(missed.filter(|_| unbound).map(|missed| format!("{}; {STORE_LOST}", store_loss(&self.home, missed))))
+        Ok(missed.filter(|_| unbound).map(|missed| format!("{}; {STORE_LOST}", store_loss(&self.parts.home, missed))))
     }
 }
 
@@ -190,42 +170,40 @@ const LISTENING: Duration = Duration::from_millis(500);
 
 impl Storage {
     /// This home is a copy of another one.
-    pub(in crate::site) async fn tell_of_copy(self: Arc<Self>) {
+    pub async fn tell_of_copy(self: Arc<Self>) {
         let text = "this home is a copy: its ledger is not the file it was when last used. New records are numbered \
                     under a new recorder; do not run it at the same time as the original";
         if let Ok(profile) = "site".parse::<ProfileName>() {
-            let written = self.log.write(&profile, "copied home", "a new recorder begins", "noticed").await;
+            let written = self.parts.log.write(&profile, "copied home", "a new recorder begins", "noticed").await;
             if let Err(failure) = written {
-                self.hub.notice(NoticeLevel::Error, &failure.message);
+                self.parts.hub.alarm(&failure.message);
             }
         }
         tokio::time::sleep(LISTENING).await;
-        self.hub.notice(NoticeLevel::Warning, text);
+        self.parts.hub.warn(text);
     }
 
     /// Checks once, in the background, if the previous run did not close its files.
-    pub(in crate::site) async fn check_after_crash(self: Arc<Self>) {
-        if self.plant.ledger.inspection.ended_cleanly() {
+    pub async fn check_after_crash(self: Arc<Self>) {
+        if self.parts.plant.ledger.inspection.ended_cleanly() {
             return;
         }
-        match blocking(&self, contradictions).await {
+        match block_in_place(|| contradictions(&self.parts.plant)) {
             Ok(found) if found.is_empty() => {
-                self.hub.notice(NoticeLevel::Info, "the previous run did not shut down cleanly; the store is sound");
+                self.parts.hub.inform("the previous run did not shut down cleanly; the store is sound");
             }
-            Ok(found) => found.iter().for_each(|text| self.hub.notice(NoticeLevel::Error, text)),
+            Ok(found) => found.iter().for_each(|text| self.parts.hub.alarm(text)),
             Err(failure) => {
-                let text = format!(
+                self.parts.hub.alarm(&format!(
                     "after an unclean shutdown it could not be checked whether everything is there: {}",
                     failure.message
-                );
-                self.hub.notice(NoticeLevel::Error, &text);
+                ));
             }
         }
     }
 }
 
-fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
-    let plant = &storage.plant;
+fn contradictions(plant: &Plant) -> Result<Vec<String>, Failure> {
     let mut found: Vec<String> = plant
         .ledger
         .inspection

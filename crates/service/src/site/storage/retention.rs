@@ -6,9 +6,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use tokio::task::block_in_place;
+
 use super::Storage;
 use crate::command::ErasureWishes;
-use crate::event::NoticeLevel;
 use crate::failure::{input, refused};
 use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
@@ -16,7 +17,6 @@ use crate::pipeline::importer::SOURCE;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::retention::{self, LONGEST_REASON, Retention, Round};
 use crate::reply::{ErasureView, Failure};
-use crate::site::blocking;
 use crate::site::recordings::RECORDING;
 use crate::store::{Erasure, IncidentRow, RecordQuery, RecordRow};
 
@@ -27,54 +27,53 @@ const LEARN: u32 = 10;
 
 impl Storage {
     /// Applies the rules until the site ends.
-    pub(in crate::site) async fn keep_retention(self: Arc<Self>) {
-        let keeping = self.config.keeping();
-        let (mut retention, mut looks) = (Some(Retention::new(keeping.clone())), 0u32);
-        while !self.life.is_stopping() {
-            if !self.life.beat(LOOK).await {
+    pub async fn keep_retention(self: Arc<Self>) {
+        let keeping = self.parts.config.keeping();
+        let (mut rules, mut looks) = (Retention::new(keeping.clone()), 0u32);
+        while !self.parts.life.is_stopping() {
+            if !self.parts.life.beat(LOOK).await {
                 return;
             }
             let learns = !keeping.is_empty() && looks.is_multiple_of(LEARN);
             looks = looks.wrapping_add(1);
-            for owner in self.owners.all() {
+            for owner in self.parts.owners.all() {
                 if learns && let Err(failure) = self.reading.learn_own_names(&owner.profile).await {
-                    self.hub.notice(NoticeLevel::Warning, &failure.message);
+                    self.parts.hub.warn(&failure.message);
                 }
                 let applied = match keeping.is_empty() {
                     true => self.sweep(&owner).await,
-                    false => self.apply(&owner, &mut retention).await,
+                    false => self.apply(&owner, &mut rules).await,
                 };
                 if let Err(failure) = applied {
-                    let text = format!("retention of {} is waiting: {}", owner.profile, failure.message);
-                    self.hub.notice(NoticeLevel::Error, &text);
+                    self.parts.hub.alarm(&format!("retention of {} is waiting: {}", owner.profile, failure.message));
                 }
             }
             if let Err(failure) = self.sweep_told().await {
-                let text =
-                    format!("what owners had erased elsewhere is still here, it is tried again: {}", failure.message);
-                self.hub.notice(NoticeLevel::Error, &text);
+                self.parts.hub.alarm(&format!(
+                    "what owners had erased elsewhere is still here, it is tried again: {}",
+                    failure.message
+                ));
             }
             if let Err(failure) = self.look_for_named().await {
-                self.hub.notice(NoticeLevel::Warning, &failure.message);
+                self.parts.hub.warn(&failure.message);
             }
         }
     }
 
     /// Without rules only what a person had erased is left to delete, and mostly there is nothing.
-    async fn sweep(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+    async fn sweep(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
         if !self.has_named.load(Ordering::Acquire) {
             return Ok(());
         }
         // Not while an erasure takes over what a rule has named.
         let _one_at_a_time = self.naming.lock().await;
-        let asked = Arc::clone(owner);
-        let deleted = blocking(self, move |storage| Ok(retention::delete(&storage.plant, &asked)?)).await?;
+        let deleted = block_in_place(|| retention::delete(&self.parts.plant, owner))?;
         self.tell(owner, &Round { deleted, ..Round::default() }).await
     }
 
     /// What owners whose homes join this gateway had erased, whichever profile is open here.
-    async fn sweep_told(self: &Arc<Self>) -> Result<(), Failure> {
-        let named = self.plant.ledger.erasures.named_elsewhere();
+    async fn sweep_told(&self) -> Result<(), Failure> {
+        let named = self.parts.plant.ledger.erasures.named_elsewhere();
         if self.seen.0.swap(named, Ordering::AcqRel) != named {
             self.has_named.store(true, Ordering::Release);
         }
@@ -82,49 +81,39 @@ impl Storage {
             return Ok(());
         }
         let _one_at_a_time = self.naming.lock().await;
-        let held = blocking(self, |storage| {
-            retention::delete_told(&storage.plant)?;
-            Ok(storage.plant.ledger.erasures.held_although_erased()?)
-        })
-        .await?;
+        block_in_place(|| retention::delete_told(&self.parts.plant))?;
+        let held = block_in_place(|| self.parts.plant.ledger.erasures.held_although_erased())?;
         if self.seen.1.swap(held, Ordering::AcqRel) < held {
             let text = format!(
                 "{held} records that their owner had erased elsewhere stay here, because an incident holds them; `authros \
                  incident remove NAME --yes` lets them go"
             );
-            self.hub.notice(NoticeLevel::Warning, &text);
+            self.parts.hub.warn(&text);
         }
         Ok(())
     }
 
-    async fn look_for_named(self: &Arc<Self>) -> Result<(), Failure> {
+    async fn look_for_named(&self) -> Result<(), Failure> {
         if self.has_named.load(Ordering::Acquire) {
             let _one_at_a_time = self.naming.lock().await;
-            let left = blocking(self, |storage| Ok(storage.plant.ledger.erasures.has_named()?)).await?;
+            let left = block_in_place(|| self.parts.plant.ledger.erasures.has_named())?;
             self.has_named.store(left, Ordering::Release);
         }
         Ok(())
     }
 
-    async fn apply(self: &Arc<Self>, owner: &Arc<Owner>, retention: &mut Option<Retention>) -> Result<(), Failure> {
+    async fn apply(&self, owner: &Owner, rules: &mut Retention) -> Result<(), Failure> {
         let _one_at_a_time = self.naming.lock().await;
-        let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.keeping()));
-        let asked = Arc::clone(owner);
-        let (round, rules) = blocking(self, move |storage| {
-            let round = rules.round(&storage.plant, &asked);
-            Ok((round, rules))
-        })
-        .await?;
-        *retention = Some(rules);
-        self.tell(owner, &round?).await
+        let round = block_in_place(|| rules.round(&self.parts.plant, owner))?;
+        self.tell(owner, &round).await
     }
 
-    async fn tell(self: &Arc<Self>, owner: &Owner, round: &Round) -> Result<(), Failure> {
+    async fn tell(&self, owner: &Owner, round: &Round) -> Result<(), Failure> {
         for (topic, count) in &round.named {
-            self.log.write(&owner.profile, "retention", &format!("{topic}: {count} records"), "named").await?;
+            self.parts.log.write(&owner.profile, "retention", &format!("{topic}: {count} records"), "named").await?;
         }
         if round.deleted > 0 {
-            self.log.write(&owner.profile, "retention", &format!("{} records", round.deleted), "deleted").await?;
+            self.parts.log.write(&owner.profile, "retention", &format!("{} records", round.deleted), "deleted").await?;
         }
         Ok(())
     }
@@ -147,24 +136,16 @@ const STAYS: [&str; 4] = [
 
 impl Storage {
     /// Shows what would be erased, or erases it.
-    pub(in crate::site) async fn erase(
-        self: &Arc<Self>,
-        owner: &Arc<Owner>,
-        wishes: ErasureWishes,
-    ) -> Result<ErasureView, Failure> {
+    pub async fn erase(&self, owner: &Arc<Owner>, wishes: ErasureWishes) -> Result<ErasureView, Failure> {
         let reason = clean(wishes.reason.trim(), LONGEST_REASON);
         if reason.is_empty() || wishes.reason.chars().count() > LONGEST_REASON {
             return Err(input(format!("say why in 1 to {LONGEST_REASON} characters: --reason TEXT")));
         }
-        let (asked, asking, sure) = (wishes.clone(), Arc::clone(owner), wishes.sure);
-        let network = self.link.network().await?;
-        let (rows, incidents) = blocking(self, move |storage| {
-            let reader = Reader { plant: &storage.plant, network: &network, reader: &asking };
-            Ok((chosen(&reader, &asked)?, storage.plant.ledger.incidents.list(asking.address)?))
-        })
-        .await?;
+        let (plant, network) = (&self.parts.plant, self.parts.link.network().await?);
+        let rows = block_in_place(|| chosen(&Reader { plant, network: &network, reader: owner }, &wishes))?;
+        let incidents = block_in_place(|| plant.ledger.incidents.list(owner.address))?;
         let (view, erasable) = planned(&rows, &incidents);
-        if !sure || erasable.is_empty() {
+        if !wishes.sure || erasable.is_empty() {
             return Ok(view);
         }
         if !view.held.is_empty() {
@@ -175,47 +156,42 @@ impl Storage {
             )));
         }
         let subject = clean(&format!("{} records of {}: {reason}", erasable.len(), view.topics.join(" ")), 900);
-        self.log.begin(owner, "erase", &subject).await?;
+        self.parts.log.begin(owner, "erase", &subject).await?;
         let erasure = Erasure { at: Timestamp::now(), by: owner.profile.to_string(), reason };
         let digests = erasable.iter().map(|row| row.digest).collect();
         let named = self.name_erased(owner, erasable, erasure).await;
-        let named = self.log.end(owner, "erase", &subject, named).await?;
+        let named = self.parts.log.end(owner, "erase", &subject, named).await?;
         let left = self.wait_for_erasing(digests).await?;
         Ok(ErasureView { named: named.named, missing: named.missing, deleted: !left, ..view })
     }
 
     async fn name_erased(
-        self: &Arc<Self>,
+        &self,
         owner: &Arc<Owner>,
         rows: Vec<RecordRow>,
         erasure: Erasure,
     ) -> Result<retention::Erased, Failure> {
         let _one_at_a_time = self.naming.lock().await;
-        let asked = Arc::clone(owner);
-        let named = blocking(self, move |storage| Ok(retention::name(&storage.plant, &asked, &rows, &erasure)?)).await;
+        let named = block_in_place(|| retention::name(&self.parts.plant, owner, &rows, &erasure));
         self.has_named.store(true, Ordering::Release);
-        self.hub.stored.notify_waiters();
-        named
+        self.parts.hub.stored.notify_waiters();
+        Ok(named?)
     }
 
     /// Waits for a while until what was named of these is deleted; returns whether something is left.
-    async fn wait_for_erasing(self: &Arc<Self>, mut digests: Vec<Digest>) -> Result<bool, Failure> {
+    async fn wait_for_erasing(&self, mut digests: Vec<Digest>) -> Result<bool, Failure> {
         for _ in 0..ERASING_LOOK.1 {
-            digests = blocking(self, move |storage| {
-                while let Some(last) = digests.last() {
-                    let retained = storage.plant.ledger.retention.find(*last)?;
-                    if retained.is_some_and(|retained| retained.deleted_at.is_none()) {
-                        break;
-                    }
-                    digests.pop();
+            while let Some(last) = digests.last() {
+                let retained = block_in_place(|| self.parts.plant.ledger.retention.find(*last))?;
+                if retained.is_some_and(|retained| retained.deleted_at.is_none()) {
+                    break;
                 }
-                Ok(digests)
-            })
-            .await?;
+                digests.pop();
+            }
             if digests.is_empty() {
                 return Ok(false);
             }
-            if !self.life.beat(ERASING_LOOK.0).await {
+            if !self.parts.life.beat(ERASING_LOOK.0).await {
                 break;
             }
         }
@@ -258,7 +234,7 @@ fn too_many() -> Failure {
 /// The chosen records of a kind, by topic or recording.
 fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>, Failure> {
     let mut rows = Vec::new();
-    let mut query = RecordQuery {
+    let query = RecordQuery {
         owner: Some(reader.reader.address),
         topic: wishes.topic.as_ref().map(ToString::to_string),
         kind: Some(kind),
@@ -267,31 +243,27 @@ fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> R
         limit: PAGE,
         ..RecordQuery::default()
     };
-    loop {
-        let page = reader.plant.ledger.records.list(&query)?;
-        match &wishes.recording {
-            Some(recording) => rows.extend(imported(reader, page.rows, recording)?),
-            None => rows.extend(page.rows),
-        }
+    for row in reader.plant.ledger.records.all(query) {
+        let row = row?;
+        let is_left_out = match &wishes.recording {
+            Some(recording) => !is_imported(reader, &row, recording)?,
+            None => false,
+        };
+        rows.extend(Some(row).filter(|_| !is_left_out));
         if rows.len() > MOST {
             return Err(too_many());
         }
-        let Some(next) = page.next else { return Ok(rows) };
-        query.after = Some(next);
     }
+    Ok(rows)
 }
 
-/// Those that an import of a recording sealed, as their sealed tags say. What is gone already cannot be opened and is none.
-fn imported(reader: &Reader<'_>, rows: Vec<RecordRow>, recording: &str) -> Result<Vec<RecordRow>, Failure> {
-    let mut found = Vec::new();
-    for row in rows {
-        let Some(opened) = reader.own_contents(&row)? else { continue };
+/// Whether an import of a recording sealed it, as its sealed tags say. What is gone already cannot be opened.
+fn is_imported(reader: &Reader<'_>, row: &RecordRow, recording: &str) -> Result<bool, Failure> {
+    let opened = reader.own_contents(row)?;
+    Ok(opened.is_some_and(|opened| {
         let has = |name: &str, value: &str| opened.head.tags.get(name).is_some_and(|tag| tag == value);
-        if has(RECORDING, recording) && has(SOURCE.0, SOURCE.1) {
-            found.push(row);
-        }
-    }
-    Ok(found)
+        has(RECORDING, recording) && has(SOURCE.0, SOURCE.1)
+    }))
 }
 
 /// What would become of these records, and those that can go.
@@ -308,10 +280,8 @@ fn planned(rows: &[RecordRow], incidents: &[IncidentRow]) -> (ErasureView, Vec<R
         gone: rows.iter().filter(|row| row.deleted_at.is_some()).count() as u64,
         other: rows.iter().filter(|row| is_other(row)).count() as u64,
         held,
-        named: 0,
-        missing: 0,
-        deleted: false,
         stays: STAYS.map(ToOwned::to_owned).to_vec(),
+        ..ErasureView::default()
     };
     (view, erasable)
 }

@@ -3,8 +3,8 @@
 use rusqlite::params;
 
 use super::*;
-use crate::chain::merkle::{Inclusion, Leaf, Tree};
 use crate::crypto::ErasedStatement;
+use crate::crypto::merkle::{Inclusion, Leaf, Tree};
 use crate::model::{PublicKey, TopicId};
 
 const OWNER: Address = Address([1; 20]);

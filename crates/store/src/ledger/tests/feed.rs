@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use proptest::prelude::*;
 
 use super::*;
-use crate::chain::merkle::Inclusion;
+use crate::crypto::merkle::Inclusion;
 use crate::model::Fact;
 use crate::snapshot::{Snapshot, renew_ledger};
 
@@ -178,6 +178,16 @@ proptest! {
         while !world.read(3) {}
         prop_assert_eq!(world.told(), world.model.facts.clone());
     }
+}
+
+#[test]
+fn a_follower_who_read_on_past_a_row_that_was_taken_back_reads_an_older_copy_anew() {
+    let mut world = World::new();
+    for step in [Step::Verify(1), Step::BackUp, Step::TakeBack(1), Step::Read(1), Step::Restore(false)] {
+        world.step(&step);
+    }
+    while !world.read(3) {}
+    assert_eq!(world.told(), [(1, Fact::Verified)]);
 }
 
 #[test]

@@ -11,7 +11,6 @@ type Answer = Receiver<Result<(), StoreError>>;
 /// A piece of work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Ask {
-    /// This many records.
     Append(u64),
     /// This many, and one whose number is taken: none may stay.
     Clash(u64),

@@ -3,10 +3,8 @@
 use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
-use super::{Play, RIGHTS};
-use crate::model::{Address, Hash, TopicId};
-use crate::pipeline::authority;
-use crate::service::event::NoticeLevel;
+use super::{Play, RIGHTS, granted_to};
+use crate::model::{Address, TopicId};
 use crate::service::reply::PlayEnd;
 use crate::store::RecordRow;
 
@@ -103,7 +101,7 @@ impl Play<'_> {
                 self.target.name(),
                 self.name_of(row.owner)
             );
-            self.bridge.hub.notice(NoticeLevel::Warning, &text);
+            self.bridge.parts.hub.warn(&text);
         }
         true
     }
@@ -114,16 +112,14 @@ impl Play<'_> {
             self.tell("the keyring was locked");
             return Some(PlayEnd::Locked);
         }
-        if let Some(network) = self.bridge.link.network_now() {
+        if let Some(network) = self.bridge.parts.link.network_now() {
             self.network = network;
         }
         if self.rights_at.elapsed() < RIGHTS {
             return None;
         }
         self.rights_at = Instant::now();
-        let standing = authority::shared_with(&self.network.directory, self.owner.address);
-        let standing: HashMap<Address, Hash> =
-            standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect();
+        let standing = granted_to(self.owner, &self.network);
         // A grant that was revoked and given again, perhaps for less, is a different grant.
         let is_over = |giver: &&Address| standing.get(giver).is_none_or(|now| self.granted.get(giver) != Some(now));
         let ended: Vec<Address> = self.givers.keys().filter(is_over).copied().collect();
@@ -152,9 +148,12 @@ impl Play<'_> {
     }
 
     fn tell(&self, why: &str) {
-        let text =
-            format!("playback into {} ended: {why}; {} messages were published", self.target.name(), self.published);
-        self.bridge.hub.notice(NoticeLevel::Warning, &text);
+        let text = format!(
+            "playback into {} ended: {why}; {} messages were published",
+            self.target.name(),
+            self.tally.published
+        );
+        self.bridge.parts.hub.warn(&text);
     }
 }
 

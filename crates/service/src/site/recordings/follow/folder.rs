@@ -1,11 +1,14 @@
-//! What is in a followed folder, in the order of recording, and who writes it.
+//! What is in a followed folder, in the order of recording, and whether a recorder is done with a file. A database is opened only
+//! then: a second process that opens it while it is recorded can end its recorder (rosbag2 #602, #1140).
 
 use std::cmp::Ordering;
 use std::fs;
+use std::io::{ErrorKind, Read};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-use crate::ros::rosbag2::ATTACHED;
+use crate::ros::rosbag2::{ATTACHED, METADATA, has_journal};
 
 /// The most entries that are looked at.
 const MOST_ENTRIES: usize = 16 * 1024;
@@ -62,7 +65,7 @@ impl Folder {
         let mut found = Found::default();
         match gather(&self.path, DEEPEST, &mut found) {
             Ok(()) => {
-                found.files.sort_by(|one, other| in_order(&one.to_string_lossy(), &other.to_string_lossy()));
+                sort(&mut found.files);
                 Look::Files(found)
             }
             Err(error) => Look::Unreadable(error.to_string()),
@@ -101,6 +104,11 @@ pub(super) fn is_database(path: &Path) -> bool {
     path.extension().is_some_and(|end| end == "db3")
 }
 
+/// In the order of recording.
+pub(super) fn sort(paths: &mut [PathBuf]) {
+    paths.sort_by(|one, other| in_order(&one.to_string_lossy(), &other.to_string_lossy()));
+}
+
 /// Compares names so that numbers in them count as numbers: `run_9` is before `run_10`.
 pub(super) fn in_order(one: &str, other: &str) -> Ordering {
     parts(one).cmp(&parts(other)).then_with(|| one.cmp(other))
@@ -119,6 +127,152 @@ fn parts(name: &str) -> Vec<(&str, usize, &str)> {
         rest = tail;
     }
     parts
+}
+
+/// Unchanged for so long, a file that nobody is seen to write is no longer written.
+pub(super) const QUIET: Duration = Duration::from_secs(10);
+
+/// Unchanged for so long, a database that a later file or the description follows is closed if nobody has it open: a recorder
+/// opens the next file before it closes the former.
+const SETTLED: Duration = Duration::from_secs(1);
+
+/// The most of a description that is looked at, bytes.
+const LONGEST_DESCRIPTION: u64 = 4 << 20;
+
+/// Whether rosbag2 has closed the recording that a file is of, or a later file of it is there.
+pub(super) fn is_followed_by(path: &Path, files: &[PathBuf]) -> bool {
+    has_description(path) || has_later(path, files)
+}
+
+fn has_later(path: &Path, files: &[PathBuf]) -> bool {
+    let is_later = |other: &PathBuf| {
+        other.parent() == path.parent()
+            && other.extension() == path.extension()
+            && in_order(&path.to_string_lossy(), &other.to_string_lossy()) == Ordering::Less
+    };
+    files.iter().any(is_later)
+}
+
+/// Whether the description that rosbag2 writes last is beside a file.
+pub(super) fn has_description(path: &Path) -> bool {
+    path.parent().is_some_and(|folder| folder.join(METADATA).exists())
+}
+
+/// Whether that description names the file.
+fn is_described(path: &Path) -> bool {
+    let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else { return false };
+    let Ok(file) = fs::File::open(folder.join(METADATA)) else { return false };
+    let mut text = String::new();
+    file.take(LONGEST_DESCRIPTION).read_to_string(&mut text).is_ok() && text.contains(&*name.to_string_lossy())
+}
+
+/// Who writes a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Writers {
+    /// A process has it open for writing.
+    Seen,
+    /// No process has.
+    Nobody,
+    /// None that may be looked at.
+    Unknown,
+}
+
+fn writers(device: u64, inode: u64) -> Writers {
+    let Ok(processes) = fs::read_dir("/proc") else { return Writers::Unknown };
+    let mut found = Writers::Nobody;
+    for process in processes.flatten() {
+        let open = match fs::read_dir(process.path().join("fd")) {
+            Ok(open) => open,
+            // No process, or one that has just ended.
+            Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => continue,
+            Err(_) => {
+                found = Writers::Unknown;
+                continue;
+            }
+        };
+        let is_writing = open.flatten().any(|descriptor| {
+            let is_it = fs::metadata(descriptor.path())
+                .is_ok_and(|file| file.is_file() && file.dev() == device && file.ino() == inode);
+            is_it && is_for_writing(&process.path().join("fdinfo").join(descriptor.file_name()))
+        });
+        if is_writing {
+            return Writers::Seen;
+        }
+    }
+    found
+}
+
+/// Whether a process that may be looked at has the file open for writing.
+pub(super) fn has_writer(device: u64, inode: u64) -> bool {
+    writers(device, inode) == Writers::Seen
+}
+
+fn is_for_writing(about: &Path) -> bool {
+    let text = fs::read_to_string(about).unwrap_or_default();
+    let flags = text.lines().find_map(|line| line.strip_prefix("flags:"));
+    let flags = flags.and_then(|flags| u32::from_str_radix(flags.trim(), 8).ok());
+    // The way of access is in the lowest two bits; 0 is reading.
+    flags.is_some_and(|flags| flags & 0b11 != 0)
+}
+
+/// Length and time of change, by which is seen that a file was written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Stamp(u64, i64, i64);
+
+impl Stamp {
+    /// Of a file; `None` if it is not there.
+    pub fn of(path: &Path) -> Option<Self> {
+        fs::metadata(path).ok().as_ref().map(Self::from)
+    }
+}
+
+impl From<&fs::Metadata> for Stamp {
+    fn from(found: &fs::Metadata) -> Self {
+        Self(found.len(), found.mtime(), found.mtime_nsec())
+    }
+}
+
+/// A database whose end is waited for.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    stamp: Option<Stamp>,
+    since: Instant,
+    settled: Duration,
+    quiet: Duration,
+}
+
+impl Default for Waiting {
+    fn default() -> Self {
+        Self { stamp: None, since: Instant::now(), settled: SETTLED, quiet: QUIET }
+    }
+}
+
+impl Waiting {
+    /// Looks at the file, without opening it, whether its recorder is done with it.
+    pub fn is_over(&mut self, path: &Path, files: &[PathBuf]) -> bool {
+        let Ok(found) = fs::metadata(path) else { return false };
+        let stamp = Some(Stamp::from(&found));
+        if self.stamp != stamp {
+            (self.stamp, self.since) = (stamp, Instant::now());
+        }
+        let quiet = self.since.elapsed();
+        if quiet < self.settled {
+            return false;
+        }
+        let is_followed = has_later(path, files) || is_described(path);
+        let is_clear = is_followed && !has_journal(path);
+        if quiet < self.quiet && !is_clear {
+            return false;
+        }
+        match writers(found.dev(), found.ino()) {
+            Writers::Nobody => true,
+            Writers::Unknown => is_followed && quiet >= self.quiet,
+            Writers::Seen => {
+                self.since = Instant::now();
+                false
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -151,5 +305,58 @@ mod tests {
         assert!(matches!(folder.look(), Look::Gone));
         fs::create_dir(&path).expect("created");
         assert!(matches!(folder.look(), Look::Gone), "another folder of its name");
+    }
+
+    #[test]
+    fn who_writes_a_file_is_found() {
+        let home = tempfile::tempdir().expect("a folder");
+        let path = home.path().join("run.mcap");
+        let writing = fs::File::create(&path).expect("created");
+        let metadata = fs::metadata(&path).expect("there");
+        let reading = fs::File::open(&path).expect("open");
+        assert!(has_writer(metadata.dev(), metadata.ino()));
+        drop(writing);
+        assert!(!has_writer(metadata.dev(), metadata.ino()), "who only reads is none");
+        drop(reading);
+    }
+
+    #[test]
+    fn the_next_file_or_the_description_follows_a_file() {
+        let home = tempfile::tempdir().expect("a folder");
+        let [zero, one, database] = ["run_0.mcap", "run_1.mcap", "run_2.db3"].map(|name| home.path().join(name));
+        let files = [zero.clone(), one.clone(), database.clone()];
+        assert!(is_followed_by(&zero, &files) && !is_followed_by(&one, &files) && !is_followed_by(&database, &files));
+        fs::write(home.path().join(METADATA), "").expect("written");
+        assert!(files.iter().all(|path| is_followed_by(path, &files)) && !is_described(&one));
+        fs::write(home.path().join(METADATA), "  - run_1.mcap\n").expect("written");
+        assert!(is_described(&one) && !is_described(&zero));
+    }
+
+    #[test]
+    fn a_database_is_closed_when_it_is_followed_and_nobody_writes_it() {
+        let home = tempfile::tempdir().expect("a folder");
+        let [zero, one] = ["run_0.db3", "run_1.db3"].map(|name| home.path().join(name));
+        let writing = fs::File::create(&zero).expect("created");
+        let files = [zero.clone(), one];
+        let soon = Duration::from_millis(20);
+        let mut waiting = Waiting { settled: soon, quiet: soon, ..Waiting::default() };
+        let is_over = |waiting: &mut Waiting, files: &[PathBuf]| {
+            waiting.is_over(&zero, files);
+            std::thread::sleep(2 * soon);
+            waiting.is_over(&zero, files)
+        };
+        assert!(!is_over(&mut waiting, &files), "it is open for writing");
+        drop(writing);
+        assert!(is_over(&mut waiting, &files));
+        fs::write(home.path().join(METADATA), "  - run_7.db3\n").expect("written");
+        waiting.quiet = Duration::from_secs(3_600);
+        assert!(!is_over(&mut waiting, &files[..1]), "the description does not name it");
+        fs::write(home.path().join(METADATA), "  - run_0.db3\n").expect("written");
+        let journal = home.path().join("run_0.db3-journal");
+        fs::write(&journal, "pages").expect("written");
+        assert!(!is_over(&mut waiting, &files[..1]), "a journal is beside it");
+        fs::remove_file(&journal).expect("gone");
+        waiting.quiet = soon;
+        assert!(is_over(&mut waiting, &files[..1]));
     }
 }

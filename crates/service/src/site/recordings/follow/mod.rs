@@ -4,9 +4,7 @@
 //! between leaves a few messages in doubt, which are looked for among the records. A file that has ended is stated: its
 //! length and digests become a record, and the bundle of that record, opened, is written beside the file.
 
-mod closing;
 mod folder;
-mod hashed;
 mod place;
 mod proof;
 mod source;
@@ -20,12 +18,10 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{mpsc, oneshot};
 
-use self::closing::{QUIET, Stamp, Waiting};
-use self::folder::{Folder, Look};
-use self::hashed::Hashed;
-use self::place::Known;
+use self::folder::{Folder, Look, QUIET, Stamp, Waiting};
+use self::place::{Hashed, Known};
 use self::proof::{Due, Proven};
-use self::tape::{Done, Opened, Round, Tape};
+use self::tape::{Round, Tape};
 use super::import::MOST_TAGS;
 use super::{Recordings, Run};
 use crate::model::{Address, clean};
@@ -64,19 +60,21 @@ struct Follower<'a> {
     network: &'a Network,
     wishes: &'a FollowWishes,
     control: &'a CaptureSession,
+    /// Takes the proofs that are to be written.
+    due: mpsc::UnboundedSender<Due>,
 }
 
 impl<'a> Follower<'a> {
     fn goes_on(&self) -> bool {
-        !self.control.is_closed() && !self.recordings.life.is_stopping()
+        !self.control.is_closed() && !self.recordings.parts.life.is_stopping()
     }
 
     fn reader(&self) -> Reader<'a> {
-        Reader { plant: &self.recordings.plant, network: self.network, reader: self.owner }
+        Reader { plant: &self.recordings.parts.plant, network: self.network, reader: self.owner }
     }
 
     fn importer(&self, tags: Vec<(String, String)>) -> Importer<'a> {
-        let (author, rules) = (Arc::clone(&self.owner.author), &self.recordings.config.topic_rules);
+        let (author, rules) = (Arc::clone(&self.owner.author), &self.recordings.parts.config.topic_rules);
         Importer::new(&self.recordings.rings, author, rules, tags).unfollowed()
     }
 
@@ -86,7 +84,12 @@ impl<'a> Follower<'a> {
     }
 
     fn tell(&self, level: NoticeLevel, text: &str) {
-        self.recordings.hub.notice(level, text);
+        self.recordings.parts.hub.notice(level, text);
+    }
+
+    /// Says of a file, by its name, what is not well.
+    fn warn(&self, name: &str, text: &str) {
+        self.tell(NoticeLevel::Warning, &format!("{name}: {text}"));
     }
 }
 
@@ -108,11 +111,13 @@ struct Ended {
     stamp: Option<Stamp>,
 }
 
-impl Ended {
-    fn new(path: &Path, file: FollowedFile, place: Option<FilePlace>) -> Self {
-        Self { file, place, stamp: Stamp::of(path) }
+impl Entry<'_> {
+    fn ended(path: &Path, file: FollowedFile, place: Option<FilePlace>) -> Self {
+        Self::Ended(Box::new(Ended { file, place, stamp: Stamp::of(path) }))
     }
+}
 
+impl Ended {
     /// Looks whether it was written since, and then whether it is still what was sealed; what to say if not.
     fn look(&mut self, path: &Path) -> Option<String> {
         let place = self.place.as_ref().filter(|_| !self.file.is_altered)?;
@@ -132,7 +137,7 @@ impl Ended {
 
 impl Recordings {
     /// Seals what is recorded into a folder, until it is closed, this is ended, or the client has gone.
-    pub(super) async fn follow(
+    pub async fn follow(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         wishes: FollowWishes,
@@ -154,14 +159,14 @@ impl Recordings {
                 "{shown}, or a folder above or below it, is already being followed; end that first, or leave it to it"
             ))
         })?;
-        self.log.begin(owner, "follow recordings", &shown).await?;
+        self.parts.log.begin(owner, "follow recordings", &shown).await?;
         let running = self.begin_run(&owner.profile, &folder, "following");
         // Ends as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
         self.capture.note(&owner.profile, &control);
         let followed = self.follow_and_prove(owner, network, wishes, (&running.run, &control), gone).await;
         self.capture.forget(&control);
-        self.log.end(owner, "follow recordings", &shown, followed).await
+        self.parts.log.end(owner, "follow recordings", &shown, followed).await
     }
 
     async fn follow_and_prove(
@@ -175,8 +180,8 @@ impl Recordings {
         let (sender, mut due) = mpsc::unbounded_channel();
         let (author, run, stop) = (Arc::clone(owner), Arc::clone(run), Arc::clone(control));
         let reading = blocking(self, move |recordings| {
-            let follower = Follower { recordings, owner: &author, network: &network, wishes: &wishes, control: &stop };
-            Ok(follow_folder(&follower, &run, &sender))
+            let (owner, network, wishes, control) = (&author, &network, &wishes, &*stop);
+            Ok(follow_folder(&Follower { recordings, owner, network, wishes, control, due: sender }, &run))
         });
         tokio::pin!(reading);
         let (mut waiting, mut proven, mut view) = (Vec::new(), BTreeMap::new(), None);
@@ -194,7 +199,7 @@ impl Recordings {
             while let Ok(one) = due.try_recv() {
                 waiting.push(one);
             }
-            let is_over = waiting.is_empty() || control.is_closed() || self.life.is_stopping();
+            let is_over = waiting.is_empty() || control.is_closed() || self.parts.life.is_stopping();
             if let Some(view) = view.take_if(|_| is_over) {
                 return Ok(with_proofs(view, &waiting, &mut proven));
             }
@@ -231,7 +236,7 @@ fn resolved(path: &Path) -> Result<PathBuf, Failure> {
 }
 
 /// The folder's files, round by round.
-fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender<Due>) -> FollowView {
+fn follow_folder(follower: &Follower<'_>, run: &Run) -> FollowView {
     let shown = clean(&follower.wishes.folder.display().to_string(), 300);
     let mut folder = Folder::new(follower.wishes.folder.clone());
     let (mut entries, mut files) = (BTreeMap::<PathBuf, Entry<'_>>::new(), Vec::new());
@@ -250,19 +255,19 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
         entries.retain(|path, entry| !matches!(entry, Entry::Waiting(_)) || files.contains(path));
         for path in &files {
             let is_new = matches!(entries.get(path), None | Some(Entry::Waiting(_)));
-            if !view.is_gone && is_new && open(follower, path, &files, &mut entries, due) {
+            if !view.is_gone && is_new && open(follower, path, &files, &mut entries) {
                 newest = Instant::now();
             }
         }
-        let moved = go_round(follower, &files, &mut entries, due);
+        let moved = go_round(follower, &files, &mut entries);
         let sealed = entries.values().map(|entry| match entry {
-            Entry::Open(tape) => tape.sealed(),
+            Entry::Open(tape) => tape.view.sealed,
             Entry::Ended(ended) => ended.file.sealed,
             Entry::Same | Entry::Waiting(_) => 0,
         });
         run.at(0, 0, sealed.sum());
         let is_open = entries.values().any(|entry| matches!(entry, Entry::Open(_) | Entry::Waiting(_)));
-        let is_closed = || files.iter().all(|path| closing::has_description(path)) || newest.elapsed() >= QUIET;
+        let is_closed = || files.iter().all(|path| folder::has_description(path)) || newest.elapsed() >= QUIET;
         let has_ended = follower.wishes.until_closed && !entries.is_empty() && !is_open && is_closed();
         if !follower.goes_on() || !moved && (has_ended || view.is_gone) {
             view.ended_early = !has_ended;
@@ -272,9 +277,7 @@ fn follow_folder(follower: &Follower<'_>, run: &Run, due: &mpsc::UnboundedSender
             std::thread::sleep(LOOK);
         }
     }
-    let mut paths: Vec<PathBuf> = entries.keys().cloned().collect();
-    paths.sort_by(|one, other| folder::in_order(&one.to_string_lossy(), &other.to_string_lossy()));
-    for path in paths {
+    for path in in_recorded_order(&entries) {
         match entries.remove(&path) {
             Some(Entry::Open(mut tape)) => {
                 tape.leave();
@@ -304,7 +307,6 @@ fn open<'a>(
     path: &Path,
     files: &[PathBuf],
     entries: &mut BTreeMap<PathBuf, Entry<'a>>,
-    due: &mpsc::UnboundedSender<Due>,
 ) -> bool {
     let name = follower.name_of(path);
     if folder::is_database(path) {
@@ -320,51 +322,46 @@ fn open<'a>(
         }
     }
     let entry = match Tape::open(follower, path, files) {
-        Ok(Opened::NotYet) => return false,
-        Ok(Opened::Imported) => {
-            follower.tell(NoticeLevel::Info, &format!("{name} is being imported: it is followed when that has ended"));
-            entries.insert(path.to_owned(), Entry::Waiting(Waiting::default()));
-            return false;
-        }
-        Ok(Opened::Same) => Entry::Same,
-        Ok(Opened::Tape(tape)) => {
-            follower.tell(NoticeLevel::Info, &format!("following {name}"));
-            tape.notes().iter().for_each(|note| follower.tell(NoticeLevel::Warning, &format!("{name}: {note}")));
-            Entry::Open(tape)
-        }
-        Ok(Opened::Done(done)) => {
-            let Done { view, due: proof, place } = *done;
-            view.notes.iter().for_each(|note| follower.tell(NoticeLevel::Warning, &format!("{name}: {note}")));
-            proof.into_iter().for_each(|proof| drop(due.send(proof)));
-            Entry::Ended(Box::new(Ended::new(path, view, place)))
-        }
+        Ok(Some(entry)) => entry,
+        Ok(None) => return false,
         Err(failure) => {
-            follower.tell(NoticeLevel::Warning, &format!("{name}: {}", failure.message));
+            follower.warn(&name, &failure.message);
             return false;
         }
     };
+    match &entry {
+        Entry::Open(tape) => {
+            follower.tell(NoticeLevel::Info, &format!("following {name}"));
+            tape.view.notes.iter().for_each(|note| follower.warn(&name, note));
+        }
+        Entry::Ended(ended) => ended.file.notes.iter().for_each(|note| follower.warn(&name, note)),
+        Entry::Waiting(_) => {
+            let text = format!("{name} is being imported: it is followed when that has ended");
+            follower.tell(NoticeLevel::Info, &text);
+        }
+        Entry::Same => {}
+    }
+    let is_met = !matches!(entry, Entry::Waiting(_));
     entries.insert(path.to_owned(), entry);
-    true
+    is_met
+}
+
+/// The files in the order in which they were recorded.
+fn in_recorded_order(entries: &BTreeMap<PathBuf, Entry<'_>>) -> Vec<PathBuf> {
+    let mut paths: Vec<PathBuf> = entries.keys().cloned().collect();
+    folder::sort(&mut paths);
+    paths
 }
 
 /// One round of all open files; whether any moved. A failure is told, and tried again.
-fn go_round(
-    follower: &Follower<'_>,
-    files: &[PathBuf],
-    entries: &mut BTreeMap<PathBuf, Entry<'_>>,
-    due: &mpsc::UnboundedSender<Due>,
-) -> bool {
+fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<PathBuf, Entry<'_>>) -> bool {
     let mut moved = false;
-    let mut paths: Vec<PathBuf> = entries.keys().cloned().collect();
-    paths.sort_by(|one, other| folder::in_order(&one.to_string_lossy(), &other.to_string_lossy()));
-    for path in paths {
+    for path in in_recorded_order(entries) {
         let Some(entry) = entries.get_mut(&path) else { continue };
         let tape = match &mut *entry {
             Entry::Open(tape) => tape,
             Entry::Ended(ended) => {
-                let name = follower.name_of(&path);
-                let changed = ended.look(&path).map(|note| format!("{name}: {note}"));
-                changed.into_iter().for_each(|note| follower.tell(NoticeLevel::Warning, &note));
+                ended.look(&path).into_iter().for_each(|note| follower.warn(&follower.name_of(&path), &note));
                 continue;
             }
             Entry::Same | Entry::Waiting(_) => continue,
@@ -374,7 +371,7 @@ fn go_round(
             Ok(Round::Moved) => moved = true,
             Ok(Round::Ended) => {
                 moved = true;
-                tape.due().into_iter().for_each(|one| drop(due.send(one)));
+                follower.prove(&tape.key, &tape.place, &path);
                 let file = tape.report();
                 let level = if file.is_altered || !file.is_closed { NoticeLevel::Warning } else { NoticeLevel::Info };
                 let how = match &file {
@@ -383,12 +380,12 @@ fn go_round(
                     _ => format!("has ended, {} messages sealed", file.sealed + file.already),
                 };
                 follower.tell(level, &format!("{}: {how}", file.file));
-                let place = Some(tape.place().clone()).filter(|place| place.standing != FileStanding::Open);
-                *entry = Entry::Ended(Box::new(Ended::new(&path, file, place)));
+                let place = Some(tape.place.clone()).filter(|place| place.standing != FileStanding::Open);
+                *entry = Entry::ended(&path, file, place);
             }
             Err(failure) => {
                 let (name, why) = (follower.name_of(&path), failure.message.trim_end_matches(AGAIN));
-                follower.tell(NoticeLevel::Warning, &format!("{name}: {why}; it goes on by itself when it can"));
+                follower.warn(&name, &format!("{why}; it goes on by itself when it can"));
             }
         }
     }

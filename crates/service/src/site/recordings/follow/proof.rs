@@ -9,6 +9,7 @@ use authros_evidence::recorded::TAG;
 
 use super::super::Recordings;
 use super::super::import::RECORDING;
+use super::super::standings::at;
 use super::Follower;
 use super::folder::is_database;
 use super::place::FileKey;
@@ -20,12 +21,11 @@ use crate::ros::mcap;
 use crate::ros::recording::BESIDE;
 use crate::ros::rosbag2::ATTACHED;
 use crate::service::command::EvidenceWishes;
-use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 use crate::site::blocking;
+use crate::store::RecordRow;
 use crate::store::notes::{FilePlace, FileStanding};
-use crate::store::{RecordQuery, RecordRow};
 
 /// The end of a proof's name.
 const PROOF: &str = ".authros";
@@ -55,19 +55,21 @@ pub(super) struct Proven {
     pub notes: Vec<String>,
 }
 
-impl Due {
-    /// Of a file that is stated.
-    pub fn of(follower: &Follower<'_>, key: &FileKey, place: &FilePlace, path: &Path) -> Option<Self> {
-        let (Some(stated_at), Some(statement)) = (place.stated_at, place.statement) else { return None };
-        Some(Self {
-            name: follower.name_of(path),
+impl Follower<'_> {
+    /// Has the proof of a file written, if it is stated.
+    pub fn prove(&self, key: &FileKey, place: &FilePlace, path: &Path) {
+        let (Some(stated_at), Some(statement)) = (place.stated_at, place.statement) else { return };
+        let due = Due {
+            name: self.name_of(path),
             path: path.to_owned(),
             key: key.clone(),
             place: place.clone(),
             stated_at,
             statement,
-            attach: follower.wishes.attach && place.closed && !is_database(path),
-        })
+            attach: self.wishes.attach && place.closed && !is_database(path),
+        };
+        // Nobody writes proofs any more once following has ended.
+        drop(self.due.send(due));
     }
 }
 
@@ -85,12 +87,12 @@ impl Recordings {
                 Ok(None) => left.push(due),
                 Ok(Some(one)) => {
                     let text = one.proof.as_ref().map(|proof| format!("{}: its proof is {proof}", due.name));
-                    text.into_iter().for_each(|text| self.hub.notice(NoticeLevel::Info, &text));
+                    text.into_iter().for_each(|text| self.parts.hub.inform(&text));
                     proven.insert(due.name, one);
                 }
                 Err(failure) => {
                     let text = format!("its proof was not written: {}", failure.message);
-                    self.hub.notice(NoticeLevel::Warning, &format!("{}: {text}", due.name));
+                    self.parts.hub.warn(&format!("{}: {text}", due.name));
                     proven.insert(due.name, Proven { notes: vec![text], ..Proven::default() });
                 }
             }
@@ -101,7 +103,7 @@ impl Recordings {
     async fn prove_one(self: &Arc<Self>, owner: &Arc<Owner>, due: &Due) -> Result<Option<Proven>, Failure> {
         let (network, author, wanted) = (self.reading.network_or_kept().await?, Arc::clone(owner), due.clone());
         let row = blocking(self, move |recordings| {
-            let reader = Reader { plant: &recordings.plant, network: &network, reader: &author };
+            let reader = Reader { plant: &recordings.parts.plant, network: &network, reader: &author };
             statement(&reader, &wanted)
         });
         let Some(row) = row.await? else {
@@ -123,11 +125,8 @@ impl Recordings {
             let wishes = EvidenceWishes {
                 file: target.clone(),
                 records: vec![row.id.clone()],
-                topic: None,
-                incident: None,
-                since: None,
-                until: None,
                 reveal: vec![row.id.clone()],
+                ..EvidenceWishes::default()
             };
             one.notes = self.evidence.export(owner, wishes).await?.notes;
         }
@@ -141,7 +140,7 @@ impl Recordings {
     /// Looks that the bundle is the file's, attaches it, and keeps that this is done.
     fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<Option<PathBuf>, Failure> {
         let is_its_own =
-            Bundle::read(target, self.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
+            Bundle::read(target, self.parts.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
         if !is_its_own {
             return Err(input(format!(
                 "{} is there and proves something else: another file, this one as it was before, or what another profile \
@@ -151,7 +150,7 @@ impl Recordings {
         }
         let attached = due.attach.then(|| attach(&due.path, target, due.stated_at)).transpose()?;
         let done = FilePlace { standing: FileStanding::Proven, ..due.place.clone() };
-        self.plant.ledger.notes.write(&due.key.note, &done)?;
+        self.parts.plant.ledger.notes.write(&due.key.note, &done)?;
         Ok(attached)
     }
 }
@@ -178,7 +177,7 @@ fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Fa
     }
     let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", copy.display()));
     let data = std::fs::read(proof).map_err(failed)?;
-    let (draft, out) = super::super::writing::Draft::begin(&copy)?;
+    let (draft, out) = super::super::export::Draft::begin(&copy)?;
     let title = proof.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let source = std::fs::File::open(path).map_err(failed)?;
     mcap::attach(
@@ -199,27 +198,13 @@ fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Fa
 
 /// The record of a file's statement.
 fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>, Failure> {
-    let mut query = RecordQuery {
-        owner: Some(reader.reader.address),
-        topic: Some(BESIDE.to_owned()),
-        kind: Some(RecordKind::Attachment),
-        since: Some(due.stated_at),
-        until: due.stated_at.next(),
-        ..RecordQuery::default()
-    };
-    loop {
-        let page = reader.plant.ledger.records.list(&query)?;
-        for row in page.rows {
-            let Some(opened) = reader.own_contents(&row)? else { continue };
-            let has = |key: &str, value: &str| opened.head.tags.get(key).is_some_and(|found| found == value);
-            let is_it = has(RECORDING, &due.key.tag) && has(TAG.0, TAG.1);
-            if is_it && Digest(sm3(&[&opened.body])) == due.statement {
-                return Ok(Some(row));
-            }
-        }
-        query.after = page.next;
-        if query.after.is_none() {
-            return Ok(None);
+    for found in reader.own_opened(at(BESIDE, RecordKind::Attachment, Some(due.stated_at))) {
+        let (row, opened) = found?;
+        let has = |key: &str, value: &str| opened.head.tags.get(key).is_some_and(|found| found == value);
+        let is_it = has(RECORDING, &due.key.tag) && has(TAG.0, TAG.1);
+        if is_it && Digest(sm3(&[&opened.body])) == due.statement {
+            return Ok(Some(row));
         }
     }
+    Ok(None)
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use super::folder::is_database;
 use crate::ros::RosError;
 use crate::ros::mcap::McapReader;
-use crate::ros::recording::{Findings, RecordedMessage};
+use crate::ros::recording::{Findings, RecordedMessage, RecordingReader as _};
 use crate::ros::rosbag2::Db3Reader;
 use crate::service::failure::input;
 use crate::service::reply::Failure;

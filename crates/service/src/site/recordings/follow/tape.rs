@@ -9,14 +9,13 @@ use std::time::{Duration, Instant};
 
 use authros_evidence::recorded::{RecordedFile, TAG};
 
-use super::super::choosing::Choosing;
 use super::super::claims::{Claim, Holder};
-use super::super::import::RECORDING;
-use super::super::sealed_before::SealedBefore;
-use super::hashed::Hashed;
-use super::place::{self, FileKey, Known};
+use super::super::import::{Choosing, RECORDING};
+use super::super::standings::SealedBefore;
+use super::folder::Waiting;
+use super::place::{self, FileKey, Hashed, Known};
 use super::source::Source;
-use super::{Due, Follower, closing, folder, proof};
+use super::{Entry, Follower, folder, proof};
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, Timestamp, clean};
 use crate::pipeline::importer::Importer;
@@ -47,44 +46,16 @@ pub(super) enum Round {
     Ended,
 }
 
-/// What was found where a file was looked for.
-pub(super) enum Opened<'a> {
-    /// Not enough of it to begin with.
-    NotYet,
-    /// Another tape has it under another name.
-    Same,
-    /// It goes on, or begins.
-    Tape(Box<Tape<'a>>),
-    /// An import seals it now.
-    Imported,
-    /// There is nothing to do with it; its proof may still be due.
-    Done(Box<Done>),
-}
-
-/// What there is to say of a file with which nothing is to be done.
-#[derive(Default)]
-pub(super) struct Done {
-    pub view: FollowedFile,
-    pub due: Option<Due>,
-    /// How far it is sealed, where that is to its end.
-    pub place: Option<FilePlace>,
-}
-
-impl Opened<'_> {
-    fn done(view: FollowedFile) -> Self {
-        Self::Done(Box::new(Done { view, ..Done::default() }))
-    }
-}
-
 /// A file being followed.
 pub(super) struct Tape<'a> {
     follower: &'a Follower<'a>,
-    key: FileKey,
+    pub key: FileKey,
     path: PathBuf,
     file: File,
     reader: Source,
     hashed: Hashed,
-    place: FilePlace,
+    /// How far it is sealed.
+    pub place: FilePlace,
     is_kept: bool,
     choosing: Choosing,
     importer: Importer<'a>,
@@ -100,51 +71,54 @@ pub(super) struct Tape<'a> {
     topics: BTreeSet<String>,
     length: u64,
     grew: Instant,
-    view: FollowedFile,
+    /// What was found so far.
+    pub view: FollowedFile,
     _claim: Claim,
 }
 
 impl<'a> Tape<'a> {
-    /// Opens a file for reading, and finds where it goes on.
-    pub fn open(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf]) -> Result<Opened<'a>, Failure> {
+    /// Opens a file for reading, and finds where it goes on; nothing if there is not enough of it to begin with. It waits where an
+    /// import seals it now.
+    pub fn open(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf]) -> Result<Option<Entry<'a>>, Failure> {
+        let done = |view: FollowedFile| Ok(Some(Entry::ended(path, view, None)));
         let unreadable = |error: std::io::Error| input(format!("it cannot be read: {error}"));
-        let (file, ledger) = (File::open(path).map_err(unreadable)?, &follower.recordings.plant.ledger);
+        let (file, ledger) = (File::open(path).map_err(unreadable)?, &follower.recordings.parts.plant.ledger);
         let (length, name) = (file.metadata().map_err(unreadable)?.len(), follower.name_of(path));
         let mut view = FollowedFile { file: name.clone(), ..FollowedFile::default() };
-        let (is_database, is_followed) = (folder::is_database(path), closing::is_followed_by(path, files));
+        let (is_database, is_followed) = (folder::is_database(path), folder::is_followed_by(path, files));
         if !is_database && !begins_as_mcap(&file).map_err(unreadable)? {
             view.notes.push("it is no MCAP file, whatever its name says: it does not begin as one".to_owned());
-            return Ok(Opened::done(view));
+            return done(view);
         }
         let owner = follower.owner.address;
         let claim = match follower.recordings.claims.take(owner, &[path.to_owned()], Holder::Follower) {
             Ok(claim) => claim,
-            Err((_, Holder::Import)) => return Ok(Opened::Imported),
-            Err((_, Holder::Follower)) => return Ok(Opened::Same),
+            Err((_, Holder::Import)) => return Ok(Some(Entry::Waiting(Waiting::default()))),
+            Err((_, Holder::Follower)) => return Ok(Some(Entry::Same)),
         };
         let is_whole = is_database || length >= MAGIC.len() as u64 && is_followed;
         let (key, place, former) = match place::known(&ledger.notes, owner, &file, is_whole)? {
-            Known::TooShort => return Ok(Opened::NotYet),
+            Known::TooShort => return Ok(None),
             Known::Shrank(place) => {
                 view.is_altered = true;
                 view.notes.push(shrank(length, place.at));
-                return Ok(Opened::done(view));
+                return done(view);
             }
             Known::Here(key, place, former) => (key, *place, former),
         };
         if place.standing != FileStanding::Open {
-            return Ok(settled(follower, path, (key, place), view));
+            return Ok(Some(settled(follower, path, (key, place), view)));
         }
         let former = former.map(|former| former.1);
         if place.begun == 0 && changed_before(follower, path, former, &mut view)? {
-            return Ok(Opened::done(view));
+            return done(view);
         }
         let reader = match Source::open(path, length, is_followed) {
             Ok(reader) => reader,
             // It is closed, so it will not become better.
             Err(failure) if is_database => {
                 view.notes.push(failure.message);
-                return Ok(Opened::done(view));
+                return done(view);
             }
             Err(failure) => return Err(failure),
         };
@@ -176,7 +150,7 @@ impl<'a> Tape<'a> {
             _claim: claim,
         };
         tape.find_import(length)?;
-        Ok(Opened::Tape(Box::new(tape)))
+        Ok(Some(Entry::Open(Box::new(tape))))
     }
 
     /// A file that nobody writes when it is first met may have been imported.
@@ -186,7 +160,7 @@ impl<'a> Tape<'a> {
         self.file.read_exact_at(&mut tail, length.saturating_sub(8)).map_err(unreadable)?;
         let metadata = self.file.metadata().map_err(unreadable)?;
         self.imported.tags.insert(self.key.tag.clone());
-        if tail != *MAGIC && closing::has_writer(metadata.dev(), metadata.ino()) {
+        if tail != *MAGIC && folder::has_writer(metadata.dev(), metadata.ino()) {
             return Ok(());
         }
         let mut hashed = Hashed::default();
@@ -234,10 +208,10 @@ impl<'a> Tape<'a> {
 
     /// Whether nobody writes it any more, although it was not closed.
     fn is_abandoned(&self, files: &[PathBuf]) -> bool {
-        let is_over = self.follower.wishes.until_closed || closing::is_followed_by(&self.path, files);
+        let is_over = self.follower.wishes.until_closed || folder::is_followed_by(&self.path, files);
         let is_written =
-            || self.file.metadata().is_ok_and(|metadata| closing::has_writer(metadata.dev(), metadata.ino()));
-        is_over && self.grew.elapsed() >= closing::QUIET && !is_written()
+            || self.file.metadata().is_ok_and(|metadata| folder::has_writer(metadata.dev(), metadata.ino()));
+        is_over && self.grew.elapsed() >= folder::QUIET && !is_written()
     }
 
     /// Reads the next messages; those that are sealed already are passed over.
@@ -280,7 +254,7 @@ impl<'a> Tape<'a> {
             (self.place.at, self.place.digest) = (self.hashed.at(), Some(self.hashed.digest()));
             self.place.chunks = self.hashed.chunks().len() as u64;
         }
-        self.follower.recordings.plant.ledger.notes.write(&self.key.note, &self.place)?;
+        self.follower.recordings.parts.plant.ledger.notes.write(&self.key.note, &self.place)?;
         self.is_kept = true;
         Ok(())
     }
@@ -364,7 +338,7 @@ impl<'a> Tape<'a> {
         (self.place.stored, self.place.statement) = (self.met + 1, Some(statement));
         self.place.standing = FileStanding::Stated;
         self.keep()?;
-        let (ledger, owner) = (&self.follower.recordings.plant.ledger, self.follower.owner.address);
+        let (ledger, owner) = (&self.follower.recordings.parts.plant.ledger, self.follower.owner.address);
         place::put_name(&ledger.notes, owner, &self.path, &self.key)?;
         self.note_as_imported(stated.digest)
     }
@@ -377,31 +351,11 @@ impl<'a> Tape<'a> {
         self.follower.recordings.add_standings(file, tag, self.topics.iter().cloned(), standing)
     }
 
-    /// The proof that is now to be written.
-    pub fn due(&self) -> Option<Due> {
-        Due::of(self.follower, &self.key, &self.place, &self.path)
-    }
-
-    /// What went wrong so far.
-    pub fn notes(&self) -> &[String] {
-        &self.view.notes
-    }
-
-    /// Messages sealed so far.
-    pub fn sealed(&self) -> u64 {
-        self.view.sealed
-    }
-
-    /// How far it is sealed.
-    pub fn place(&self) -> &FilePlace {
-        &self.place
-    }
-
     /// Keeps how far it is at the end of a run. What was given to the sealer is waited for, as long as the site goes on: an
     /// import that comes next must find it among the records.
     pub fn leave(&mut self) {
         let since = Instant::now();
-        let may_wait = || !self.follower.recordings.life.is_stopping() && since.elapsed() < LAST;
+        let may_wait = || !self.follower.recordings.parts.life.is_stopping() && since.elapsed() < LAST;
         while !self.importer.is_acknowledged() && may_wait() {
             std::thread::sleep(TICK);
         }
@@ -429,15 +383,6 @@ impl<'a> Tape<'a> {
     }
 }
 
-impl FollowedFile {
-    /// A file that an earlier run is done with.
-    fn settled(&mut self, place: &FilePlace) {
-        let messages = place.stored.saturating_sub(1);
-        (self.bytes, self.found, self.already) = (place.at, messages, messages);
-        (self.chunks, self.digest, self.is_closed) = (place.chunks, place.digest, place.closed);
-    }
-}
-
 /// Notes that another state of a file was sealed; `true` if it is not to be sealed as it is, because its proof is of that one.
 fn changed_before(
     follower: &Follower<'_>,
@@ -446,7 +391,7 @@ fn changed_before(
     view: &mut FollowedFile,
 ) -> Result<bool, Failure> {
     view.is_altered = former.is_some();
-    let named = place::sealed_at(&follower.recordings.plant.ledger.notes, follower.owner.address, path)?;
+    let named = place::sealed_at(&follower.recordings.parts.plant.ledger.notes, follower.owner.address, path)?;
     let sealed = named.or(former.filter(|place| place.standing != FileStanding::Open));
     // Without its proof another file may well have its name.
     let proven = sealed.filter(|_| proof::beside(path).symlink_metadata().is_ok());
@@ -467,8 +412,10 @@ fn settled<'a>(
     path: &Path,
     (key, place): (FileKey, FilePlace),
     mut view: FollowedFile,
-) -> Opened<'a> {
-    view.settled(&place);
+) -> Entry<'a> {
+    let messages = place.stored.saturating_sub(1);
+    (view.bytes, view.found, view.already) = (place.at, messages, messages);
+    (view.chunks, view.digest, view.is_closed) = (place.chunks, place.digest, place.closed);
     let (proof, copy) = (proof::beside(path), proof::copy_of(path));
     let is_copied = follower.wishes.attach && !folder::is_database(path);
     let is_missing = place.standing == FileStanding::Stated || is_copied && !copy.exists();
@@ -477,8 +424,10 @@ fn settled<'a>(
         view.proof = shown(proof);
         view.attached = shown(copy).filter(|_| is_copied);
     }
-    let due = Due::of(follower, &key, &place, path).filter(|_| is_missing);
-    Opened::Done(Box::new(Done { view, due, place: Some(place) }))
+    if is_missing {
+        follower.prove(&key, &place, path);
+    }
+    Entry::ended(path, view, Some(place))
 }
 
 /// Whether the first bytes are those of MCAP, as far as they are there.

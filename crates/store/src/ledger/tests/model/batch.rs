@@ -1,7 +1,7 @@
 //! The model's batches, and their steps.
 
 use super::*;
-use crate::chain::merkle::{Leaf, Tree};
+use crate::crypto::merkle::{Leaf, Tree};
 
 #[derive(Debug, Clone)]
 pub(super) struct Batch {

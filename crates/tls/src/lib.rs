@@ -5,13 +5,12 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use reqwest::Url;
+use authros_model::{Timestamp, clean};
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::CertificateDer;
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::{self, CertificateError, ClientConfig, RootCertStore};
-
-use crate::model::{Timestamp, clean};
+use url::Url;
 
 /// Where distributions keep their trusted authorities.
 const TRUSTED: [&str; 3] =

@@ -1,0 +1,234 @@
+//! One participant of ours in the domain, and what hangs on it: its readers, its questions to nodes, and the leaving of each.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use crate::Ros2Error;
+use crate::describing::Describing;
+use crate::farewell::{Departures, Farewell};
+use crate::graph::{self, Graph, Prefix};
+use crate::pipe::read::{Quality, Told};
+use crate::quality;
+use crate::reading::{Reading, Subject, Taken};
+use rustdds::discovery::DiscoveredWriterData;
+use rustdds::mio1::{Interest, Registry, Token};
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, DomainParticipantStatusListener,
+    Publisher, QosPolicies, RTPSEntity, StatusEvented, Subscriber,
+};
+
+/// Events of this kind only wake: the news are looked for at every beat.
+const STATUS: Token = Token(1);
+/// How long a replaced reader continues beside the new one, until writers have found the new one.
+pub const OVERLAP: Duration = Duration::from_secs(2);
+/// The most readers made at once: what makes them takes a hundred, and refuses or forgets the rest.
+const AT_ONCE: usize = 64;
+/// The most participants seen.
+const MOST_PARTICIPANTS: usize = 20_000;
+
+/// A participant of ours.
+pub struct Member {
+    // In drop order.
+    /// Its readers, by their tokens.
+    pub readings: BTreeMap<usize, Reading>,
+    /// Its questions.
+    pub describing: Describing,
+    subscriber: Subscriber,
+    publisher: Publisher,
+    listener: DomainParticipantStatusListener,
+    participant: DomainParticipant,
+    departures: Departures,
+    /// What it says when it leaves.
+    pub farewell: Farewell,
+    participants: BTreeSet<Prefix>,
+    /// When it joined.
+    pub begun: Instant,
+    /// Writers and readers that it has met since it has been the only one.
+    pub met: usize,
+    /// Whether it has every reader that it needs.
+    pub is_fitted: bool,
+    /// Since when it has them, and knows every writer that its predecessor knows.
+    pub complete: Option<Instant>,
+    /// Whether it leaves because its successor brings everything.
+    pub leaves: bool,
+}
+
+impl Member {
+    /// Joins a domain.
+    ///
+    /// # Errors
+    /// [`Ros2Error::Join`] and [`Ros2Error::System`].
+    pub fn join(domain: u16, registry: &Registry) -> Result<Self, Ros2Error> {
+        let join = |error: &dyn std::fmt::Debug| Ros2Error::join(domain, error);
+        let participant = DomainParticipantBuilder::new(domain).build().map_err(|error| join(&error))?;
+        let subscriber = participant.create_subscriber(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
+        let publisher = participant.create_publisher(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
+        let mut listener = participant.status_listener();
+        let registered = registry.register(&mut listener, STATUS, Interest::READABLE);
+        registered.map_err(|error| Ros2Error::system("wait for events", &error))?;
+        let own = participant.guid().to_bytes();
+        Ok(Self {
+            readings: BTreeMap::new(),
+            describing: Describing::default(),
+            subscriber,
+            publisher,
+            listener,
+            participant,
+            departures: Departures::new(domain, &own),
+            farewell: Farewell::new(domain, &own),
+            participants: BTreeSet::new(),
+            begun: Instant::now(),
+            met: 0,
+            is_fitted: true,
+            complete: None,
+            leaves: false,
+        })
+    }
+
+    /// The prefix of its ids.
+    pub fn prefix(&self) -> Prefix {
+        graph::prefix(&self.participant.guid().to_bytes())
+    }
+
+    /// News of the graph; whether there were any.
+    pub fn listen(&mut self) -> bool {
+        use DomainParticipantStatusEvent as News;
+        let mut changed = false;
+        while let Some(news) = self.listener.try_recv_status() {
+            match news {
+                News::ParticipantDiscovered { dpd } => self.see(graph::prefix(&dpd.guid.to_bytes())),
+                News::ParticipantLost { id, .. } => self.participants.retain(|known| known[..] != *id.as_ref()),
+                News::WriterDetected { .. } => self.met += 1,
+                News::ReaderDetected { .. } => {
+                    self.met += 1;
+                    continue;
+                }
+                News::WriterLost { .. } | News::RemoteWriterQosIncompatible { .. } => {}
+                _ => continue,
+            }
+            changed = true;
+        }
+        changed
+    }
+
+    fn see(&mut self, participant: Prefix) {
+        if self.participants.len() < MOST_PARTICIPANTS {
+            self.participants.insert(participant);
+        }
+    }
+
+    /// The present writers.
+    pub fn writers(&mut self) -> Vec<DiscoveredWriterData> {
+        let found = self.participant.discovered_writers();
+        found.iter().for_each(|writer| self.see(graph::prefix(&writer.publication_topic_data.key.to_bytes())));
+        found
+    }
+
+    /// The present participants, itself among them.
+    pub fn participants(&self) -> impl Iterator<Item = Prefix> {
+        self.participants.iter().copied()
+    }
+
+    /// One reader for each wanted topic and type, requesting what every writer offers. What cannot be read, by its topic's
+    /// DDS name, with the reason.
+    pub fn fit(
+        &mut self,
+        wanted: &BTreeSet<String>,
+        graph: &Graph,
+        (registry, next): (&Registry, &mut usize),
+    ) -> Vec<(String, Ros2Error)> {
+        self.dismiss(wanted, registry);
+        let (mut refused, before) = (Vec::new(), *next);
+        self.is_fitted = true;
+        for topic in wanted {
+            let mut offers: BTreeMap<Subject, Vec<Quality>> = BTreeMap::new();
+            for found in graph.of_topic(topic) {
+                let (dds_topic, dds_type) = (topic.clone(), found.dds_type.clone());
+                let subject = Subject { dds_topic, dds_type, keyed: found.keyed };
+                offers.entry(subject).or_default().push(found.quality);
+            }
+            for (subject, offers) in offers {
+                if *next - before >= AT_ONCE {
+                    (self.is_fitted, self.complete) = (false, None);
+                    return refused;
+                }
+                let fitted = self.fit_one(subject, &offers, (registry, &mut *next));
+                refused.extend(fitted.err().map(|error| (topic.clone(), error)));
+            }
+        }
+        refused
+    }
+
+    /// Has readers leave that are not wanted any more, and ends those that everybody knows to have left.
+    fn dismiss(&mut self, wanted: &BTreeSet<String>, registry: &Registry) {
+        let now = Instant::now();
+        let ended = |reading: &Reading| {
+            !wanted.contains(&reading.subject.dds_topic) || reading.retires.is_some_and(|retires| retires <= now)
+        };
+        for reading in self.readings.values_mut().filter(|reading| !reading.leaves && ended(reading)) {
+            self.departures.tell(reading.id());
+            (reading.leaves, reading.retires) = (true, Some(now));
+        }
+        let departures = &self.departures;
+        let has_left = |reading: &Reading| reading.leaves && !departures.is_telling(&reading.id());
+        let gone: Vec<usize> =
+            self.readings.iter().filter(|(_, reading)| has_left(reading)).map(|(key, _)| *key).collect();
+        for key in gone {
+            if let Some(reading) = self.readings.remove(&key) {
+                let id = reading.id();
+                reading.end(registry);
+                // Once more: somebody may have heard of it only after that it leaves.
+                self.departures.tell(id);
+            }
+        }
+    }
+
+    fn fit_one(
+        &mut self,
+        subject: Subject,
+        offers: &[Quality],
+        (registry, next): (&Registry, &mut usize),
+    ) -> Result<(), Ros2Error> {
+        let request = quality::request(offers.iter().copied());
+        let mut current = self.readings.values_mut().filter(|reading| reading.subject == subject);
+        if current.any(|reading| reading.retires.is_none() && reading.request == request) {
+            return Ok(());
+        }
+        let parts = (&self.participant, &self.subscriber);
+        let reading = Reading::begin(parts, subject.clone(), request, (registry, Token(*next)))?;
+        let retires = Some(Instant::now() + OVERLAP);
+        let former = self.readings.values_mut().filter(|reading| reading.subject == subject);
+        former.for_each(|reading| reading.retires = reading.retires.or(retires));
+        self.readings.insert(*next, reading);
+        *next += 1;
+        Ok(())
+    }
+
+    /// Gives one turn to a reader, where all of this program keep so many bytes; what it reads, if what it takes counts.
+    pub fn take(&mut self, key: usize, kept: usize, into: &mut Vec<Taken>) -> Option<Subject> {
+        let reading = self.readings.get_mut(&key)?;
+        let others = kept.saturating_sub(reading.kept());
+        reading.take(into);
+        if reading.leaves {
+            into.clear();
+            return None;
+        }
+        if reading.subject.dds_topic != graph::NODES {
+            reading.deepen(&self.participant, others);
+        }
+        Some(reading.subject.clone())
+    }
+
+    /// Goes on with its questions, and with saying what has left; returns what is to be told to the site, with its payload.
+    pub fn go_on(&mut self, graph: &Graph) -> Vec<(Told, Vec<u8>)> {
+        let parts = (&self.participant, &self.subscriber, &self.publisher);
+        let told = self.describing.go_on(parts, graph, &mut self.departures);
+        self.departures.go_on(self.participants.iter().copied());
+        told
+    }
+
+    /// Whether nothing of one that leaves is left but itself.
+    pub fn has_left(&self) -> bool {
+        self.readings.is_empty() && self.describing.is_idle()
+    }
+}
