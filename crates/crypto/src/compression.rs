@@ -125,35 +125,44 @@ impl<T: Copy + Default> Above<T> {
     }
 }
 
-/// Filters row after row.
-struct Filter {
+/// The rows before the one in work, which both directions keep.
+struct Rows {
     shape: Shape,
     bytes: Above<u8>,
     numbers: Above<u32>,
-    now: Vec<u8>,
     wide: Vec<u32>,
+}
+
+impl Rows {
+    fn new(matrix: &Matrix, green: bool) -> Self {
+        let shape = Shape::new(matrix, green);
+        let (bytes, numbers) = shape.widths(matrix.row());
+        Self {
+            bytes: Above::new(bytes, shape.apart),
+            numbers: Above::new(numbers, shape.apart),
+            wide: vec![0; numbers],
+            shape,
+        }
+    }
+}
+
+/// Filters row after row.
+struct Filter {
+    rows: Rows,
+    now: Vec<u8>,
     best: Vec<u8>,
     tried: Vec<u8>,
 }
 
 impl Filter {
     pub fn new(matrix: &Matrix, green: bool) -> Self {
-        let (shape, row) = (Shape::new(matrix, green), matrix.row());
-        let (bytes, numbers) = shape.widths(row);
-        Self {
-            bytes: Above::new(bytes, shape.apart),
-            numbers: Above::new(numbers, shape.apart),
-            now: vec![0; bytes],
-            wide: vec![0; numbers],
-            best: vec![0; row + 1],
-            tried: vec![0; row + 1],
-            shape,
-        }
+        let row = matrix.row();
+        Self { rows: Rows::new(matrix, green), now: vec![0; row], best: vec![0; row + 1], tried: vec![0; row + 1] }
     }
 
     /// The filtered row: one byte more than `row`.
     pub fn row(&mut self, row: &[u8]) -> &[u8] {
-        if self.shape.sample == 1 {
+        if self.rows.shape.sample == 1 {
             self.row_of_bytes(row)
         } else {
             self.row_of_numbers(row)
@@ -162,40 +171,41 @@ impl Filter {
     }
 
     fn row_of_bytes(&mut self, row: &[u8]) {
+        let shape = &self.rows.shape;
         self.now.copy_from_slice(row);
-        take_green(&mut self.now, self.shape.colours);
+        turn_green(&mut self.now, shape.colours, u8::wrapping_sub);
         let mut least = u64::MAX;
         for kind in [ABOVE, LEFT, PAETH, AVERAGE, PLAIN] {
             self.tried[0] = kind;
-            filter_bytes(kind, self.shape.back, &self.now, self.bytes.row(), &mut self.tried[1..]);
+            filter_bytes(kind, shape.back, &self.now, self.rows.bytes.row(), &mut self.tried[1..]);
             let cost = self.tried[1..].iter().map(|byte| u64::from(byte.cast_signed().unsigned_abs())).sum();
             if cost < least {
                 least = cost;
                 std::mem::swap(&mut self.best, &mut self.tried);
             }
         }
-        self.bytes.turn().copy_from_slice(&self.now);
+        self.rows.bytes.turn().copy_from_slice(&self.now);
     }
 
     fn row_of_numbers(&mut self, row: &[u8]) {
-        load(row, &self.shape, &mut self.wide);
+        let Rows { shape, numbers, wide, .. } = &mut self.rows;
+        load(row, shape, wide);
         let mut least = u64::MAX;
         for kind in [ABOVE, LEFT] {
-            let above = self.numbers.row();
-            let cost = (0..self.wide.len()).map(|at| cost(self.shape.coded(kind, at, &self.wide, above))).sum();
+            let cost = (0..wide.len()).map(|at| cost(shape.coded(kind, at, wide, numbers.row()))).sum();
             if cost < least {
                 least = cost;
                 self.best[0] = kind;
             }
         }
-        let (kind, planes) = (self.best[0], self.wide.len());
+        let (kind, planes) = (self.best[0], wide.len());
         for at in 0..planes {
-            let coded = self.shape.coded(kind, at, &self.wide, self.numbers.row());
-            for (plane, byte) in coded.to_le_bytes().into_iter().take(self.shape.sample).enumerate() {
+            let coded = shape.coded(kind, at, wide, numbers.row());
+            for (plane, byte) in coded.to_le_bytes().into_iter().take(shape.sample).enumerate() {
                 self.best[1 + plane * planes + at] = byte;
             }
         }
-        self.numbers.turn().copy_from_slice(&self.wide);
+        numbers.turn().copy_from_slice(wide);
     }
 }
 
@@ -205,20 +215,28 @@ fn cost(number: u32) -> u64 {
 }
 
 impl Shape {
+    #[inline]
+    fn predicted(&self, kind: u8, at: usize, now: &[u32], above: &[u32]) -> u32 {
+        if kind == ABOVE { above[at] } else { at.checked_sub(self.back).map_or(0, |left| now[left]) }
+    }
+
+    /// Bits of 32 that a number does not have.
+    #[inline]
+    fn free(&self) -> u32 {
+        32 - 8 * u32::try_from(self.sample).unwrap_or(4)
+    }
+
     /// A difference as an unsigned number, small differences first.
     #[inline]
     fn coded(&self, kind: u8, at: usize, now: &[u32], above: &[u32]) -> u32 {
-        let predicted = if kind == ABOVE { above[at] } else { at.checked_sub(self.back).map_or(0, |left| now[left]) };
-        let free = 32 - 8 * u32::try_from(self.sample).unwrap_or(4);
-        let high = now[at].wrapping_sub(predicted) << free;
-        (high << 1 ^ 0u32.wrapping_sub(high >> 31)) >> free
+        let high = now[at].wrapping_sub(self.predicted(kind, at, now, above)) << self.free();
+        (high << 1 ^ 0u32.wrapping_sub(high >> 31)) >> self.free()
     }
 
     #[inline]
     fn decoded(&self, kind: u8, coded: u32, at: usize, now: &[u32], above: &[u32]) -> u32 {
-        let predicted = if kind == ABOVE { above[at] } else { at.checked_sub(self.back).map_or(0, |left| now[left]) };
         let difference = coded >> 1 ^ 0u32.wrapping_sub(coded & 1);
-        predicted.wrapping_add(difference) & (u32::MAX >> (32 - 8 * u32::try_from(self.sample).unwrap_or(4)))
+        self.predicted(kind, at, now, above).wrapping_add(difference) & (u32::MAX >> self.free())
     }
 }
 
@@ -268,20 +286,12 @@ fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     }
 }
 
-fn take_green(row: &mut [u8], channels: usize) {
+/// Takes green from the other colours of a picture, or gives it back.
+fn turn_green(row: &mut [u8], channels: usize, turn: impl Fn(u8, u8) -> u8) {
     if channels > 0 {
         for pixel in row.chunks_exact_mut(channels) {
-            pixel[0] = pixel[0].wrapping_sub(pixel[1]);
-            pixel[2] = pixel[2].wrapping_sub(pixel[1]);
-        }
-    }
-}
-
-fn give_green(row: &mut [u8], channels: usize) {
-    if channels > 0 {
-        for pixel in row.chunks_exact_mut(channels) {
-            pixel[0] = pixel[0].wrapping_add(pixel[1]);
-            pixel[2] = pixel[2].wrapping_add(pixel[1]);
+            pixel[0] = turn(pixel[0], pixel[1]);
+            pixel[2] = turn(pixel[2], pixel[1]);
         }
     }
 }
@@ -308,28 +318,9 @@ fn store(numbers: &[u32], shape: &Shape, row: &mut [u8]) {
     }
 }
 
-/// Restores row after row.
-struct Restorer {
-    shape: Shape,
-    bytes: Above<u8>,
-    numbers: Above<u32>,
-    wide: Vec<u32>,
-}
-
-impl Restorer {
-    pub fn new(matrix: &Matrix, green: bool) -> Self {
-        let (shape, row) = (Shape::new(matrix, green), matrix.row());
-        let (bytes, numbers) = shape.widths(row);
-        Self {
-            bytes: Above::new(bytes, shape.apart),
-            numbers: Above::new(numbers, shape.apart),
-            wide: vec![0; numbers],
-            shape,
-        }
-    }
-
+impl Rows {
     /// Undoes filter `kind` on a row; `None` if there is no such filter.
-    pub fn row(&mut self, kind: u8, row: &mut [u8]) -> Option<()> {
+    fn row(&mut self, kind: u8, row: &mut [u8]) -> Option<()> {
         if self.shape.sample == 1 { self.row_of_bytes(kind, row) } else { self.row_of_numbers(kind, row) }
     }
 
@@ -337,7 +328,7 @@ impl Restorer {
         let back = self.shape.back.min(row.len());
         restore_bytes(kind, back, row, self.bytes.row())?;
         self.bytes.turn().copy_from_slice(row);
-        give_green(row, self.shape.colours);
+        turn_green(row, self.shape.colours, u8::wrapping_add);
         Some(())
     }
 
@@ -551,13 +542,13 @@ fn inflate(stream: &[u8], out: &mut [u8]) -> Result<(), WireError> {
 /// Restores the rows in place, moving each to its final position.
 fn restore(matrix: &Matrix, green: bool, out: &mut [u8]) -> Result<(), WireError> {
     let row = matrix.row();
-    let mut restorer = Restorer::new(matrix, green);
+    let mut rows = Rows::new(matrix, green);
     for number in 0..matrix.rows {
         let from = matrix.start + number * (row + 1);
         let kind = out[from];
         let place = matrix.start + number * row;
         out.copy_within(from + 1..from + 1 + row, place);
-        restorer.row(kind, &mut out[place..place + row]).ok_or(DAMAGED)?;
+        rows.row(kind, &mut out[place..place + row]).ok_or(DAMAGED)?;
     }
     Ok(())
 }

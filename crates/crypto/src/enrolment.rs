@@ -8,21 +8,20 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
 use crate::error::shown;
 use crate::gateway_addresses::{encoded, read_addresses};
-use crate::keystore::{FileKey, SaveKeys, put_work, read_work};
+use crate::keyring::read_pair;
+use crate::keystore::{FileKey, SaveKeys, SealedHead};
 use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{
     Address, Domain, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp, Token, TopicId,
 };
 use crate::private_file::{create_private, read_private, write_private};
-use crate::secret::Work;
 use crate::{
     CryptoError, EpochKey, FilterKey, GatewayAddresses, IndexKey, OwnerKeyChange, Passphrase, ProviderName,
-    SignedPolicy, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, random_bytes, signer_id,
+    SignedPolicy, SmKeyPair, TopicKey, TransportKey, provider, signer_id,
 };
 
 /// The most topics whose keys are issued at once, including those for statements.
@@ -155,7 +154,7 @@ impl Enrolment {
             name: reader.text("name")?.parse().map_err(|_| WireError::Value("name"))?,
             owner: Address(reader.array("owner")?),
             owner_key: PublicKey(reader.array("owner key")?),
-            device: read_device(reader)?,
+            device: read_pair(reader, "device key")?,
             index: match reader.u8("index key")? {
                 0 => None,
                 1 => Some(IndexKey::new(reader.array("index key")?)),
@@ -178,77 +177,56 @@ impl Enrolment {
     }
 }
 
-fn read_device(reader: &mut Reader<'_>) -> Result<SmKeyPair, WireError> {
-    SmSecret::from_slice(reader.take(32, "device key")?)
-        .and_then(|secret| SmKeyPair::from_secret(provider(ProviderName::RustCrypto), secret))
-        .map_err(|_| WireError::Value("device key"))
-}
-
 // An enrolment on disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and
 // length (4), then the enrolment under SM4-GCM with all of that as AAD. `file_key` says how the passphrase becomes the
 // key.
 
 const MAGIC: [u8; 8] = *b"\x89AuthEnr";
-const VERSION: u8 = 1;
 const LABEL: &str = "AuthROS/enrolment/1";
 /// The largest file accepted, bytes.
 const LARGEST: usize = 1024 * 1024;
 /// Length of the header, bytes.
-const HEADER: usize = 110;
+const HEADER: usize = SealedHead::LENGTH + 4;
 
-fn header(key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], length: usize) -> Vec<u8> {
-    let mut out = MAGIC.to_vec();
-    out.push(VERSION);
-    put_work(&mut out, key.work);
-    out.extend_from_slice(&key.salt);
-    out.extend_from_slice(save_salt);
-    out.extend_from_slice(commit);
-    out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_be_bytes());
-    out
-}
-
-struct Parts<'a> {
-    work: Work,
-    salt: [u8; 32],
-    save_salt: [u8; 24],
-    commit: [u8; 32],
-    aad: &'a [u8],
-    sealed: &'a [u8],
-}
+/// A file's bytes in parts: what it begins with, all of its header as AAD, the sealed enrolment.
+type Parts<'a> = (SealedHead, &'a [u8], &'a [u8]);
 
 /// The parts of a file's bytes; `path` is only for the words of an error.
 fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
-    let damaged = |_: WireError| damaged(path);
-    let mut reader = Reader::new(bytes);
-    if reader.array("magic").map_err(damaged)? != MAGIC {
-        return Err(self::damaged(path));
-    }
-    match reader.u8("version").map_err(damaged)? {
-        VERSION => read_parts(bytes, &mut reader).map_err(damaged),
-        found => Err(CryptoError::Version { path: shown(path), what: "an enrolment", found }),
-    }
+    read_parts(bytes).map_err(|error| match (error, bytes.get(MAGIC.len())) {
+        (WireError::Value("version"), Some(found)) => {
+            CryptoError::Version { path: shown(path), what: "an enrolment", found: *found }
+        }
+        _ => damaged(path),
+    })
 }
 
-fn read_parts<'a>(bytes: &'a [u8], reader: &mut Reader<'a>) -> Result<Parts<'a>, WireError> {
-    let work = read_work(reader)?;
-    let (salt, save_salt, commit) =
-        (reader.array("salt")?, reader.array("salt of the save")?, reader.array("commitment")?);
+fn read_parts(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
+    let mut reader = Reader::new(bytes);
+    let head = SealedHead::read(&mut reader, &MAGIC)?;
     let length = usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?;
     let sealed = reader.take(length, "sealed enrolment")?;
     reader.end()?;
-    Ok(Parts { work, salt, save_salt, commit, aad: bytes.get(..HEADER).unwrap_or_default(), sealed })
+    Ok((head, bytes.get(..HEADER).unwrap_or_default(), sealed))
 }
 
 fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
     let mut sealed = enrolment.encode();
-    let save_salt = random_bytes()?;
-    let keys = SaveKeys::derive(key, &save_salt, LABEL);
-    let header = header(key, &save_salt, &keys.commit, sealed.len() + 16);
-    if header.len() + sealed.len() + 16 > LARGEST {
+    let (head, keys) = SealedHead::new(key, LABEL)?;
+    let length = sealed.len() + 16;
+    if HEADER + length > LARGEST {
         return Err(CryptoError::Length { what: "enrolment", found: sealed.len(), allowed: "at most 1 MiB" });
     }
-    provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &header, &mut sealed)?;
-    Ok([&header[..], &sealed].concat())
+    let mut out = head.encode(&MAGIC);
+    out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_be_bytes());
+    provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &out, &mut sealed)?;
+    out.extend_from_slice(&sealed);
+    Ok(out)
+}
+
+fn open(keys: &SaveKeys, (_, aad, sealed): Parts<'_>) -> Option<Enrolment> {
+    let plain = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, aad, sealed).ok()?;
+    Enrolment::parse(&plain).ok()
 }
 
 fn damaged(path: &Path) -> CryptoError {
@@ -288,14 +266,9 @@ impl SealedEnrolment {
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         let bytes = read_private(path, LARGEST)?;
         let parts = split(path, &bytes)?;
-        let key = FileKey::with(passphrase, parts.work, parts.salt)?;
-        let keys = SaveKeys::derive(&key, &parts.save_salt, LABEL);
-        if !bool::from(keys.commit.ct_eq(&parts.commit)) {
-            return Err(CryptoError::WrongPassphrase(shown(path)));
-        }
-        let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
-        let plain = opened.map_err(|_| damaged(path))?;
-        let enrolment = Enrolment::parse(&plain).map_err(|_| damaged(path))?;
+        let key = FileKey::with(passphrase, parts.0.work, parts.0.salt)?;
+        let keys = parts.0.keys(&key, LABEL).ok_or_else(|| CryptoError::WrongPassphrase(shown(path)))?;
+        let enrolment = open(&keys, parts).ok_or_else(|| damaged(path))?;
         Ok(Self { enrolment, key })
     }
 
@@ -310,12 +283,8 @@ impl SealedEnrolment {
         }
         let bytes = read_private(path, LARGEST)?;
         let Ok(parts) = split(path, &bytes) else { return Ok(()) };
-        let keys = SaveKeys::derive(&self.key, &parts.save_salt, LABEL);
-        if parts.salt != self.key.salt || !bool::from(keys.commit.ct_eq(&parts.commit)) {
-            return Ok(());
-        }
-        let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
-        if let Some(later) = opened.ok().and_then(|plain| Enrolment::parse(&plain).ok())
+        let keys = parts.0.keys(&self.key, LABEL).filter(|_| parts.0.salt == self.key.salt);
+        if let Some(later) = keys.and_then(|keys| open(&keys, parts))
             && later.device_id() == self.enrolment.device_id()
             && later.keys.now.epoch >= self.enrolment.keys.now.epoch
         {

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::kdf::{Info, derived};
+use crate::kdf::{Info, key_and_nonce};
 use crate::model::grant::MOST_TOPICS;
 use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Domain, GrantTerms, Identity, PublicKey, Scope, Signature, Timestamp, TopicId, TopicName};
@@ -290,9 +290,7 @@ const SECRETS: usize = 2 * 32;
 
 fn sealing_key(eoa: &EoaSecret, salt: &[u8; 32], domain: &Domain) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
     let info = Info::new("AuthROS/handover/1").fixed(&domain.0).fixed(&eoa.address().0);
-    let bytes = Zeroizing::new(derived::<28>(eoa.expose(), salt, &info));
-    let key = Zeroizing::new(std::array::from_fn(|index| bytes[index]));
-    (key, std::array::from_fn(|index| bytes[16 + index]))
+    key_and_nonce(eoa.expose(), salt, &info)
 }
 
 /// What the pairs are bound to: the network, the account, and the public keys in the event that carries them.

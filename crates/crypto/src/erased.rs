@@ -5,9 +5,8 @@
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Digest, Header, PublicKey, Signature, Timestamp};
 
-use super::{
-    AccountSignature, CryptoError, EoaSecret, Provider, SmKeyPair, TypedStructure, recover_account, sign_hash,
-};
+use super::identity::check_account;
+use super::{AccountSignature, CryptoError, EoaSecret, Provider, SmKeyPair, TypedStructure, sign_hash};
 
 const LABEL: &[u8] = b"AuthROS/erased/1";
 /// The EIP-712 type that the account signs.
@@ -81,11 +80,7 @@ impl ErasedStatement {
         about: (&Digest, &[u8]),
     ) -> Result<(), CryptoError> {
         let (header, _) = Header::parse(about.1).map_err(CryptoError::DamagedRecord)?;
-        let hash = self.account_hash(provider, about)?;
-        if recover_account(&hash, signature).is_ok_and(|account| account == header.owner) {
-            return Ok(());
-        }
-        Err(CryptoError::NotAccepted { what: WHAT, field: "account's signature" })
+        check_account(&self.account_hash(provider, about)?, signature, &header.owner, WHAT)
     }
 
     fn account_hash(
@@ -137,7 +132,7 @@ fn signed_text(
 mod tests {
     use super::*;
     use crate::model::{Address, Commit, Domain, RecordKind, RecorderPrefix, Salt, SignerId, TopicId};
-    use crate::{ProviderName, provider};
+    use crate::{ProviderName, provider, recover_account};
 
     fn header(seq: u64) -> Vec<u8> {
         header_of(seq, Address([2; 20]), Domain([1; 32]))

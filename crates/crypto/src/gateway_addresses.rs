@@ -5,7 +5,8 @@ use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Domain, SignerId};
 
 use super::enrolment::{LONGEST_ADDRESS, MOST_ADDRESSES};
-use super::{AccountSignature, CryptoError, EoaSecret, TypedStructure, recover_account, sign_hash};
+use super::identity::check_account;
+use super::{AccountSignature, CryptoError, EoaSecret, TypedStructure, sign_hash};
 
 /// The EIP-712 type that the account signs.
 const TYPE: &str = "Addresses(address owner,bytes32 device,bytes32 gateway,bytes addresses)";
@@ -47,10 +48,7 @@ impl GatewayAddresses {
     /// [`CryptoError::NotAccepted`].
     pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
         let hash = signed_hash(domain, (owner, device), &self.gateway, &self.addresses);
-        if recover_account(&hash, &self.account_signature).is_ok_and(|account| account == *owner) {
-            return Ok(());
-        }
-        Err(CryptoError::NotAccepted { what: WHAT, field: "account's signature" })
+        check_account(&hash, &self.account_signature, owner, WHAT)
     }
 
     /// Fingerprint (32), count (1, 1 to 8), each address with its length (2), the account's signature (65).

@@ -152,6 +152,17 @@ pub fn recover_account(hash: &[u8; 32], signature: &AccountSignature) -> Result<
     recovered(hash, signature).ok_or(CryptoError::BadAccountSignature)
 }
 
+/// Checks that an account signed `hash`; `what` names what it stands under.
+pub(crate) fn check_account(
+    hash: &[u8; 32],
+    signature: &AccountSignature,
+    account: &Address,
+    what: &'static str,
+) -> Result<(), CryptoError> {
+    let is_signed = recovered(hash, signature) == Some(*account);
+    if is_signed { Ok(()) } else { Err(CryptoError::NotAccepted { what, field: "account's signature" }) }
+}
+
 fn recovered(hash: &[u8; 32], signature: &AccountSignature) -> Option<Address> {
     let parity = match signature.0[64] {
         27 => RecoveryId::new(false, false),

@@ -155,6 +155,13 @@ pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result
     EoaSecret::from_slice(&*bytes)
 }
 
+/// A key of SM4 and its one nonce.
+pub(super) fn key_and_nonce(key_material: &[u8], salt: &[u8], info: &Info) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
+    let bytes = Zeroizing::new(derived::<28>(key_material, salt, info));
+    let key = Zeroizing::new(std::array::from_fn(|index| bytes[index]));
+    (key, std::array::from_fn(|index| bytes[16 + index]))
+}
+
 /// The key that seals a gateway's transport keys at rest, derived from its keeper's d_E.
 pub(super) fn kept_key(keeper: &SmSecret) -> Zeroizing<[u8; 16]> {
     Zeroizing::new(derived(keeper.expose(), &[], &Info::new("AuthROS/binding/1")))

@@ -19,7 +19,6 @@ use crate::{
     CryptoError, EoaSecret, EpochKey, EpochSalt, IndexKey, Passphrase, Provider, ProviderName, Sm4Key, SmKeyPair,
     SmSecret, epoch_key, fault, provider, random_bytes, token,
 };
-use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
 /// Whether the chain knows an epoch's token.
@@ -282,10 +281,7 @@ impl From<WireError> for Refusal {
 
 fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
     let (header, aad, sealed) = split(bytes)?;
-    let keys = SaveKeys::derive(key, &header.stamp.save_salt, LABEL);
-    if !bool::from(keys.commit.ct_eq(&header.commit)) {
-        return Err(Refusal::Passphrase);
-    }
+    let keys = SaveKeys::committed(key, &header.stamp.save_salt, LABEL, &header.commit).ok_or(Refusal::Passphrase)?;
     let plain = provider(ProviderName::RustCrypto)
         .gcm_open(&keys.key, &keys.nonce, aad, sealed)
         .map_err(|_| Refusal::Damaged)?;
@@ -512,7 +508,8 @@ fn parse(plain: &[u8]) -> Result<Keyring, WireError> {
     Ok(keyring)
 }
 
-fn read_pair(reader: &mut Reader<'_>, field: &'static str) -> Result<SmKeyPair, WireError> {
+/// The pair of a private key (32).
+pub(super) fn read_pair(reader: &mut Reader<'_>, field: &'static str) -> Result<SmKeyPair, WireError> {
     SmSecret::from_slice(reader.take(32, field)?)
         .and_then(|secret| SmKeyPair::from_secret(provider(ProviderName::RustCrypto), secret))
         .map_err(|_| WireError::Value(field))

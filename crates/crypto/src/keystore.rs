@@ -11,6 +11,7 @@ use sha3::{Digest as _, Keccak256};
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
+use crate::identity::check_account;
 use crate::kdf::{self, Info, kept_key};
 use crate::model::bytes::{hex, unhex};
 use crate::model::wire::{Reader, WireError};
@@ -18,7 +19,7 @@ use crate::model::{Address, Domain, PublicKey, clean};
 use crate::secret::{Work, stretch};
 use crate::{
     AccountSignature, CryptoError, EoaSecret, Passphrase, Provider, SmSecret, TransportKey, TypedStructure,
-    random_bytes, recover_account, sign_hash,
+    random_bytes, sign_hash,
 };
 
 #[derive(Serialize, Deserialize)]
@@ -246,11 +247,8 @@ impl OwnerKeyChange {
             return Err(CryptoError::NotAccepted { what: WHAT, field: "old key" });
         }
         provider.check_public_key(&self.new)?;
-        let signed = recover_account(&signed_hash(domain, owner, &self.old, &self.new), &self.account_signature);
-        if signed.is_ok_and(|account| account == *owner) {
-            return Ok(());
-        }
-        Err(CryptoError::NotAccepted { what: WHAT, field: "account's signature" })
+        let hash = signed_hash(domain, owner, &self.old, &self.new);
+        check_account(&hash, &self.account_signature, owner, WHAT)
     }
 
     /// Old P_C (64) || new P_C (64) || signature of the account (65).
@@ -331,6 +329,68 @@ impl SaveKeys {
             commit: std::array::from_fn(|index| bytes[28 + index]),
         }
     }
+
+    /// The same, if they are those that a file commits to; else the passphrase is another one.
+    pub fn committed(key: &FileKey, save_salt: &[u8; 24], label: &str, commit: &[u8; 32]) -> Option<Self> {
+        Some(Self::derive(key, save_salt, label)).filter(|keys| bool::from(keys.commit.ct_eq(commit)))
+    }
+}
+
+/// What a file sealed under a passphrase begins with: magic (8), version (1), work (9), salt (32), salt of this save (24),
+/// commitment (32).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct SealedHead {
+    pub work: Work,
+    pub salt: [u8; 32],
+    pub save_salt: [u8; 24],
+    pub commit: [u8; 32],
+}
+
+impl SealedHead {
+    /// Length of its encoding, bytes.
+    pub const LENGTH: usize = 106;
+    const VERSION: u8 = 1;
+
+    /// For a new save under a file's key, with the keys of that save.
+    pub fn new(key: &FileKey, label: &str) -> Result<(Self, SaveKeys), CryptoError> {
+        let save_salt = random_bytes()?;
+        let keys = SaveKeys::derive(key, &save_salt, label);
+        Ok((Self { work: key.work, salt: key.salt, save_salt, commit: keys.commit }, keys))
+    }
+
+    /// The keys of the save; `None` if the file has another key.
+    pub fn keys(&self, key: &FileKey, label: &str) -> Option<SaveKeys> {
+        SaveKeys::committed(key, &self.save_salt, label, &self.commit)
+    }
+
+    /// Its encoding.
+    pub fn encode(&self, magic: &[u8; 8]) -> Vec<u8> {
+        let mut out = [&magic[..], &[Self::VERSION]].concat();
+        put_work(&mut out, self.work);
+        out.extend_from_slice(&self.salt);
+        out.extend_from_slice(&self.save_salt);
+        out.extend_from_slice(&self.commit);
+        out
+    }
+
+    /// From its encoding; each head has exactly one.
+    ///
+    /// # Errors
+    /// [`WireError`] if it is malformed, or asks for an unreasonable amount of work; of `version`, if that is another.
+    pub fn read(reader: &mut Reader<'_>, magic: &[u8; 8]) -> Result<Self, WireError> {
+        if reader.array("magic")? != *magic {
+            return Err(WireError::Value("magic"));
+        }
+        if reader.u8("version")? != Self::VERSION {
+            return Err(WireError::Value("version"));
+        }
+        Ok(Self {
+            work: read_work(reader)?,
+            salt: reader.array("salt")?,
+            save_salt: reader.array("salt of the save")?,
+            commit: reader.array("commitment")?,
+        })
+    }
 }
 
 // A gateway's transport keys at rest, sealed under a key derived from its keeper's d_E, which no grant gives away.
@@ -349,11 +409,7 @@ pub fn seal_transport_key(
     key: &TransportKey,
 ) -> Result<Vec<u8>, CryptoError> {
     let nonce: [u8; NONCE] = random_bytes()?;
-    // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
-    let mut buffer = Vec::with_capacity(TransportKey::LENGTH + 16);
-    buffer.extend_from_slice(key.expose());
-    provider.gcm_seal(&kept_key(keeper), &nonce, name.as_bytes(), &mut buffer)?;
-    Ok([&nonce[..], &buffer].concat())
+    Ok([&nonce[..], &sealed_key(provider, (&kept_key(keeper), &nonce), name.as_bytes(), key)?].concat())
 }
 
 /// Opens what [`seal_transport_key`] sealed for this name.
@@ -368,8 +424,21 @@ pub fn open_transport_key(
 ) -> Result<TransportKey, CryptoError> {
     let (nonce, rest) = sealed.split_first_chunk::<NONCE>().ok_or(CryptoError::BadCiphertext)?;
     let plain = provider.gcm_open(&kept_key(keeper), nonce, name.as_bytes(), rest)?;
-    let bytes: &[u8; 32] = plain.as_slice().try_into().map_err(|_| CryptoError::BadCiphertext)?;
-    Ok(TransportKey::new(*bytes))
+    TransportKey::from_slice(&plain).ok_or(CryptoError::BadCiphertext)
+}
+
+/// A transport key under another key: SM4-GCM (32 + 16).
+pub(super) fn sealed_key(
+    provider: &dyn Provider,
+    (sealing, nonce): (&[u8; 16], &[u8; 12]),
+    aad: &[u8],
+    key: &TransportKey,
+) -> Result<Vec<u8>, CryptoError> {
+    // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
+    let mut sealed = Vec::with_capacity(TransportKey::LENGTH + 16);
+    sealed.extend_from_slice(key.expose());
+    provider.gcm_seal(sealing, nonce, aad, &mut sealed)?;
+    Ok(sealed)
 }
 
 #[cfg(test)]

@@ -3,8 +3,6 @@
 //! libsm panics on malformed input, accepts private keys 0 and n and non-canonical points, and writes C1 || C2 || C3, so
 //! lengths, ranges and points are checked here first. It is not constant-time and wipes no secret.
 
-use std::fmt;
-use std::str::FromStr;
 use std::sync::{LazyLock, Once};
 
 use crate::der::CipherParts;
@@ -128,8 +126,9 @@ fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
 }
 
 /// Which provider to use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::Display, strum::EnumString)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase", parse_err_ty = ProviderNameError, parse_err_fn = not_a_name)]
 pub enum ProviderName {
     /// Our own kernels.
     #[default]
@@ -150,42 +149,28 @@ impl ProviderName {
     pub const ALL: [Self; 3] = [Self::Authros, Self::RustCrypto, Self::Libsm];
 }
 
-impl FromStr for ProviderName {
-    type Err = ProviderNameError;
-
-    fn from_str(text: &str) -> Result<Self, ProviderNameError> {
-        match text {
-            "authros" => Ok(Self::Authros),
-            "rustcrypto" => Ok(Self::RustCrypto),
-            "libsm" => Ok(Self::Libsm),
-            other => Err(ProviderNameError(clean(other, 40))),
-        }
-    }
-}
-
-impl fmt::Display for ProviderName {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Authros => "authros",
-            Self::RustCrypto => "rustcrypto",
-            Self::Libsm => "libsm",
-        })
-    }
+fn not_a_name(text: &str) -> ProviderNameError {
+    ProviderNameError(clean(text, 40))
 }
 
 /// The provider of that name. Its first use starts a thread that builds its tables of the curve.
 pub fn provider(name: ProviderName) -> &'static dyn Provider {
     match name {
         ProviderName::Authros => {
-            super::sm2::warm_up();
+            static STARTED: Once = Once::new();
+            warm_up(&STARTED, "sm2-tables", super::kernel::sm2::warm_up);
             &AuthrosProvider
         }
         ProviderName::RustCrypto => {
-            warm_up();
+            static STARTED: Once = Once::new();
+            warm_up(&STARTED, "sm2-tables", || drop(signing_key(&[1; 32])));
             &RustCryptoProvider
         }
         ProviderName::Libsm => {
-            warm_up_libsm();
+            static STARTED: Once = Once::new();
+            warm_up(&STARTED, "libsm-tables", || {
+                drop(CONTEXT.load_seckey(&[1; 32]).map(|one| CONTEXT.pk_from_sk(&one)))
+            });
             &LibsmProvider
         }
     }
@@ -201,12 +186,11 @@ pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
 #[derive(Debug, Clone, Copy)]
 pub struct RustCryptoProvider;
 
-/// Starts a thread, once, that builds the crate's table of multiples of the generator.
-pub(super) fn warm_up() {
-    static STARTED: Once = Once::new();
-    STARTED.call_once(|| {
-        // If no thread can be started, the first signature builds the table instead.
-        let _ = std::thread::Builder::new().name("sm2-tables".into()).spawn(|| signing_key(&[1; 32]).is_ok());
+/// Starts a thread, once, that builds tables of multiples of the generator.
+fn warm_up(started: &'static Once, name: &str, build: impl FnOnce() + Send + 'static) {
+    started.call_once(|| {
+        // If no thread can be started, the first signature or verification builds them instead.
+        let _ = std::thread::Builder::new().name(name.into()).spawn(build);
     });
 }
 
@@ -329,17 +313,6 @@ const MODULUS: [u8; 32] = [
     0xff, 0xff, 0xff, 0xfe, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff,
     0xff, 0, 0, 0, 0, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff,
 ];
-
-/// Starts a thread, once, that builds libsm's table of multiples of the generator.
-fn warm_up_libsm() {
-    static STARTED: Once = Once::new();
-    STARTED.call_once(|| {
-        // If no thread can be started, the first call builds the table instead.
-        let _ = std::thread::Builder::new().name("libsm-tables".into()).spawn(|| {
-            let _ = CONTEXT.load_seckey(&[1; 32]).map(|one| CONTEXT.pk_from_sk(&one).is_ok());
-        });
-    });
-}
 
 /// One SM4 key.
 pub(super) struct Sm4Block(Sm4Cipher);

@@ -195,6 +195,12 @@ impl RecordKeys {
         Self::of(&Zeroizing::new(derived::<88>(key.expose(), &header.salt.0, &record_info(header))))
     }
 
+    /// These, if they are those that the header commits to.
+    fn committed(self, header: &Header) -> Result<Self, CryptoError> {
+        let is_committed = bool::from(self.commit.ct_eq(&header.commit.0));
+        if is_committed || fault::is_off("commit") { Ok(self) } else { Err(CryptoError::WrongKey) }
+    }
+
     fn of(bytes: &[u8; 88]) -> Self {
         Self {
             body_key: Zeroizing::new(part(bytes, 0)),
@@ -435,11 +441,7 @@ pub fn open_in_steps(
 ) -> Result<OpenedRecord, CryptoError> {
     let digest_of = |blob: &[u8]| Digest(provider.sm3(&[blob]));
     let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, done)?;
-    let keys = RecordKeys::derive(topic_key, &parts.header);
-    let committed = bool::from(keys.commit.ct_eq(&parts.header.commit.0));
-    if !committed && !fault::is_off("commit") {
-        return Err(CryptoError::WrongKey);
-    }
+    let keys = RecordKeys::derive(topic_key, &parts.header).committed(&parts.header)?;
     done(Step::Keys);
     let (head, body) = unseal(provider, &keys, &parts, done)?;
     compare(expected, &parts.header)?;
@@ -472,26 +474,6 @@ fn unseal(
     Ok((head, std::mem::take(&mut *body)))
 }
 
-/// Head and message of a stored record, opened with its own keys, which must be those that its header commits to. The
-/// message's length is subtracted from `budget` before it is allocated; `None` if the budget is too small.
-fn open_by_keys(
-    provider: &dyn Provider,
-    blob: &[u8],
-    keys_of: impl FnOnce(&Header) -> RecordKeys,
-    budget: &mut u64,
-) -> Result<Option<(Header, Head, Vec<u8>)>, CryptoError> {
-    let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
-    let keys = keys_of(&parts.header);
-    if !bool::from(keys.commit.ct_eq(&parts.header.commit.0)) {
-        return Err(CryptoError::WrongKey);
-    }
-    let (head, body) = unseal(provider, &keys, &parts, &mut |_| ())?;
-    let Some(left) = budget.checked_sub(head.plain_length) else { return Ok(None) };
-    *budget = left;
-    let body = restore(&head, body)?;
-    Ok(Some((parts.header, head, body)))
-}
-
 /// Public header and sealed head of a record, from its first bytes. The seal of the head covers the header: both are as
 /// the holder of the topic key wrote them. Body, digest and signature are not checked.
 ///
@@ -507,10 +489,7 @@ pub fn open_front(
     let short = || CryptoError::DamagedRecord(WireError::Short("sealed head"));
     let (prefix, rest) = front.split_at_checked(length).ok_or_else(short)?;
     let sealed = usize::try_from(header.head_length).ok().and_then(|length| rest.get(..length)).ok_or_else(short)?;
-    let keys = RecordKeys::derive(topic_key, &header);
-    if !bool::from(keys.commit.ct_eq(&header.commit.0)) {
-        return Err(CryptoError::WrongKey);
-    }
+    let keys = RecordKeys::derive(topic_key, &header).committed(&header)?;
     let head = provider
         .gcm_open(&keys.head_key, &keys.head_nonce, prefix, sealed)
         .map_err(|_| CryptoError::Tampered("sealed head"))?;
@@ -653,8 +632,13 @@ pub fn open_revealed_within(
     secret: &RecordSecret,
     budget: &mut u64,
 ) -> Result<Option<Revealed>, CryptoError> {
-    let opened = open_by_keys(provider, blob, |header| secret.keys(header), budget)?;
-    Ok(opened.map(|(header, head, body)| Revealed { header, head, body }))
+    let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
+    let keys = secret.keys(&parts.header).committed(&parts.header)?;
+    let (head, body) = unseal(provider, &keys, &parts, &mut |_| ())?;
+    let Some(left) = budget.checked_sub(head.plain_length) else { return Ok(None) };
+    *budget = left;
+    let body = restore(&head, body)?;
+    Ok(Some(Revealed { header: parts.header, head, body }))
 }
 
 /// The bytes an owner signs to disclose a record: label, domain, digest, secret.
@@ -679,23 +663,6 @@ pub enum Step {
     Signature,
     /// The message decompressed.
     Restore,
-}
-
-impl Step {
-    /// All steps.
-    pub const ALL: [Self; 6] = [Self::Fields, Self::Keys, Self::Cipher, Self::Digest, Self::Signature, Self::Restore];
-
-    /// Its name where figures are shown.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Fields => "fields",
-            Self::Keys => "keys",
-            Self::Cipher => "SM4-GCM",
-            Self::Digest => "SM3",
-            Self::Signature => "SM2",
-            Self::Restore => "restore",
-        }
-    }
 }
 
 #[cfg(test)]

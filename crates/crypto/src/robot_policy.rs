@@ -4,7 +4,8 @@
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Domain, SignerId};
 
-use super::{AccountSignature, CryptoError, EoaSecret, TypedStructure, recover_account, sign_hash};
+use super::identity::check_account;
+use super::{AccountSignature, CryptoError, EoaSecret, TypedStructure, sign_hash};
 
 /// The EIP-712 type that the account signs.
 const TYPE: &str = "Policy(address owner,bytes32 device,uint64 version,bytes policy)";
@@ -49,10 +50,7 @@ impl SignedPolicy {
     /// [`CryptoError::NotAccepted`].
     pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
         let hash = signed_hash(domain, owner, device, (self.version, &self.text));
-        if recover_account(&hash, &self.account_signature).is_ok_and(|account| account == *owner) {
-            return Ok(());
-        }
-        Err(CryptoError::NotAccepted { what: WHAT, field: "account's signature" })
+        check_account(&hash, &self.account_signature, owner, WHAT)
     }
 
     /// Version (8) || account's signature (65) || text.

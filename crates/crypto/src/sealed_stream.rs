@@ -4,43 +4,28 @@
 
 use std::io::{self, Read, Write};
 
-use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
-use crate::keystore::{FileKey, SaveKeys, put_work, read_work};
+use crate::keystore::{FileKey, SaveKeys, SealedHead};
 use crate::model::wire::{Reader, WireError};
-use crate::secret::Work;
-use crate::{CryptoError, Passphrase, Provider, ProviderName, provider, random_bytes};
+use crate::{CryptoError, Passphrase, Provider, ProviderName, provider};
 
 const MAGIC: [u8; 8] = *b"\x89AuthBak";
-const VERSION: u8 = 1;
 const LABEL: &str = "AuthROS/backup/1";
 /// Length of the header, bytes.
-pub const HEADER: usize = 106;
+pub const HEADER: usize = SealedHead::LENGTH;
 /// Plaintext of a full chunk, bytes.
 const CHUNK: usize = 1 << 20;
 const TAG: usize = 16;
 
 /// The header of a sealed stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StreamHeader {
-    work: Work,
-    salt: [u8; 32],
-    save_salt: [u8; 24],
-    commit: [u8; 32],
-}
+pub struct StreamHeader(SealedHead);
 
 impl StreamHeader {
     /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = Vec::with_capacity(HEADER);
-        out.extend_from_slice(&MAGIC);
-        out.push(VERSION);
-        put_work(&mut out, self.work);
-        out.extend_from_slice(&self.salt);
-        out.extend_from_slice(&self.save_salt);
-        out.extend_from_slice(&self.commit);
-        out
+        self.0.encode(&MAGIC)
     }
 
     /// From its encoding; each header has exactly one.
@@ -49,20 +34,9 @@ impl StreamHeader {
     /// [`WireError`] if it is malformed, or asks for an unreasonable amount of work.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
-        if reader.array("magic")? != MAGIC {
-            return Err(WireError::Value("magic"));
-        }
-        if reader.u8("version")? != VERSION {
-            return Err(WireError::Value("version"));
-        }
-        let header = Self {
-            work: read_work(&mut reader)?,
-            salt: reader.array("salt")?,
-            save_salt: reader.array("salt")?,
-            commit: reader.array("commitment")?,
-        };
+        let head = SealedHead::read(&mut reader, &MAGIC)?;
         reader.end()?;
-        Ok(header)
+        Ok(Self(head))
     }
 }
 
@@ -109,9 +83,8 @@ impl<W: Write> SealedWriter<W> {
     }
 
     fn with(mut inner: W, key: &FileKey) -> io::Result<Self> {
-        let save_salt = random_bytes().map_err(other)?;
-        let keys = SaveKeys::derive(key, &save_salt, LABEL);
-        let header = StreamHeader { work: key.work, salt: key.salt, save_salt, commit: keys.commit }.encode();
+        let (head, keys) = SealedHead::new(key, LABEL).map_err(other)?;
+        let header = StreamHeader(head).encode();
         inner.write_all(&header)?;
         let waiting = Zeroizing::new(Vec::with_capacity(CHUNK));
         Ok(Self { inner, line: Line { header, keys, number: 0 }, waiting })
@@ -177,7 +150,7 @@ impl<R: Read> SealedReader<R> {
     /// [`io::ErrorKind::InvalidData`] if this is not such a stream, [`io::ErrorKind::Unsupported`] if it is one of another
     /// version, [`io::ErrorKind::PermissionDenied`] if the passphrase is wrong, or errors from reading.
     pub fn open(inner: R, passphrase: &Passphrase) -> io::Result<Self> {
-        Self::with(inner, |header| FileKey::with(passphrase, header.work, header.salt))
+        Self::with(inner, |header| FileKey::with(passphrase, header.0.work, header.0.salt))
     }
 
     fn with(mut inner: R, key: impl FnOnce(&StreamHeader) -> Result<FileKey, CryptoError>) -> io::Result<Self> {
@@ -191,10 +164,8 @@ impl<R: Read> SealedReader<R> {
             _ => damaged("it does not start like a backup"),
         })?;
         let key = key(&parsed).map_err(other)?;
-        let keys = SaveKeys::derive(&key, &parsed.save_salt, LABEL);
-        if !bool::from(keys.commit.ct_eq(&parsed.commit)) {
-            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "wrong passphrase"));
-        }
+        let wrong = || io::Error::new(io::ErrorKind::PermissionDenied, "wrong passphrase");
+        let keys = parsed.0.keys(&key, LABEL).ok_or_else(wrong)?;
         let line = Line { header, keys, number: 0 };
         Ok(Self { inner, line, open: Zeroizing::default(), taken: 0, ended: false })
     }
@@ -254,6 +225,7 @@ impl<R: Read> Read for SealedReader<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::secret::Work;
 
     /// Cheap, because the tests derive it again and again.
     const WORK: Work = Work { log_n: 4, r: 8, p: 1 };
@@ -271,7 +243,7 @@ mod tests {
 
     fn opened(bytes: &[u8]) -> io::Result<Vec<u8>> {
         let mut plain = Vec::new();
-        SealedReader::with(bytes, |header| key("correct horse", header.salt))?.read_to_end(&mut plain)?;
+        SealedReader::with(bytes, |header| key("correct horse", header.0.salt))?.read_to_end(&mut plain)?;
         Ok(plain)
     }
 
@@ -281,7 +253,7 @@ mod tests {
             let plain: Vec<u8> = (0..length).map(|at| u8::try_from(at % 251).expect("small")).collect();
             assert_eq!(opened(&sealed(&plain)).expect("opens"), plain);
         }
-        let other = |header: &StreamHeader| key("another horse", header.salt);
+        let other = |header: &StreamHeader| key("another horse", header.0.salt);
         let refused = SealedReader::with(&sealed(b"x")[..], other).err().expect("refused");
         assert_eq!(refused.kind(), io::ErrorKind::PermissionDenied);
     }

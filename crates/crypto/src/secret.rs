@@ -85,6 +85,15 @@ secret_bytes! {
     EpochSalt(32);
 }
 
+/// Fresh random bytes, drawn again until they are in range.
+fn drawn<T>(of: impl Fn(&[u8]) -> Result<T, CryptoError>) -> Result<T, CryptoError> {
+    loop {
+        if let Ok(secret) = of(&*Zeroizing::new(random_bytes::<32>()?)) {
+            return Ok(secret);
+        }
+    }
+}
+
 // The secp256k1 key of an Ethereum account.
 
 /// The private key of an externally owned account.
@@ -102,12 +111,7 @@ impl EoaSecret {
     /// # Errors
     /// [`CryptoError::Random`] if that fails.
     pub fn generate() -> Result<Self, CryptoError> {
-        loop {
-            let bytes = Zeroizing::new(random_bytes::<32>()?);
-            if let Ok(secret) = Self::from_slice(&*bytes) {
-                return Ok(secret);
-            }
-        }
+        drawn(Self::from_slice)
     }
 
     /// From 32 bytes, big endian, 1 to n - 1 of secp256k1.
@@ -199,12 +203,7 @@ impl SmSecret {
     /// # Errors
     /// [`CryptoError::Random`] if that fails.
     pub fn generate() -> Result<Self, CryptoError> {
-        loop {
-            let bytes = Zeroizing::new(random_bytes::<32>()?);
-            if let Ok(secret) = Self::from_slice(&*bytes) {
-                return Ok(secret);
-            }
-        }
+        drawn(Self::from_slice)
     }
 
     /// From 32 bytes, big endian.

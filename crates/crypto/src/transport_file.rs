@@ -5,7 +5,8 @@ use std::path::Path;
 
 use zeroize::Zeroizing;
 
-use super::kdf::{Info, derived};
+use super::kdf::{Info, key_and_nonce};
+use super::keystore::sealed_key;
 use super::private_file::{read_private, write_private};
 use super::{CryptoError, Provider, SmSecret, TransportKey, random_bytes};
 use crate::model::wire::Reader;
@@ -27,9 +28,7 @@ pub struct TransportUse<'a> {
 
 fn sealing_key(secret: &SmSecret, salt: &[u8; 32], usage: TransportUse<'_>) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
     let info = Info::new("AuthROS/kept-transport-key/1").fixed(&usage.domain.0).fixed(&usage.gateway.0);
-    let bytes = Zeroizing::new(derived::<28>(secret.expose(), salt, &info.text(usage.name.as_str())));
-    let key = Zeroizing::new(std::array::from_fn(|index| bytes[index]));
-    (key, std::array::from_fn(|index| bytes[16 + index]))
+    key_and_nonce(secret.expose(), salt, &info.text(usage.name.as_str()))
 }
 
 /// Writes K_T to disk, sealed under d_E.
@@ -45,10 +44,7 @@ pub fn save_transport_key(
 ) -> Result<(), CryptoError> {
     let salt = random_bytes()?;
     let (sealing, nonce) = sealing_key(secret, &salt, usage);
-    // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
-    let mut sealed = Vec::with_capacity(TransportKey::LENGTH + 16);
-    sealed.extend_from_slice(key.expose());
-    provider.gcm_seal(&sealing, &nonce, &MAGIC, &mut sealed)?;
+    let sealed = sealed_key(provider, (&sealing, &nonce), &MAGIC, key)?;
     write_private(path, &[&MAGIC[..], &salt, &sealed].concat())
 }
 

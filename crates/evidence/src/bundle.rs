@@ -327,17 +327,6 @@ struct Draft {
 impl Draft {
     fn take(&mut self, name: &str, part: &str, bytes: &[u8]) -> Result<(), BundleError> {
         let signature = || signature_from_der(bytes).map_err(|error| BundleError::of(name, &error.to_string()));
-        let is_there = match part {
-            "record.bin" => self.record.is_some(),
-            "signature.der" => self.signature.is_some(),
-            "anchor.json" => self.anchor.is_some(),
-            "reveal.bin" => self.secret.is_some(),
-            "reveal.der" => self.disclosed.is_some(),
-            _ => false,
-        };
-        if is_there {
-            return Err(BundleError::of(name, "appears twice"));
-        }
         match part {
             "record.bin" if bytes.len() as u64 > LARGEST_BODY + u64::from(LARGEST_HEAD) + 1024 => {
                 return Err(BundleError::of(name, "is longer than any record can be"));

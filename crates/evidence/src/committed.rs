@@ -433,7 +433,8 @@ pub(crate) fn anchored<'a>(
     match find(check, digest, header, claim) {
         Found::Not(level) => (level, None),
         Found::Shown(anchored, shown_at) => {
-            let level = check.known.sealing(&anchored, || sealed(check, &anchored, shown_at));
+            let place = (anchored.shown_at, anchored.block, anchored.time);
+            let level = check.known.sealings.get(place, || sealed(check, &anchored, shown_at));
             (level, Some(anchored))
         }
     }
@@ -455,7 +456,8 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {
         return unproven(format!("the header of block {} is not in the bundle", claim.shown_at));
     };
-    let storage = match check.known.storage(check, shown_at) {
+    let storage = || Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract);
+    let storage = match check.known.storages.get(shown_at.number, storage) {
         Ok(storage) => storage,
         Err(Unproven::Missing(_)) => {
             return unproven(format!("the state after block {} is not in the bundle", claim.shown_at));
@@ -502,7 +504,8 @@ fn in_state<'a>(
             Ok(block.map(|block| (anchored(block, own_time(block), header.owner, None), None)))
         }
         Anchoring::Batch { account, root, .. } => {
-            let Some(word) = known.anchor((shown_at, &storage), *account, *root)? else { return Ok(None) };
+            let word = known.anchors.get((shown_at, *account, *root), || storage.anchor(*account, *root))?;
+            let Some(word) = word else { return Ok(None) };
             // The contract never stores a time of zero: a word without one shows none.
             let time = Some(word.time).filter(|time| *time > 0);
             Ok(Some((anchored(word.block, time, *account, Some(word.keys)), Some(word.count))))
@@ -550,7 +553,8 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
         let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
         return Level::new(Standing::Unproven, text);
     };
-    let found = check.known.seals(check, shown_at, &trust.chain.signers);
+    let found = || seals(&check.bundle.headers, shown_at.number, &trust.chain.signers);
+    let found = check.known.seals.get(shown_at.number, found);
     let quorum = if found.committed.is_some() { trust.commit_quorum() } else { trust.quorum() };
     let (have, all) = (found.pinned.len(), trust.chain.signers.len());
     let how = found.committed.map_or_else(String::new, |protocol| format!(" in its own header ({protocol})"));

@@ -8,7 +8,7 @@ use std::sync::{PoisonError, RwLock};
 use crate::bundle::{
     AnchorClaim, Anchoring, Bundle, BundledRecord, MOST_PLAIN, READ_ME, READ_ME_TEXT, REPORT, opened, vouched,
 };
-use crate::committed::{Anchored, BlockHeader, Seals, anchored, seals};
+use crate::committed::{Anchored, Seals, anchored};
 use crate::completeness::stretches;
 use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::state::{AnchorWord, KeysWord, Storage, Unproven};
@@ -310,7 +310,7 @@ fn seconds_between(from: u64, to: u64) -> Option<i64> {
 }
 
 /// Results by what was asked. Two threads that ask the same at once both compute it, and get the same.
-struct Memo<Asked, Found>(RwLock<BTreeMap<Asked, Found>>);
+pub(crate) struct Memo<Asked, Found>(RwLock<BTreeMap<Asked, Found>>);
 
 impl<Asked, Found> Default for Memo<Asked, Found> {
     fn default() -> Self {
@@ -320,7 +320,7 @@ impl<Asked, Found> Default for Memo<Asked, Found> {
 
 impl<Asked: Ord, Found: Clone> Memo<Asked, Found> {
     /// No lock is held while `find` works.
-    fn get(&self, asked: Asked, find: impl FnOnce() -> Found) -> Found {
+    pub fn get(&self, asked: Asked, find: impl FnOnce() -> Found) -> Found {
         let known = self.0.read().unwrap_or_else(PoisonError::into_inner).get(&asked).cloned();
         known.unwrap_or_else(|| {
             let found = find();
@@ -332,14 +332,20 @@ impl<Asked: Ord, Found: Clone> Memo<Asked, Found> {
 /// The results of one check so far. Blocks are those after which the state is asked.
 #[derive(Default)]
 pub(crate) struct Known<'a> {
-    storages: Memo<u64, Result<Storage<'a>, Unproven>>,
-    seals: Memo<u64, Seals>,
+    /// The contract's storage after a block of the bundle.
+    pub storages: Memo<u64, Result<Storage<'a>, Unproven>>,
+    /// The seals on a block of the bundle, by the pinned signers.
+    pub seals: Memo<u64, Seals>,
     identities: Memo<(Hash, Address), bool>,
-    anchors: Memo<(u64, Address, Hash), Result<Option<AnchorWord>, Unproven>>,
+    /// When an account first anchored a root, by the storage after a block.
+    pub anchors: Memo<(u64, Address, Hash), Result<Option<AnchorWord>, Unproven>>,
     keys: Memo<(u64, Address, u64), Result<Option<KeysWord>, Unproven>>,
+    /// Whether an account is suspended, by the storage after a block.
     suspensions: Memo<(u64, Address), Result<bool, Unproven>>,
+    /// Level (b) of the records that an owner's key signed and that were anchored alike.
     rights: Memo<(Address, SignerId, Place), Signed>,
-    sealings: Memo<(u64, u64, Option<u64>), Level>,
+    /// Level (c) of the records that were anchored alike.
+    pub sealings: Memo<(u64, u64, Option<u64>), Level>,
     paths: RwLock<HashMap<(Hash, Climber), &'a [Hash]>>,
 }
 
@@ -347,62 +353,20 @@ pub(crate) struct Known<'a> {
 type Place = (u64, u64, Option<u64>, Address, Option<u64>, u64);
 
 impl<'a> Known<'a> {
-    /// The contract's storage after a block of the bundle.
-    pub fn storage(&self, check: &Check<'a>, shown_at: &BlockHeader) -> Result<Storage<'a>, Unproven> {
-        self.storages.get(shown_at.number, || Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract))
-    }
-
-    /// The seals on a block of the bundle, by these signers, who are the same at each call.
-    pub fn seals(&self, check: &Check<'_>, shown_at: &BlockHeader, pinned: &[Address]) -> Seals {
-        self.seals.get(shown_at.number, || seals(&check.bundle.headers, shown_at.number, pinned))
-    }
-
     /// Whether an identity of the bundle proves itself for this account.
     pub fn is_of(&self, check: &Check<'_>, (hash, identity): (Hash, &Identity), account: Address) -> bool {
         let prove = || authros_crypto::check_identity(check.provider, &check.domain, &account, identity).is_ok();
         self.identities.get((hash, account), prove)
     }
 
-    /// When an account first anchored a root, by the storage after a block.
-    pub fn anchor(
-        &self,
-        (shown_at, storage): (u64, &Storage<'_>),
-        account: Address,
-        root: Hash,
-    ) -> Result<Option<AnchorWord>, Unproven> {
-        self.anchors.get((shown_at, account, root), || storage.anchor(account, root))
-    }
-
     /// A version of an account's keys, by the storage after a block.
-    pub fn keys(
+    fn keys(
         &self,
         (shown_at, storage): (u64, &Storage<'_>),
         account: Address,
         version: u64,
     ) -> Result<Option<KeysWord>, Unproven> {
         self.keys.get((shown_at, account, version), || storage.keys(account, version))
-    }
-
-    /// Whether an account is suspended, by the storage after a block.
-    pub fn is_suspended(&self, (shown_at, storage): (u64, &Storage<'_>), account: Address) -> Result<bool, Unproven> {
-        self.suspensions.get((shown_at, account), || storage.is_suspended(account))
-    }
-
-    /// Level (b) of the records that an owner's key signed and that were anchored alike.
-    pub fn right(
-        &self,
-        owner: Address,
-        signer: SignerId,
-        anchored: &Anchored<'_>,
-        judge: impl FnOnce() -> Signed,
-    ) -> Signed {
-        let Anchored { shown_at, block, time, account, keys, claimed_keys, .. } = *anchored;
-        self.rights.get((owner, signer, (shown_at, block, time, account, keys, claimed_keys)), judge)
-    }
-
-    /// Level (c) of the records that were anchored alike.
-    pub fn sealing(&self, anchored: &Anchored<'_>, judge: impl FnOnce() -> Level) -> Level {
-        self.sealings.get((anchored.shown_at, anchored.block, anchored.time), judge)
     }
 
     /// Whether a claim's path leads from this leaf to the root it names; a claim without a path has nothing to show. Paths
@@ -554,7 +518,9 @@ pub(crate) struct Signed {
 
 /// Level (b) of a record whose anchor is shown by the state.
 fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
-    check.known.right(header.owner, header.signer, anchored, || right(check, header, anchored))
+    let Anchored { shown_at, block, time, account, keys, claimed_keys, .. } = *anchored;
+    let place = (shown_at, block, time, account, keys, claimed_keys);
+    check.known.rights.get((header.owner, header.signer, place), || right(check, header, anchored))
 }
 
 fn right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
@@ -602,7 +568,7 @@ fn judged(
     // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state
     // after the block, so the block's own state is used if present: the owner may have been suspended later in that
     // block. A later state in which the owner is suspended does not show that this came after the block.
-    let suspended = check.known.is_suspended((at, &anchored.storage), owner)?;
+    let suspended = check.known.suspensions.get((at, owner), || anchored.storage.is_suspended(owner))?;
     Ok(match (suspended, at == block) {
         (true, true) => refused(format!("{owner} was suspended at block {block}")),
         (false, true) => Level::new(Standing::Proven, format!("{how}, and {owner} was not suspended")),

@@ -155,7 +155,8 @@ pub struct TopicCapture {
 /// A running capture. It unregisters and ends its threads on drop.
 pub struct Capture {
     shared: Arc<Shared>,
-    registrar: Registrar,
+    /// Keeps the subscriptions alive.
+    registrar: Threads,
     slave: SlaveServer,
 }
 
@@ -168,9 +169,20 @@ impl Capture {
     pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
         let master = Endpoint::parse(&options.master_uri).ok_or_else(|| RosError::address(&options.master_uri))?;
         let host = own_host(options.own_host.as_deref(), &master, Instant::now() + PATIENCE)?;
-        let shared = Arc::new(Shared::new(master, options.node_name, sink));
+        let shared = Arc::new(Shared {
+            master,
+            node_name: options.node_name,
+            sink,
+            threads: Threads::default(),
+            topics: Mutex::default(),
+            errands: Mutex::default(),
+            wake: Condvar::new(),
+        });
         let slave = SlaveServer::start(&host, Arc::clone(&shared) as _)?;
-        let registrar = Registrar::start(Arc::clone(&shared), slave.uri.clone())?;
+        let registrar = Threads::default();
+        let mut work = Work { shared: Arc::clone(&shared), slave_uri: slave.uri.clone(), master_up: None };
+        let spawned = registrar.spawn("ros-registrar", move || work.run());
+        spawned.map_err(|error| RosError::system("start a thread", &error))?;
         Ok(Self { shared, registrar, slave })
     }
 
@@ -205,7 +217,7 @@ impl Drop for Capture {
     fn drop(&mut self) {
         let deadline = Instant::now() + PATIENCE;
         self.shared.stop();
-        self.registrar.stop(deadline);
+        self.registrar.wait_until_none(deadline);
         self.shared.threads.wait_until_none(deadline);
     }
 }
@@ -241,18 +253,6 @@ struct Shared {
 }
 
 impl Shared {
-    pub fn new(master: Endpoint, node_name: String, sink: Arc<dyn MessageSink>) -> Self {
-        Self {
-            master,
-            node_name,
-            sink,
-            threads: Threads::default(),
-            topics: Mutex::default(),
-            errands: Mutex::default(),
-            wake: Condvar::new(),
-        }
-    }
-
     pub fn watch(&self, name: TopicName, wanted: Option<TypeName>) {
         let make = || Arc::new(Topic::new(name.clone(), wanted));
         lock(&self.topics).entry(name.clone()).or_insert_with(make);
@@ -328,10 +328,6 @@ impl Node for Shared {
         self.topics().iter().map(row).collect()
     }
 
-    fn publications(&self) -> Vec<(String, String)> {
-        Vec::new()
-    }
-
     fn links(&self) -> Vec<BusLink> {
         self.topics().iter().flat_map(|topic| topic.links()).collect()
     }
@@ -343,10 +339,6 @@ impl Node for Shared {
             topic.kick();
             self.ask_about(&topic.name);
         }
-    }
-
-    fn outlet(&self, _topic: &str) -> Option<(String, u16)> {
-        None
     }
 
     fn shutdown_asked(&self, by: &str, reason: &str) {
@@ -407,26 +399,6 @@ const REST: u32 = 10;
 
 /// The most publishers of one topic.
 const MOST_PUBLISHERS: usize = 256;
-
-/// The running thread.
-struct Registrar {
-    thread: Threads,
-}
-
-impl Registrar {
-    pub fn start(shared: Arc<Shared>, slave_uri: String) -> Result<Self, RosError> {
-        let thread = Threads::default();
-        let mut work = Work { shared, slave_uri, master_up: None };
-        let spawned = thread.spawn("ros-registrar", move || work.run());
-        spawned.map_err(|error| RosError::system("start a thread", &error))?;
-        Ok(Self { thread })
-    }
-
-    /// Waits for the end, which the shared state already knows about.
-    pub fn stop(&self, deadline: Instant) {
-        self.thread.wait_until_none(deadline);
-    }
-}
 
 struct Work {
     shared: Arc<Shared>,

@@ -34,7 +34,7 @@ pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
 pub use publisher::{Advertised, GraphPublisher, Publisher, RosrustPublisher};
-pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS, RosrustFleet};
+pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS};
 
 #[cfg(test)]
 mod readme_tests;

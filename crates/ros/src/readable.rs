@@ -5,7 +5,7 @@ mod picture;
 
 use crate::model::{Timestamp, clean};
 use crate::ros::message::{Definition, Limits, Value, layout};
-use picture::bytes;
+use picture::{bytes, coordinate, plot};
 use serde::{Deserialize, Serialize};
 
 pub use picture::{DECODER_MEMORY, Exported, MOST_PIXELS, PictureError, Raster, Rgb, decode, export, file_of};
@@ -57,6 +57,14 @@ pub struct Plot {
 }
 
 impl Readable {
+    /// With the stamp and the frame of the header.
+    fn headed(value: &Value) -> Self {
+        let mut out = Self::default();
+        out.line("Stamp (UTC)", stamp(value));
+        out.line("Frame", text(value, "header.frame_id"));
+        out
+    }
+
     /// Adds a line.
     fn line(&mut self, label: &str, value: impl Into<String>) {
         self.lines.push((label.to_owned(), value.into()));
@@ -101,20 +109,17 @@ pub enum Place {
 
 /// The position in a message whose type has one; `None` for other types.
 pub fn place(definition: &Definition, body: &[u8]) -> Option<Place> {
-    let path = match definition.short_name().as_str() {
-        "nav_msgs/Odometry" | "geometry_msgs/PoseWithCovarianceStamped" => "pose.pose.position",
-        "geometry_msgs/PoseStamped" => "pose.position",
-        "geometry_msgs/TransformStamped" => "transform.translation",
-        "geometry_msgs/PointStamped" => "point",
-        "sensor_msgs/NavSatFix" => "",
+    let (path, names) = match definition.short_name().as_str() {
+        "nav_msgs/Odometry" | "geometry_msgs/PoseWithCovarianceStamped" => ("pose.pose.position.", ["x", "y"]),
+        "geometry_msgs/PoseStamped" => ("pose.position.", ["x", "y"]),
+        "geometry_msgs/TransformStamped" => ("transform.translation.", ["x", "y"]),
+        "geometry_msgs/PointStamped" => ("point.", ["x", "y"]),
+        "sensor_msgs/NavSatFix" => ("", ["longitude", "latitude"]),
         _ => return None,
     };
     let value = definition.decode(body, Limits::default()).ok()?;
-    let at = |name: &str| float(&value, &if path.is_empty() { name.into() } else { format!("{path}.{name}") });
-    let place = if path.is_empty() { (at("longitude")?, at("latitude")?) } else { (at("x")?, at("y")?) };
-    let finite = place.0.is_finite() && place.1.is_finite();
-    let degrees = path.is_empty();
-    finite.then_some(if degrees { Place::Degrees(place.0, place.1) } else { Place::Metres(place.0, place.1) })
+    let [one, other] = names.map(|name| float(&value, &format!("{path}{name}")).filter(|number| number.is_finite()));
+    Some(if path.is_empty() { Place::Degrees(one?, other?) } else { Place::Metres(one?, other?) })
 }
 
 /// The path over several records, in order; `here` is one of them. Degrees become metres around the first.
@@ -234,22 +239,14 @@ fn floats(value: &Value, path: &str, body: &Body, most: usize) -> Vec<(usize, f6
 }
 
 fn large((element, big_endian): (&str, bool), count: usize, bytes: Option<&[u8]>, most: usize) -> Vec<(usize, f64)> {
-    let size = match element {
-        "float32" => 4,
-        "float64" => 8,
+    let wide = match element {
+        "float32" => false,
+        "float64" => true,
         _ => return Vec::new(),
     };
-    let data = bytes.unwrap_or_default();
-    let step = count.div_ceil(most.max(1)).max(1);
-    let read = |chunk: &[u8]| match (chunk.first_chunk::<8>(), chunk.first_chunk::<4>()) {
-        (Some(eight), _) if size == 8 && big_endian => Some(f64::from_be_bytes(*eight)),
-        (Some(eight), _) if size == 8 => Some(f64::from_le_bytes(*eight)),
-        (_, Some(four)) if size == 4 && big_endian => Some(f64::from(f32::from_be_bytes(*four))),
-        (_, Some(four)) if size == 4 => Some(f64::from(f32::from_le_bytes(*four))),
-        _ => None,
-    };
-    let numbered = data.chunks_exact(size).enumerate().step_by(step);
-    numbered.filter_map(|(at, chunk)| Some((at, read(chunk)?))).collect()
+    let chunks = bytes.unwrap_or_default().chunks_exact(if wide { 8 } else { 4 });
+    let numbered = chunks.enumerate().step_by(count.div_ceil(most.max(1)).max(1));
+    numbered.filter_map(|(at, chunk)| Some((at, coordinate(chunk, wide, big_endian)?))).collect()
 }
 
 /// A covariance as a square table, if it is one.
@@ -317,56 +314,33 @@ fn odometry(value: &Value, _: &Body) -> Readable {
     out.line("Angular velocity, rad/s", triple(value, "twist.twist.angular"));
     out.tables.extend(square("Pose covariance", &POSE, value, "pose.covariance"));
     out.tables.extend(square("Twist covariance", &POSE, value, "twist.covariance"));
-    out.plot = here("Position", ("x, m", "y, m"), value, ("pose.pose.position.x", "pose.pose.position.y"));
+    let place = float(value, "pose.pose.position.x").zip(float(value, "pose.pose.position.y"));
+    out.plot = plot("Position", place.into_iter().collect(), place, true);
     out
 }
 
-fn here(title: &str, axes: (&str, &str), value: &Value, paths: (&str, &str)) -> Option<Plot> {
-    let point = (float(value, paths.0)?, float(value, paths.1)?);
-    let finite = point.0.is_finite() && point.1.is_finite();
-    finite.then(|| Plot {
-        title: title.to_owned(),
-        axes: (axes.0.to_owned(), axes.1.to_owned()),
-        points: vec![point],
-        path: true,
-        here: Some(point),
-    })
-}
-
 fn inertia(value: &Value, _: &Body) -> Readable {
-    let mut out = Readable::default();
+    let mut out = Readable::headed(value);
     let known = |path: &str| match value.get(path) {
         // REP 145: -1 in the first element = not measured.
         Some(Value::Array(items)) => !matches!(items.first(), Some(Value::Float(first)) if *first < 0.0),
         _ => true,
     };
-    out.line("Stamp (UTC)", stamp(value));
-    out.line("Frame", text(value, "header.frame_id"));
     let unless = |known: bool, shown: String| if known { shown } else { String::from("not measured") };
-    out.line("Orientation", unless(known("orientation_covariance"), turned(value, "orientation")));
-    out.line(
-        "Angular velocity, rad/s",
-        unless(known("angular_velocity_covariance"), triple(value, "angular_velocity")),
-    );
-    out.line(
-        "Acceleration, m/s²",
-        unless(known("linear_acceleration_covariance"), triple(value, "linear_acceleration")),
-    );
-    for (title, path) in [
-        ("Orientation covariance", "orientation_covariance"),
-        ("Angular velocity covariance", "angular_velocity_covariance"),
-        ("Acceleration covariance", "linear_acceleration_covariance"),
+    for (label, title, path, covariance, shown) in [
+        ("Orientation", "Orientation", "orientation", "orientation_covariance", turned as fn(&Value, &str) -> String),
+        ("Angular velocity, rad/s", "Angular velocity", "angular_velocity", "angular_velocity_covariance", triple),
+        ("Acceleration, m/s²", "Acceleration", "linear_acceleration", "linear_acceleration_covariance", triple),
     ] {
-        out.tables.extend(square(title, &AXES, value, path));
+        out.line(label, unless(known(covariance), shown(value, path)));
+        out.tables.extend(square(&format!("{title} covariance"), &AXES, value, covariance));
     }
     out
 }
 
 fn fix(value: &Value, _: &Body) -> Readable {
-    let mut out = Readable::default();
+    let mut out = Readable::headed(value);
     let degrees = |path: &str| float(value, path).map_or_else(|| String::from("-"), |degrees| format!("{degrees:.7}°"));
-    out.line("Stamp (UTC)", stamp(value));
-    out.line("Frame", text(value, "header.frame_id"));
     out.line("Fix", fix_word(value));
     out.line("Latitude", degrees("latitude"));
     out.line("Longitude", degrees("longitude"));

@@ -163,17 +163,23 @@ pub(super) struct BusLink {
 pub(super) trait Node: Send + Sync + 'static {
     fn master_uri(&self) -> String;
     /// Topics and types it subscribes to.
-    fn subscriptions(&self) -> Vec<(String, String)>;
+    fn subscriptions(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
     /// Topics and types it publishes.
-    fn publications(&self) -> Vec<(String, String)>;
+    fn publications(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
     /// Its connections.
     fn links(&self) -> Vec<BusLink>;
     /// Somebody reports that the publishers of a topic have changed, and their URIs.
-    fn publishers_changed(&self, topic: &str, publishers: &[&str]);
+    fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}
     /// Host and port where it serves a topic.
-    fn outlet(&self, topic: &str) -> Option<(String, u16)>;
+    fn outlet(&self, _topic: &str) -> Option<(String, u16)> {
+        None
+    }
     /// Somebody asks it to shut down.
-    fn shutdown_asked(&self, by: &str, reason: &str);
+    fn shutdown_asked(&self, _by: &str, _reason: &str) {}
 }
 
 /// A node's running slave API.
@@ -185,11 +191,9 @@ pub(super) struct SlaveServer {
 impl SlaveServer {
     /// Serves `node` on a free port of `host`.
     pub fn start(host: &str, node: Arc<dyn Node>) -> Result<Self, RosError> {
-        let listener = listen(host)?;
-        let port = listener.local_addr().map_err(|error| RosError::system("listen", &error))?.port();
-        let server = Server::start(listener, Arc::new(Slave(node)), OF_A_NODE)
+        let server = Server::start(listen(host)?, Arc::new(Slave(node)), OF_A_NODE)
             .map_err(|error| RosError::system("start a thread", &error))?;
-        Ok(Self { uri: format!("http://{}/", authority(host, port)), _server: server })
+        Ok(Self { uri: format!("http://{}/", authority(host, server.port())), _server: server })
     }
 }
 

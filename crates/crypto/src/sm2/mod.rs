@@ -13,26 +13,17 @@ use std::time::Instant;
 use subtle::ConstantTimeEq as _;
 use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
+use crate::CryptoError;
 use crate::der::CipherParts;
 use crate::kernel::sm2::{Affine, Scalar, Signer, SignerTable, multiply, multiply_both, multiply_generator, verifies};
 use crate::model::{PublicKey, Signature};
 use crate::provider::DISTINGUISHED_ID;
 use crate::secret::{random_bytes, unprefixed};
 use crate::sm3::{Sm3Hasher, sm3};
-use crate::{CryptoError, kernel};
 
 /// The point of a public key, checked to be on the curve and canonically encoded.
 pub(super) fn point(public: &PublicKey) -> Result<Affine, CryptoError> {
     Affine::from_bytes(&public.0).ok_or(CryptoError::PublicPoint)
-}
-
-/// Starts a thread, once, that builds the tables of the generator's multiples.
-pub(super) fn warm_up() {
-    static STARTED: std::sync::Once = std::sync::Once::new();
-    STARTED.call_once(|| {
-        // If no thread can be started, the first signature and verification build the tables instead.
-        let _ = std::thread::Builder::new().name("sm2-tables".into()).spawn(kernel::sm2::warm_up);
-    });
 }
 
 // Nonces of signatures, hedged: from key, hash and fresh random bytes by HMAC-SM3 (RFC 6979, 3.2, with the additional

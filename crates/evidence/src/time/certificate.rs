@@ -285,22 +285,17 @@ impl HashKind {
             .find_map(|(known, kind)| (known == name).then_some(kind))
     }
 
-    /// The hash of these bytes.
-    pub fn of(self, bytes: &[u8]) -> digest::Digest {
-        let algorithm = match self {
+    fn algorithm(self) -> &'static digest::Algorithm {
+        match self {
             Self::Sha256 => &SHA256,
             Self::Sha384 => &SHA384,
             Self::Sha512 => &SHA512,
-        };
-        digest::digest(algorithm, bytes)
+        }
     }
 
-    fn length(self) -> u64 {
-        match self {
-            Self::Sha256 => 32,
-            Self::Sha384 => 48,
-            Self::Sha512 => 64,
-        }
+    /// The hash of these bytes.
+    pub fn of(self, bytes: &[u8]) -> digest::Digest {
+        digest::digest(self.algorithm(), bytes)
     }
 }
 
@@ -373,7 +368,7 @@ fn pss(der: &mut Der<'_>) -> Result<Scheme, TimeError> {
     let same = HashKind::read(&mut generator, SEQUENCE)? == kind;
     generator.end()?;
     let mut salt = inner.inside_optional(context(2))?.ok_or_else(|| other.clone())?;
-    let fits = salt.small()? == kind.length();
+    let fits = salt.small()? == kind.algorithm().output_len() as u64;
     salt.end()?;
     if let Some(mut trailer) = inner.inside_optional(context(3))? {
         if trailer.small()? != 1 {

@@ -18,6 +18,7 @@ use certificate::{HashKind, Scheme};
 use ring::digest::{SHA1_FOR_LEGACY_USE_ONLY, digest};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
+use time::Date;
 
 pub use certificate::Certificate;
 
@@ -106,58 +107,34 @@ fn outer<'a>(part: &'static str, bytes: &'a [u8]) -> Result<Der<'a>, TimeError> 
 /// Seconds since 1970 of a time in the form of certificates (`UTCTime` or `GeneralizedTime`) and stamps, always UTC.
 /// Fractions of a second are rounded up if `up` is set, otherwise down.
 fn seconds(element: Element<'_>, part: &'static str, up: bool) -> Result<u64, TimeError> {
-    let wrong = || form(part, "a time is not valid");
-    let text = element.content.strip_suffix(b"Z").ok_or_else(wrong)?;
-    let two = |at: usize| -> Option<u64> {
-        match text.get(at..at + 2)? {
-            [tens @ b'0'..=b'9', ones @ b'0'..=b'9'] => Some(u64::from(tens - b'0') * 10 + u64::from(ones - b'0')),
-            _ => None,
-        }
+    moment(element, up).ok_or_else(|| form(part, "a time is not valid"))
+}
+
+fn moment(element: Element<'_>, up: bool) -> Option<u64> {
+    let text = element.content.strip_suffix(b"Z")?;
+    let two = |at: usize| match text.get(at..at + 2)? {
+        [tens @ b'0'..=b'9', ones @ b'0'..=b'9'] => Some((tens - b'0') * 10 + (ones - b'0')),
+        _ => None,
     };
+    let first = i32::from(two(0)?);
     let (year, at) = match element.tag {
-        GENERALIZED_TIME => (two(0).zip(two(2)).map(|(high, low)| high * 100 + low), 4),
+        GENERALIZED_TIME => (first * 100 + i32::from(two(2)?), 4),
         // RFC 5280, 4.1.2.5.1.
-        UTC_TIME => (two(0).map(|year| if year < 50 { 2000 + year } else { 1900 + year }), 2),
-        _ => return Err(wrong()),
+        UTC_TIME => (if first < 50 { 2000 + first } else { 1900 + first }, 2),
+        _ => return None,
     };
-    let fields: Option<Vec<u64>> = (0..5).map(|field| two(at + field * 2)).collect();
-    let Some(([month, day, hour, minute, second], year)) =
-        fields.and_then(|fields| <[u64; 5]>::try_from(fields).ok()).zip(year)
-    else {
-        return Err(wrong());
-    };
+    let date = Date::from_calendar_date(year, two(at)?.try_into().ok()?, two(at + 2)?).ok()?;
+    let time = date.with_hms(two(at + 4)?, two(at + 6)?, two(at + 8)?).ok()?.assume_utc();
     let fraction = match text.get(at + 10..).unwrap_or_default() {
         [] => 0,
-        [b'.', digits @ ..] if element.tag == GENERALIZED_TIME => {
-            // X.690, 11.7.3: no zeros at the end.
-            let is_number = digits.len() <= 9 && digits.iter().all(u8::is_ascii_digit);
-            digits.last().filter(|last| is_number && **last != b'0').ok_or_else(wrong)?;
-            u64::from(up)
+        // X.690, 11.7.3: no zeros at the end.
+        [b'.', digits @ ..] if element.tag == GENERALIZED_TIME && digits.len() <= 9 => {
+            let is_number = digits.iter().all(u8::is_ascii_digit);
+            digits.last().filter(|last| is_number && **last != b'0').map(|_| u64::from(up))?
         }
-        _ => return Err(wrong()),
+        _ => return None,
     };
-    let in_range =
-        (1970..=9999).contains(&year) && (1..=12).contains(&month) && hour < 24 && minute < 60 && second < 60;
-    if !in_range || day == 0 || day > days_in(year, month) {
-        return Err(wrong());
-    }
-    let days = (1970..year).map(|year| if is_leap(year) { 366 } else { 365 }).sum::<u64>()
-        + (1..month).map(|month| days_in(year, month)).sum::<u64>()
-        + day
-        - 1;
-    Ok(days * 86_400 + hour * 3600 + minute * 60 + second + fraction)
-}
-
-fn is_leap(year: u64) -> bool {
-    year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))
-}
-
-fn days_in(year: u64, month: u64) -> u64 {
-    match month {
-        2 => 28 + u64::from(is_leap(year)),
-        4 | 6 | 9 | 11 => 30,
-        _ => 31,
-    }
+    Some(u64::try_from(time.unix_timestamp()).ok()? + fraction)
 }
 
 /// The content of a valid token.

@@ -30,7 +30,8 @@ const LONGEST_HEADER: usize = 64 * 1024;
 const LONGEST_CONNECTION: usize = 2 << 20;
 
 /// The kind of a record (its field `op`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::FromRepr)]
+#[repr(u8)]
 enum Op {
     Message = 2,
     BagHeader = 3,
@@ -38,13 +39,6 @@ enum Op {
     Chunk = 5,
     ChunkInfo = 6,
     Connection = 7,
-}
-
-impl Op {
-    fn from_code(code: u8) -> Option<Self> {
-        let all = [Self::Message, Self::BagHeader, Self::Index, Self::Chunk, Self::ChunkInfo, Self::Connection];
-        all.into_iter().find(|op| *op as u8 == code)
-    }
 }
 
 /// The fields of a header, as slices of its bytes.
@@ -99,7 +93,7 @@ impl<'a> Fields<'a> {
 
     pub fn op(&self) -> Option<Op> {
         match self.bytes("op")? {
-            [code] => Op::from_code(*code),
+            [code] => Op::from_repr(*code),
             _ => None,
         }
     }

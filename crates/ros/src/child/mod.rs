@@ -145,6 +145,12 @@ const TICK: Duration = Duration::from_millis(500);
 /// After this many checks without a report it is killed; checks are counted, not time, so that a machine that slept blames
 /// nobody.
 const SILENT_TICKS: u32 = 10;
+/// How long it may take to join its domain or graph.
+const JOINING: Duration = Duration::from_secs(10);
+/// How long it may take to answer about a topic: it looks around first, and waits for subscribers.
+const ANSWERING: Duration = Duration::from_secs(10);
+/// Said of a program that takes longer.
+const SILENT: &str = "the program that publishes does not answer";
 /// The longest reason taken, and the most answers kept.
 const LONGEST_REASON: usize = 400;
 const MOST_ANSWERS: usize = 4096;
@@ -171,8 +177,10 @@ pub struct State {
     unconfirmed: VecDeque<usize>,
     unconfirmed_bytes: usize,
     dropped: u64,
-    unacknowledged: u64,
-    best_effort: u64,
+    /// Messages that were sent and that a subscriber has yet to acknowledge.
+    pub unacknowledged: u64,
+    /// Messages that were sent to subscribers that do not acknowledge.
+    pub best_effort: u64,
     left: bool,
     reports: u64,
     broken: Option<String>,
@@ -236,16 +244,6 @@ impl State {
     /// Messages that it was handed and has not confirmed, and their bytes.
     pub fn unconfirmed(&self) -> (usize, usize) {
         (self.unconfirmed.len(), self.unconfirmed_bytes)
-    }
-
-    /// Messages that were sent and that a subscriber has yet to acknowledge.
-    pub fn unacknowledged(&self) -> u64 {
-        self.unacknowledged
-    }
-
-    /// Messages that were sent to subscribers that do not acknowledge.
-    pub fn best_effort(&self) -> u64 {
-        self.best_effort
     }
 
     /// Messages that subscribers missed; if it has ended, also those that it held and those that were not acknowledged.
@@ -380,7 +378,7 @@ impl Run {
 
     /// Whether more messages should wait for subscribers that are behind, or for the program.
     pub fn is_crowded(&self) -> bool {
-        let (messages, bytes) = self.unconfirmed();
+        let (messages, bytes) = self.state().unconfirmed();
         messages >= MOST_UNCONFIRMED / 2 || bytes >= MOST_UNCONFIRMED_BYTES / 2
     }
 
@@ -407,9 +405,35 @@ impl Run {
         }
     }
 
-    /// Whether it has said that it can open no file and no local socket.
-    pub fn is_confined(&self) -> bool {
-        self.shared.state().confined
+    /// Waits until it is in its domain or graph.
+    ///
+    /// # Errors
+    /// Why it is not, in words.
+    pub fn joined(&self) -> Result<(), String> {
+        self.wait(JOINING, |state| state.joined.then_some(()))?.ok_or_else(|| SILENT.to_owned())
+    }
+
+    /// Orders that a topic is announced, and waits for the answer; a program that gives none is ended.
+    ///
+    /// # Errors
+    /// Why there is no answer, in words.
+    pub fn announce<T: Serialize>(
+        &self,
+        writer: u32,
+        order: &Order<T>,
+        payload: &[u8],
+    ) -> Result<Result<(), Declined>, String> {
+        self.order(order, payload)?;
+        let answer = self.wait(ANSWERING, |state| state.answers.remove(&writer))?;
+        answer.ok_or_else(|| {
+            self.kill();
+            SILENT.to_owned()
+        })
+    }
+
+    /// What it has reported.
+    pub fn state(&self) -> MutexGuard<'_, State> {
+        self.shared.state()
     }
 
     /// Ends it at once.
@@ -417,34 +441,15 @@ impl Run {
         self.shared.kill();
     }
 
-    /// See [`State::unconfirmed`].
-    pub fn unconfirmed(&self) -> (usize, usize) {
-        self.shared.state().unconfirmed()
-    }
-
-    /// Whether subscribers have everything.
-    pub fn has_left(&self) -> bool {
-        self.shared.state().left
+    /// Whether subscribers have everything, or nobody sends it any more.
+    pub fn is_sent(&self) -> bool {
+        let state = self.state();
+        state.left || state.broken.is_some()
     }
 
     /// Why it has ended, if it has.
     pub fn broken(&self) -> Option<String> {
         self.shared.state().broken.clone()
-    }
-
-    /// See [`State::unacknowledged`].
-    pub fn unacknowledged(&self) -> u64 {
-        self.shared.state().unacknowledged()
-    }
-
-    /// See [`State::best_effort`].
-    pub fn best_effort(&self) -> u64 {
-        self.shared.state().best_effort()
-    }
-
-    /// See [`State::missed`].
-    pub fn missed(&self) -> u64 {
-        self.shared.state().missed()
     }
 }
 

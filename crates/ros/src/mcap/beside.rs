@@ -5,16 +5,15 @@ use std::collections::BTreeMap;
 use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::sync::Arc;
 
-use super::{Code, Fields, MAGIC, beside_line, end_summary, put_length, put_record, put_text};
+use super::{
+    Code, Fields, LATEST, LEAD, MAGIC, TAIL, beside_line, end_summary, put_map, put_numbers, put_record, put_text,
+};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{Channel, Encoding};
 
 /// The name under which all of it is filed; no topic of ROS begins like this.
 pub const TOPIC: &str = "authros/attachments";
-
-/// The latest time of an attachment, nanoseconds.
-const LATEST: u64 = i64::MAX as u64;
 
 /// A kind of what is beside the messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -53,6 +52,21 @@ pub enum BesideContent<'a> {
         /// Its names and values, in their order; a name may occur twice.
         entries: Vec<(Arc<str>, Arc<str>)>,
     },
+}
+
+impl AttachedFile<'_> {
+    /// MCAP's own bytes of it, with a checksum.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(self.data.len() + 256);
+        put_numbers(&mut out, &[self.logged_at.0, self.created_at]);
+        put_text(&mut out, &self.name);
+        put_text(&mut out, &self.media_type);
+        put_numbers(&mut out, &[self.data.len() as u64]);
+        out.extend_from_slice(self.data);
+        let checksum = crc32fast::hash(&out);
+        out.extend_from_slice(&checksum.to_le_bytes());
+        out
+    }
 }
 
 impl BesideContent<'_> {
@@ -135,11 +149,7 @@ impl Beside {
     }
 
     pub(super) fn of_code(code: Code) -> Option<Self> {
-        match code {
-            Code::Attachment => Some(Self::Attachment),
-            Code::Metadata => Some(Self::Metadata),
-            _ => None,
-        }
+        [Self::Attachment, Self::Metadata].into_iter().find(|kind| kind.code() == code)
     }
 
     pub(super) fn code(self) -> Code {
@@ -162,33 +172,12 @@ impl Beside {
 pub fn metadata_record(name: &str, entries: &[(&str, &str)]) -> Vec<u8> {
     let mut out = Vec::new();
     put_text(&mut out, name);
-    put_length(&mut out, entries.iter().map(|(key, value)| 8 + key.len() + value.len()).sum());
-    for (key, value) in entries {
-        put_text(&mut out, key);
-        put_text(&mut out, value);
-    }
+    put_map(&mut out, entries);
     out
 }
-
-/// A file in MCAP's own bytes of an attachment.
-pub fn attachment_record(logged_at: Timestamp, name: &str, media_type: &str, data: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(data.len() + 128);
-    out.extend_from_slice(&logged_at.0.to_le_bytes());
-    out.extend_from_slice(&0_u64.to_le_bytes());
-    put_text(&mut out, name);
-    put_text(&mut out, media_type);
-    out.extend_from_slice(&(data.len() as u64).to_le_bytes());
-    out.extend_from_slice(data);
-    let checksum = crc32fast::hash(&out);
-    out.extend_from_slice(&checksum.to_le_bytes());
-    out
-}
-
-/// Bytes of the footer and of the magic behind it.
-const TAIL: u64 = 9 + 20 + 8;
 
 /// Bytes of the record that ends the data.
-const DATA_END: u64 = 9 + 4;
+const DATA_END: u64 = LEAD + 4;
 
 /// The longest summary, bytes.
 const LONGEST_SUMMARY: u64 = 256 << 20;
@@ -223,12 +212,7 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
     let not_closed = || RosError::recording("nothing can be attached to it: it was not closed, or its end is damaged");
     let footer = length.checked_sub(TAIL).ok_or_else(not_closed)?;
     let tail = between(&mut source, footer, length)?;
-    let mut fields = Fields(&tail);
-    let start = match fields.record() {
-        Some((code, content)) if code == Code::Footer as u8 && fields.0 == MAGIC => Fields(content).u64(),
-        _ => None,
-    };
-    let start = start.ok_or_else(not_closed)?;
+    let (start, _) = super::footer(&tail).ok_or_else(not_closed)?;
     let (has_summary, after_data) = if start == 0 { (false, footer) } else { (true, start) };
     let data_end = after_data.checked_sub(DATA_END).filter(|_| after_data <= footer).ok_or_else(not_closed)?;
     let mut end = Fields(&between(&mut source, data_end, after_data)?).0.to_vec();
@@ -241,7 +225,8 @@ pub fn attach(source: impl Read + Seek, out: impl Write, file: &AttachedFile<'_>
     let mut out = Counted { out, position: 0, checksum: crc32fast::Hasher::new() };
     source.seek(SeekFrom::Start(0)).map_err(unreadable)?;
     copy(&mut source, data_end, &mut out)?;
-    let record = attachment(file);
+    let mut record = Vec::new();
+    put_record(&mut record, Code::Attachment, |out| out.extend_from_slice(&file.encode()));
     let line = beside_line(&BesideContent::File(file.clone()), data_end, record.len() as u64);
     out.put(&record)?;
     end.clear();
@@ -282,28 +267,13 @@ fn copy(source: &mut impl Read, mut left: u64, out: &mut Counted<impl Write>) ->
     Ok(())
 }
 
-fn attachment(file: &AttachedFile<'_>) -> Vec<u8> {
-    let mut content = Vec::with_capacity(file.data.len() + 256);
-    content.extend_from_slice(&file.logged_at.0.to_le_bytes());
-    content.extend_from_slice(&file.created_at.to_le_bytes());
-    put_text(&mut content, &file.name);
-    put_text(&mut content, &file.media_type);
-    content.extend_from_slice(&(file.data.len() as u64).to_le_bytes());
-    content.extend_from_slice(file.data);
-    let checksum = crc32fast::hash(&content);
-    content.extend_from_slice(&checksum.to_le_bytes());
-    let mut record = Vec::with_capacity(content.len() + 16);
-    put_record(&mut record, Code::Attachment, |out| out.extend_from_slice(&content));
-    record
-}
-
 /// The summary with one more attachment, at its new place; `None` if it is damaged.
 fn with_line(summary: &[u8], line: &[u8], start: u64) -> Option<Vec<u8>> {
     let mut groups: Vec<(Code, Vec<u8>)> = Vec::new();
     let mut rest = Fields(summary);
     while !rest.0.is_empty() {
         let (code, content) = rest.record()?;
-        let code = Code::from_byte(code)?;
+        let code = Code::from_repr(code)?;
         let mut content = content.to_vec();
         match code {
             Code::SummaryOffset => continue,
@@ -328,11 +298,12 @@ fn with_line(summary: &[u8], line: &[u8], start: u64) -> Option<Vec<u8>> {
 
 /// Appends a record to those of its kind, which are together in a summary.
 fn put_in_group(groups: &mut Vec<(Code, Vec<u8>)>, code: Code, content: &[u8]) {
-    let mut record = Vec::with_capacity(content.len() + 9);
-    put_record(&mut record, code, |out| out.extend_from_slice(content));
-    match groups.iter_mut().find(|(known, _)| *known == code) {
-        Some((_, records)) => records.extend_from_slice(&record),
-        None => groups.push((code, record)),
+    let at = groups.iter().position(|(known, _)| *known == code).unwrap_or_else(|| {
+        groups.push((code, Vec::new()));
+        groups.len() - 1
+    });
+    if let Some((_, records)) = groups.get_mut(at) {
+        put_record(records, code, |out| out.extend_from_slice(content));
     }
 }
 

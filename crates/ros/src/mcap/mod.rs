@@ -17,15 +17,16 @@ use crate::ros::recording::{
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
+pub(super) use beside::metadata_record;
 pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE, attach};
-pub(super) use beside::{attachment_record, metadata_record};
 pub use reader::McapReader;
 
 /// The start and end of every file.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 /// The kind of a record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::FromRepr)]
+#[repr(u8)]
 enum Code {
     Header = 1,
     Footer = 2,
@@ -44,28 +45,22 @@ enum Code {
     DataEnd = 15,
 }
 
-impl Code {
-    /// `None` for records that a reader of messages skips.
-    pub fn from_byte(byte: u8) -> Option<Self> {
-        let all = [
-            Self::Header,
-            Self::Footer,
-            Self::Schema,
-            Self::Channel,
-            Self::Message,
-            Self::Chunk,
-            Self::MessageIndex,
-            Self::ChunkIndex,
-            Self::Attachment,
-            Self::AttachmentIndex,
-            Self::Statistics,
-            Self::Metadata,
-            Self::MetadataIndex,
-            Self::SummaryOffset,
-            Self::DataEnd,
-        ];
-        all.into_iter().find(|code| *code as u8 == byte)
-    }
+/// Bytes of a record's code and length.
+const LEAD: u64 = 9;
+
+/// Bytes of the footer and of the magic behind it.
+const TAIL: u64 = LEAD + 20 + 8;
+
+/// The latest time of a record, nanoseconds.
+const LATEST: u64 = i64::MAX as u64;
+
+/// Where a file's last bytes say that its summary begins, and the checksum of that; `None` if they are no footer.
+fn footer(tail: &[u8]) -> Option<(u64, u32)> {
+    let mut fields = Fields(tail);
+    let (code, content) = fields.record()?;
+    let mut content = Fields(content);
+    let start = content.u64().filter(|_| code == Code::Footer as u8 && fields.0 == MAGIC)?;
+    Some((start, content.u64().and(content.u32())?))
 }
 
 /// Whether an entry of a channel's metadata is said by a field here.
@@ -247,6 +242,20 @@ fn put_record(out: &mut Vec<u8>, code: Code, fill: impl FnOnce(&mut Vec<u8>)) {
     }
 }
 
+/// Appends numbers of 64 bits.
+fn put_numbers(out: &mut Vec<u8>, numbers: &[u64]) {
+    numbers.iter().for_each(|number| out.extend_from_slice(&number.to_le_bytes()));
+}
+
+/// Appends names with their values, behind the length of them all.
+fn put_map(out: &mut Vec<u8>, entries: &[(&str, &str)]) {
+    put_length(out, entries.iter().map(|(key, value)| 8 + key.len() + value.len()).sum());
+    for (key, value) in entries {
+        put_text(out, key);
+        put_text(out, value);
+    }
+}
+
 /// Appends a text with its length.
 fn put_text(out: &mut Vec<u8>, text: &str) {
     put_length(out, text.len());
@@ -296,11 +305,7 @@ fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, channel: &Channel) {
         out.extend_from_slice(&schema.to_le_bytes());
         put_text(out, &channel.topic);
         put_text(out, if channel.encoding == Encoding::Ros1 { "ros1" } else { "cdr" });
-        put_length(out, about.iter().map(|(key, value)| 8 + key.len() + value.len()).sum());
-        for (key, value) in about {
-            put_text(out, key);
-            put_text(out, value);
-        }
+        put_map(out, &about);
     });
 }
 
@@ -381,17 +386,24 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(())
     }
 
+    /// Writes a record outside of chunks; returns its length.
+    fn put_record(&mut self, code: Code, fill: impl FnOnce(&mut Vec<u8>)) -> Result<u64, RosError> {
+        let mut record = Vec::new();
+        put_record(&mut record, code, fill);
+        self.put(&record)?;
+        Ok(record.len() as u64)
+    }
+
     /// The header names the profile, which depends on the first message.
     fn put_header(&mut self, profile: &str) -> Result<(), RosError> {
         if std::mem::replace(&mut self.begun, true) {
             return Ok(());
         }
-        let mut header = Vec::new();
-        put_record(&mut header, Code::Header, |out| {
+        let header = |out: &mut Vec<u8>| {
             put_text(out, profile);
             put_text(out, concat!("authros ", env!("CARGO_PKG_VERSION")));
-        });
-        self.put(&header)
+        };
+        self.put_record(Code::Header, header).map(drop)
     }
 
     /// Writes one message, with its recording time as its publishing time.
@@ -431,8 +443,7 @@ impl<W: Write + Seek> McapWriter<W> {
         put_record(&mut self.chunk, Code::Message, |out| {
             out.extend_from_slice(&number.to_le_bytes());
             out.extend_from_slice(&sent.sequence.to_le_bytes());
-            out.extend_from_slice(&time.0.to_le_bytes());
-            out.extend_from_slice(&sent.time.0.to_le_bytes());
+            put_numbers(out, &[time.0, sent.time.0]);
             out.extend_from_slice(body);
         });
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
@@ -446,10 +457,8 @@ impl<W: Write + Seek> McapWriter<W> {
         // What came before it stays before it.
         self.end_chunk()?;
         let position = self.position;
-        let mut record = Vec::with_capacity(body.len() + 16);
-        put_record(&mut record, kind.code(), |out| out.extend_from_slice(body));
-        self.put(&record)?;
-        let line = beside_line(&content, position, record.len() as u64);
+        let length = self.put_record(kind.code(), |out| out.extend_from_slice(body))?;
+        let line = beside_line(&content, position, length);
         self.besides.push(BesideIndex { kind, line });
         Ok(())
     }
@@ -479,31 +488,24 @@ impl<W: Write + Seek> McapWriter<W> {
         let Some(span) = self.span.take() else { return Ok(()) };
         let packed = pack(self.compression, &self.chunk).map_err(|error| RosError::recording(&error))?;
         let (position, size) = (self.position, self.chunk.len() as u64);
-        let mut record = Vec::with_capacity(packed.len() + 64);
-        put_record(&mut record, Code::Chunk, |out| {
-            out.extend_from_slice(&span.0.0.to_le_bytes());
-            out.extend_from_slice(&span.1.0.to_le_bytes());
-            out.extend_from_slice(&size.to_le_bytes());
-            out.extend_from_slice(&crc32fast::hash(&self.chunk).to_le_bytes());
-            put_text(out, self.compression_word());
-            out.extend_from_slice(&(packed.len() as u64).to_le_bytes());
+        let (checksum, word) = (crc32fast::hash(&self.chunk), self.compression_word());
+        let length = self.put_record(Code::Chunk, |out| {
+            out.reserve(packed.len() + 64);
+            put_numbers(out, &[span.0.0, span.1.0, size]);
+            out.extend_from_slice(&checksum.to_le_bytes());
+            put_text(out, word);
+            put_numbers(out, &[packed.len() as u64]);
             out.extend_from_slice(&packed);
-        });
-        self.put(&record)?;
-        let (length, index_start) = (record.len() as u64, self.position);
+        })?;
+        let index_start = self.position;
         let mut indexes = Vec::new();
         for (number, entries) in std::mem::take(&mut self.index) {
             indexes.push((number, self.position));
-            let mut record = Vec::with_capacity(32 + entries.len() * 16);
-            put_record(&mut record, Code::MessageIndex, |out| {
+            self.put_record(Code::MessageIndex, |out| {
                 out.extend_from_slice(&number.to_le_bytes());
                 put_length(out, entries.len() * 16);
-                for (time, offset) in &entries {
-                    out.extend_from_slice(&time.0.to_le_bytes());
-                    out.extend_from_slice(&offset.to_le_bytes());
-                }
-            });
-            self.put(&record)?;
+                entries.iter().for_each(|(time, offset)| put_numbers(out, &[time.0, *offset]));
+            })?;
         }
         let index_length = self.position - index_start;
         let packed = packed.len() as u64;
@@ -520,9 +522,7 @@ impl<W: Write + Seek> McapWriter<W> {
     pub fn finish(mut self) -> Result<W, RosError> {
         self.put_header("ros1")?;
         self.end_chunk()?;
-        let mut end = Vec::new();
-        put_record(&mut end, Code::DataEnd, |out| out.extend_from_slice(&[0; 4]));
-        self.put(&end)?;
+        self.put_record(Code::DataEnd, |out| out.extend_from_slice(&[0; 4]))?;
         let start = self.position;
         let mut summary = Vec::new();
         let mut groups = Vec::new();
@@ -580,8 +580,7 @@ impl<W: Write + Seek> McapWriter<W> {
                 out.extend_from_slice(&count(of_kind.count()));
             }
             out.extend_from_slice(&count(self.chunks.len()));
-            out.extend_from_slice(&first.0.to_le_bytes());
-            out.extend_from_slice(&last.0.to_le_bytes());
+            put_numbers(out, &[first.0, last.0]);
             put_length(out, self.counts.len() * 10);
             for (number, messages) in &self.counts {
                 out.extend_from_slice(&number.to_le_bytes());
@@ -597,14 +596,10 @@ fn end_summary(summary: &mut Vec<u8>, start: u64, groups: &[(Code, u64, u64)]) {
     for (code, at, length) in groups.iter().filter(|(_, _, length)| *length > 0) {
         put_record(summary, Code::SummaryOffset, |out| {
             out.push(*code as u8);
-            out.extend_from_slice(&at.to_le_bytes());
-            out.extend_from_slice(&length.to_le_bytes());
+            put_numbers(out, &[*at, *length]);
         });
     }
-    put_record(summary, Code::Footer, |out| {
-        out.extend_from_slice(&start.to_le_bytes());
-        out.extend_from_slice(&offsets.to_le_bytes());
-    });
+    put_record(summary, Code::Footer, |out| put_numbers(out, &[start, offsets]));
     // The checksum also covers the footer, whose length is known only now and includes the checksum's own bytes.
     let footer = summary.len() - 24;
     if let Some(place) = summary.get_mut(footer..footer + 8) {
@@ -617,13 +612,10 @@ fn end_summary(summary: &mut Vec<u8>, start: u64, groups: &[(Code, u64, u64)]) {
 /// The content of an index record: of what is beside the messages, at a position, with the record's length.
 fn beside_line(content: &BesideContent<'_>, position: u64, length: u64) -> Vec<u8> {
     let mut line = Vec::new();
-    line.extend_from_slice(&position.to_le_bytes());
-    line.extend_from_slice(&length.to_le_bytes());
+    put_numbers(&mut line, &[position, length]);
     match content {
         BesideContent::File(file) => {
-            for number in [file.logged_at.0, file.created_at, file.data.len() as u64] {
-                line.extend_from_slice(&number.to_le_bytes());
-            }
+            put_numbers(&mut line, &[file.logged_at.0, file.created_at, file.data.len() as u64]);
             put_text(&mut line, &file.name);
             put_text(&mut line, &file.media_type);
         }
@@ -634,17 +626,14 @@ fn beside_line(content: &BesideContent<'_>, position: u64, length: u64) -> Vec<u
 
 fn put_chunk_index(out: &mut Vec<u8>, chunk: &ChunkIndex, compression: &str) {
     put_record(out, Code::ChunkIndex, |out| {
-        for number in [chunk.span.0.0, chunk.span.1.0, chunk.position, chunk.length] {
-            out.extend_from_slice(&number.to_le_bytes());
-        }
+        put_numbers(out, &[chunk.span.0.0, chunk.span.1.0, chunk.position, chunk.length]);
         put_length(out, chunk.indexes.len() * 10);
         for (number, position) in &chunk.indexes {
             out.extend_from_slice(&number.to_le_bytes());
             out.extend_from_slice(&position.to_le_bytes());
         }
-        out.extend_from_slice(&chunk.index_length.to_le_bytes());
+        put_numbers(out, &[chunk.index_length]);
         put_text(out, compression);
-        out.extend_from_slice(&chunk.packed.to_le_bytes());
-        out.extend_from_slice(&chunk.size.to_le_bytes());
+        put_numbers(out, &[chunk.packed, chunk.size]);
     });
 }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use self::growing::Growing;
 
 use super::beside::{Beside, BesideContent, TOPIC};
-use super::{ChannelRecord, Code, Fields, MAGIC, Schema, schema};
+use super::{ChannelRecord, Code, Fields, LATEST, LEAD, MAGIC, Schema, TAIL, schema};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
@@ -22,12 +22,6 @@ use crate::ros::tcpros::LONGEST_MESSAGE;
 /// The longest record other than a message or chunk, bytes: it may hold a definition.
 const LONGEST_RECORD: u64 = 2 << 20;
 
-/// Bytes of a record's code and length.
-const LEAD: u64 = 9;
-
-/// Bytes of the footer and of the magic behind it.
-const TAIL: u64 = LEAD + 20 + 8;
-
 /// The longest head of a chunk (times, sizes, checksum, the name of a compression), bytes.
 const LONGEST_CHUNK_HEAD: u64 = 128;
 
@@ -36,9 +30,6 @@ const MOST_PLACES: usize = 1 << 20;
 
 /// Bytes of an attachment too large to read, which begin with its name.
 const BEGINNING: u64 = 1024;
-
-/// The latest time of a record, nanoseconds.
-const LATEST: u64 = i64::MAX as u64;
 
 /// The content of a chunk's head.
 struct ChunkHead {
@@ -193,15 +184,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         let Some(footer) = self.length.checked_sub(TAIL).filter(|footer| *footer >= MAGIC.len() as u64) else {
             return Ok(());
         };
-        let tail = read_at(&mut self.file, footer, TAIL)?;
-        let mut fields = Fields(&tail);
-        let start = match fields.record() {
-            Some((code, content)) if code == Code::Footer as u8 && fields.0 == MAGIC => {
-                let mut content = Fields(content);
-                content.u64().zip(content.u64().and(content.u32()))
-            }
-            _ => None,
-        };
+        let start = super::footer(&read_at(&mut self.file, footer, TAIL)?);
         self.has_footer = start.is_some();
         let Some((mut at, checksum)) = start.filter(|(start, _)| *start > 0) else { return Ok(()) };
         // The checksum covers the summary and the footer up to itself.
@@ -215,7 +198,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 break;
             }
             let content = read_at(&mut self.file, at + LEAD, length)?;
-            let is_sound = match Code::from_byte(code) {
+            let is_sound = match Code::from_repr(code) {
                 Some(Code::ChunkIndex) => {
                     let mut fields = Fields(&content);
                     let place = fields.u64().and(fields.u64()).and(fields.u64());
@@ -282,7 +265,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     /// Adds a schema or a channel; `false` if it is damaged. What is described again counts from there on, and is damage
     /// if it differs: the same number would stand for two things.
     fn learn(&mut self, code: u8, content: &[u8], place: Place) -> bool {
-        match Code::from_byte(code) {
+        match Code::from_repr(code) {
             Some(Code::Schema) => {
                 schema(Fields(content)).is_some_and(|(number, schema)| self.learn_schema(number, schema, place))
             }
@@ -361,7 +344,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         };
         let data = start + LEAD;
         let end = data.checked_add(length);
-        let code = Code::from_byte(code);
+        let code = Code::from_repr(code);
         let missing = end.is_none_or(|end| end > self.length);
         if missing && code != Some(Code::Chunk) || code.is_none() && length > self.length {
             self.skip(start, "no record can be read here");
@@ -445,42 +428,38 @@ impl<R: BufRead + Seek> McapReader<R> {
         self.findings.leave_out(TOPIC, &why);
     }
 
-    fn message(&mut self, mut fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
+    fn message(&mut self, fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
         self.messages.met += 1;
-        let channel = match fields.u16().map(|number| (number, self.channels.get(&number))) {
-            Some((_, Some(KnownChannel { usable: Ok(channel), .. }))) => Arc::clone(channel),
-            Some((_, Some(KnownChannel { usable: Err(why), latest }))) => {
-                self.findings.leave_out(latest.record.topic(), why);
-                return None;
+        match self.read_message(fields) {
+            Ok(message) => {
+                self.findings.unguarded += u64::from(!guarded);
+                self.latest = message.time;
+                Some(message)
             }
-            Some((number, None)) => {
-                self.findings.leave_out("", &format!("its channel {number} is not described anywhere in the file"));
-                return None;
+            Err((topic, why)) => {
+                self.findings.leave_out(&topic, &why);
+                None
             }
-            None => {
-                self.findings.leave_out("", "its record is too short");
-                return None;
-            }
-        };
+        }
+    }
+
+    /// The message of a record; or of which topic it is, if that is known, and why it cannot be used.
+    fn read_message(&self, mut fields: Fields<'_>) -> Result<RecordedMessage, (Arc<str>, String)> {
+        const SHORT: &str = "its record is too short";
+        let number = fields.u16().ok_or_else(|| ("".into(), SHORT.to_owned()))?;
+        let unknown = || ("".into(), format!("its channel {number} is not described anywhere in the file"));
+        let known = self.channels.get(&number).ok_or_else(unknown)?;
+        let left_out = |why: String| (Arc::clone(known.latest.record.topic()), why);
+        let channel = known.usable.clone().map_err(left_out)?;
         let (Some(sequence), Some(logged), Some(sent)) = (fields.u32(), fields.u64(), fields.u64()) else {
-            self.findings.leave_out(&channel.topic, "its record is too short");
-            return None;
+            return Err(left_out(SHORT.to_owned()));
         };
         if logged > LATEST {
-            self.findings.leave_out(&channel.topic, "its time lies after the year 2262");
-            return None;
+            return Err(left_out("its time lies after the year 2262".to_owned()));
         }
-        let body = match unpacked_body(channel.encoding, fields.0.to_vec()) {
-            Ok(body) => body,
-            Err(why) => {
-                self.findings.leave_out(&channel.topic, &why);
-                return None;
-            }
-        };
-        self.findings.unguarded += u64::from(!guarded);
-        self.latest = Timestamp(logged);
+        let body = unpacked_body(channel.encoding, fields.0.to_vec()).map_err(left_out)?;
         let sent = Some(Sent { time: Timestamp(sent), sequence });
-        Some(RecordedMessage { channel, time: Timestamp(logged), sent, body })
+        Ok(RecordedMessage { channel, time: Timestamp(logged), sent, body })
     }
 
     /// Continues at the next chunk listed in the summary; what lies between is reported as skipped.
@@ -563,7 +542,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             let chunk = std::mem::take(&mut self.chunk);
             let mut fields = Fields(chunk.bytes.get(chunk.at..).unwrap_or_default());
             let record = fields.record();
-            let beside = record.and_then(|(code, _)| Code::from_byte(code)).and_then(Beside::of_code);
+            let beside = record.and_then(|(code, _)| Code::from_repr(code)).and_then(Beside::of_code);
             let message = match (record, beside) {
                 (Some((code, content)), _) if code == Code::Message as u8 => {
                     Some(self.message(Fields(content), chunk.guarded))

@@ -142,8 +142,29 @@ impl<'a> Walk<'a> {
         Self { layouts, cursor, limits, steps: limits.steps }
     }
 
-    pub fn layouts(&self) -> &'a [Layout] {
-        self.layouts
+    /// A nested type; there always is one with such an index.
+    pub fn layout(&self, index: usize) -> Result<&'a Layout, Failure> {
+        self.layouts.get(index).ok_or(Failure::Costly)
+    }
+
+    /// Takes a field that holds several elements; empty arrays (`uint8[0]`) have no bytes to bound them, so it is a step.
+    pub fn array<T>(
+        &mut self,
+        field: &Field,
+        take: impl FnOnce(&mut Self, usize) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        self.spend()?;
+        let of_numbers = matches!(field.kind, Kind::Primitive(primitive) if !primitive.is_text());
+        let part = self.cursor.begin_array(of_numbers)?;
+        let count = match field.arity {
+            Arity::One => 1,
+            Arity::Fixed(count) => count,
+            Arity::Bounded(_) | Arity::Variable => self.cursor.length()?,
+        };
+        self.claim(element_size(self.layouts, field.kind).0, count, &field.written)?;
+        let taken = take(self, count)?;
+        self.cursor.end_part(part)?;
+        Ok(taken)
     }
 
     /// Nothing may be left.
@@ -178,35 +199,19 @@ impl<'a> Walk<'a> {
         Ok(part)
     }
 
-    /// Begins an array: its position, and its number of elements, checked against the rest of the body.
-    pub fn begin_array(&mut self, field: &Field) -> Result<(Part, usize), Failure> {
-        let of_numbers = matches!(field.kind, Kind::Primitive(primitive) if !primitive.is_text());
-        let part = self.cursor.begin_array(of_numbers)?;
-        let count = match field.arity {
-            Arity::One => 1,
-            Arity::Fixed(count) => count,
-            Arity::Variable => self.cursor.length()?,
-        };
-        self.claim(element_size(self.layouts, field.kind).0, count, &field.written)?;
-        Ok((part, count))
-    }
-
     pub fn end_part(&mut self, part: Part) -> Result<(), Failure> {
         self.cursor.end_part(part)
     }
 
     fn field(&mut self, field: &'a Field) -> Result<Value, Failure> {
         if field.arity == Arity::One {
-            return self.element(field.kind);
+            self.element(field.kind)
+        } else {
+            self.array(field, |walk, count| walk.elements(field, count))
         }
-        self.spend()?;
-        let (part, count) = self.begin_array(field)?;
-        let value = self.array(field, count)?;
-        self.end_part(part)?;
-        Ok(value)
     }
 
-    fn array(&mut self, field: &'a Field, count: usize) -> Result<Value, Failure> {
+    fn elements(&mut self, field: &'a Field, count: usize) -> Result<Value, Failure> {
         let (size, _) = element_size(self.layouts, field.kind);
         if count <= self.limits.elements && size > 0 {
             return (0..count).map(|_| self.element(field.kind)).collect::<Result<_, _>>().map(Value::Array);
@@ -221,10 +226,7 @@ impl<'a> Walk<'a> {
         self.spend()?;
         match kind {
             Kind::Primitive(primitive) => self.primitive(primitive),
-            Kind::Message(index) => match self.layouts.get(index) {
-                Some(layout) => self.message(layout),
-                None => Err(Failure::Costly),
-            },
+            Kind::Message(index) => self.message(self.layout(index)?),
         }
     }
 
@@ -249,16 +251,13 @@ impl<'a> Walk<'a> {
         match kind {
             Kind::Primitive(primitive) if primitive.is_text() => self.text(primitive).map(drop),
             Kind::Primitive(_) => self.skip_all(kind, 1).map(drop),
-            Kind::Message(index) => match self.layouts.get(index) {
-                Some(layout) if layout.fixed => {
-                    self.cursor.take(layout.minimum, "message").map(drop).map_err(Failure::from)
-                }
-                Some(layout) => {
+            Kind::Message(index) => match self.layout(index)? {
+                layout if layout.fixed => Ok(self.cursor.take(layout.minimum, "message").map(drop)?),
+                layout => {
                     let part = self.begin_message(layout)?;
                     layout.fields.iter().try_for_each(|field| self.skip_field(field))?;
                     self.end_part(part)
                 }
-                None => Err(Failure::Costly),
             },
         }
     }
@@ -267,10 +266,7 @@ impl<'a> Walk<'a> {
         if field.arity == Arity::One {
             return self.skip(field.kind);
         }
-        self.spend()?;
-        let (part, count) = self.begin_array(field)?;
-        self.skip_all(field.kind, count)?;
-        self.end_part(part)
+        self.array(field, |walk, count| walk.skip_all(field.kind, count).map(drop))
     }
 
     pub fn primitive(&mut self, primitive: Primitive) -> Result<Value, Failure> {

@@ -1,7 +1,7 @@
 //! ROS 1 message definitions: their lines, their layout with every nested type resolved, their md5sum, and the types that
 //! are built in.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::{md5sum, ros2};
@@ -66,11 +66,8 @@ impl Definition {
     pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
         let failed = |reason: String| RosError::definition(type_name, reason);
         type_name.parse::<TypeName>().map_err(|_| failed("its type is not package/Type".into()))?;
-        if text.len() > LONGEST_DEFINITION {
-            return Err(failed(format!("it is longer than {LONGEST_DEFINITION} bytes")));
-        }
-        let sections = sections(type_name, text).map_err(failed)?;
-        let layouts = Nesting::layouts_of(type_name, sections, layout).map_err(failed)?;
+        let texts = sections(type_name, text, |name| Some(name.to_owned())).map_err(failed)?;
+        let layouts = Nesting::layouts_of(type_name, texts, layout).map_err(failed)?;
         Ok(Self { layouts, cdr: false })
     }
 
@@ -121,34 +118,62 @@ const HEADER: &str = "std_msgs/Header";
 /// Its name before 2011.
 const OLD_HEADER: &str = "roslib/Header";
 
-/// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
-fn sections<'a>(type_name: &'a str, text: &'a str) -> Result<Texts<'a>, String> {
-    let mut sections = Texts::new();
-    let mut name = type_name;
-    let mut lines = Vec::new();
+/// Splits the text at its `MSG:` lines, at names that `named` accepts; a type given twice keeps its first text.
+pub(super) fn sections<'a>(
+    root: &str,
+    text: &'a str,
+    named: impl Fn(&str) -> Option<String>,
+) -> Result<Texts<'a>, String> {
+    if text.len() > LONGEST_DEFINITION {
+        return Err(format!("it is longer than {LONGEST_DEFINITION} bytes"));
+    }
+    let mut found: Vec<(String, Vec<&str>)> = vec![(root.to_owned(), Vec::new())];
     let mut after_rule = false;
     for line in text.lines() {
-        let rule = line.len() >= 20 && line.bytes().all(|b| b == b'=');
-        if let Some(next) = line.strip_prefix("MSG: ").filter(|_| after_rule) {
-            sections.entry(name.to_owned()).or_insert(std::mem::take(&mut lines));
-            name = next.trim();
-        } else if !rule {
+        let rule = line.len() >= 20 && line.bytes().all(|byte| byte == b'=');
+        let name = line.strip_prefix("MSG: ").filter(|_| after_rule);
+        if let Some(name) = name.and_then(|name| named(name.trim())) {
+            found.push((name, Vec::new()));
+        } else if after_rule && line.starts_with("IDL: ") {
+            return Err("part of it is IDL, which is not supported".into());
+        } else if let (false, Some((_, lines))) = (rule, found.last_mut()) {
             lines.push(line);
         }
         after_rule = rule;
-        if sections.len() >= MOST_TYPES {
+        if found.len() > MOST_TYPES {
             return Err(format!("it has more than {MOST_TYPES} types"));
         }
     }
-    sections.entry(name.to_owned()).or_insert(lines);
-    Ok(sections)
+    let mut texts = Texts::new();
+    for (name, lines) in found {
+        texts.entry(name).or_insert(lines);
+    }
+    Ok(texts)
+}
+
+impl Layout {
+    /// Of a type without fields yet.
+    pub fn new(name: &str) -> Self {
+        Self { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true }
+    }
+
+    /// Adds a field; the layouts are those that it may consist of.
+    pub fn add(&mut self, layouts: &[Self], field: Field) {
+        let (size, fixed) = element_size(layouts, field.kind);
+        let (least, fixed) = match field.arity {
+            Arity::One => (size, fixed),
+            Arity::Fixed(count) => (size.saturating_mul(count), fixed),
+            Arity::Bounded(_) | Arity::Variable => (4, false),
+        };
+        self.minimum = self.minimum.saturating_add(least);
+        self.fixed &= fixed;
+        self.fields.push(field);
+    }
 }
 
 /// The layout of a type and its number of levels.
-fn layout(nesting: &mut Nesting<'_, Layout>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
-    let mut layout =
-        Layout { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true };
-    let mut height = 1;
+fn layout(nesting: &mut Nesting<'_>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
+    let (mut layout, mut height) = (Layout::new(name), 1);
     for line in lines {
         match parse_line(line).map_err(|reason| format!("{reason} in {name}"))? {
             None => {}
@@ -157,15 +182,14 @@ fn layout(nesting: &mut Nesting<'_, Layout>, name: &str, lines: &[&str]) -> Resu
                 let (kind, below) = kind(nesting, name, base)?;
                 height = height.max(below + 1);
                 let field = Field { name: field.into(), kind, arity, written: written.to_owned() };
-                measure(&nesting.layouts, &mut layout, &field);
-                layout.fields.push(field);
+                layout.add(&nesting.layouts, field);
             }
         }
     }
     Ok((layout, height))
 }
 
-fn kind(nesting: &mut Nesting<'_, Layout>, inside: &str, base: &str) -> Result<(Kind, usize), String> {
+fn kind(nesting: &mut Nesting<'_>, inside: &str, base: &str) -> Result<(Kind, usize), String> {
     if let Some(primitive) = Primitive::parse(base) {
         return Ok((Kind::Primitive(primitive), 0));
     }
@@ -181,17 +205,6 @@ fn kind(nesting: &mut Nesting<'_, Layout>, inside: &str, base: &str) -> Result<(
     }
     let (index, height) = nesting.resolve(&full, layout)?;
     Ok((Kind::Message(index), height))
-}
-
-fn measure(layouts: &[Layout], layout: &mut Layout, field: &Field) {
-    let (size, fixed) = element_size(layouts, field.kind);
-    let (least, fixed) = match field.arity {
-        Arity::One => (size, fixed),
-        Arity::Fixed(count) => (size.saturating_mul(count), fixed),
-        Arity::Variable => (4, false),
-    };
-    layout.minimum = layout.minimum.saturating_add(least);
-    layout.fixed &= fixed;
 }
 
 /// Fewest bytes of one element, and whether it never has more.
@@ -224,24 +237,15 @@ pub(super) enum Primitive {
 }
 
 impl Primitive {
+    /// By its name in ROS 1, which has times but no wide text, and whose bytes have a sign.
     pub fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "bool" => Self::Bool,
-            "int8" | "byte" => Self::Int8,
-            "uint8" | "char" => Self::Uint8,
-            "int16" => Self::Int16,
-            "uint16" => Self::Uint16,
-            "int32" => Self::Int32,
-            "uint32" => Self::Uint32,
-            "int64" => Self::Int64,
-            "uint64" => Self::Uint64,
-            "float32" => Self::Float32,
-            "float64" => Self::Float64,
-            "string" => Self::Text,
-            "time" => Self::Time,
-            "duration" => Self::Duration,
-            _ => return None,
-        })
+        match name {
+            "byte" => Some(Self::Int8),
+            "time" => Some(Self::Time),
+            "duration" => Some(Self::Duration),
+            "wstring" => None,
+            _ => ros2::plain(name).map(|(primitive, _)| primitive),
+        }
     }
 
     pub fn is_text(self) -> bool {
@@ -264,6 +268,8 @@ impl Primitive {
 pub(super) enum Arity {
     One,
     Fixed(usize),
+    /// At most this many, of ROS 2.
+    Bounded(usize),
     Variable,
 }
 
@@ -308,7 +314,8 @@ fn field<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> 
     if base_ok && is_name(name) { Ok(Line::Field { written, base, arity, name }) } else { Err("a field is broken") }
 }
 
-fn is_name(name: &str) -> bool {
+/// Whether it is valid as the name of a field, a package or a type.
+pub(super) fn is_name(name: &str) -> bool {
     let mut bytes = name.bytes();
     name.len() <= 255
         && bytes.next().is_some_and(|b| b.is_ascii_alphabetic() || b == b'_')
@@ -322,24 +329,24 @@ pub const DEEPEST: usize = 16;
 pub(super) type Texts<'a> = HashMap<String, Vec<&'a str>>;
 
 /// Builds the layout and height of a type from its lines; for nested types it calls [`Nesting::resolve`] with itself.
-pub(super) type Make<'a, T> = fn(&mut Nesting<'a, T>, &str, &[&str]) -> Result<(T, usize), String>;
+pub(super) type Make<'a> = fn(&mut Nesting<'a>, &str, &[&str]) -> Result<(Layout, usize), String>;
 
 /// The types of one definition resolved so far.
-pub(super) struct Nesting<'a, T> {
+pub(super) struct Nesting<'a> {
     texts: Texts<'a>,
     /// Index and height (nested levels, itself included) of each resolved type.
     done: HashMap<String, (usize, usize)>,
     path: Vec<String>,
     /// Each comes after those it consists of.
-    pub layouts: Vec<T>,
+    pub layouts: Vec<Layout>,
 }
 
-impl<'a, T> Nesting<'a, T> {
+impl<'a> Nesting<'a> {
     /// The layouts of `name` and of all types it consists of, itself last.
     ///
     /// # Errors
     /// In words: a type that is missing, contains itself or is nested too deep, and errors from `make`.
-    pub fn layouts_of(name: &str, texts: Texts<'a>, make: Make<'a, T>) -> Result<Vec<T>, String> {
+    pub fn layouts_of(name: &str, texts: Texts<'a>, make: Make<'a>) -> Result<Vec<Layout>, String> {
         let mut nesting = Self { texts, done: HashMap::new(), path: Vec::new(), layouts: Vec::new() };
         nesting.resolve(name, make)?;
         Ok(nesting.layouts)
@@ -351,7 +358,7 @@ impl<'a, T> Nesting<'a, T> {
     }
 
     /// Index and height of a type's layout.
-    pub fn resolve(&mut self, name: &str, make: Make<'a, T>) -> Result<(usize, usize), String> {
+    pub fn resolve(&mut self, name: &str, make: Make<'a>) -> Result<(usize, usize), String> {
         if self.path.iter().any(|above| above == name) {
             return Err(format!("{name} contains itself"));
         }
@@ -373,62 +380,28 @@ impl<'a, T> Nesting<'a, T> {
     }
 }
 
-/// The header of ROS 1, which has a number that ROS 2 dropped.
-const HEADER_TEXT: (&str, &str) = ("std_msgs/Header", include_str!("../msg/Header.msg"));
+/// The lines of the header in ROS 2, and in ROS 1, where it has a number, too.
+const HEADERS: [&str; 2] =
+    ["builtin_interfaces/Time stamp\nstring frame_id", "uint32 seq\ntime stamp\nstring frame_id"];
 
-/// The most types of one definition.
-const MOST: usize = 64;
-
-/// The full definition of a common message type, if there is one with this md5sum (32 hex characters).
+/// The full definition of a common message type, if there is one with this md5sum (32 hex characters): that of ROS 2 in the
+/// words of ROS 1.
 pub fn built_in_definition(type_name: &str, sum: &str) -> Option<String> {
-    let mut whole = own_text(type_name)?;
-    let mut known = BTreeSet::from([type_name.to_owned()]);
-    let mut waiting = nested(type_name, &whole);
-    while let Some(name) = waiting.pop() {
-        if !known.insert(name.clone()) {
-            continue;
-        }
-        if known.len() > MOST {
-            return None;
-        }
-        let text = own_text(&name)?;
-        waiting.extend(nested(&name, &text));
-        whole.push_str(&format!("\n{}\nMSG: {name}\n{text}", "=".repeat(80)));
-    }
+    let (text, _) = ros2::Folders::default().text_of(type_name).ok()?;
+    let rule = format!("{}\n", "=".repeat(80));
+    let parts = text.split(&rule).filter(|part| !part.starts_with("MSG: builtin_interfaces/"));
+    let whole = parts.map(in_ros1).collect::<Vec<_>>().join(&rule);
     (md5sum(type_name, &whole).ok()? == sum).then_some(whole)
 }
 
-/// The own lines of a type named `package/Type`, as ROS 1 has them.
-fn own_text(name: &str) -> Option<String> {
-    if name == HEADER_TEXT.0 {
-        return Some(HEADER_TEXT.1.to_owned());
-    }
-    let (package, bare) = name.split_once('/')?;
-    let text = ros2::text_of(&format!("{package}/msg/{bare}"))?;
-    let lines = text.lines().filter(|line| !line.starts_with("===="));
-    let in_ros1 = |line: &str| {
-        let (kind, rest) = line.split_once(' ').unwrap_or((line, ""));
-        let (base, array) = kind.find('[').map_or((kind, ""), |at| kind.split_at(at));
-        let base = match base {
-            "builtin_interfaces/Time" => "time",
-            "builtin_interfaces/Duration" => "duration",
-            other => other,
-        };
-        format!("{base}{array} {rest}")
+fn in_ros1(part: &str) -> String {
+    let part = part.replace(HEADERS[0], HEADERS[1]);
+    let line = |line: &str| {
+        let kinds = [("builtin_interfaces/Time", "time"), ("builtin_interfaces/Duration", "duration")];
+        let found = kinds.iter().find_map(|(new, old)| Some((old, line.strip_prefix(new)?)));
+        found.map_or_else(|| format!("{line}\n"), |(old, rest)| format!("{old}{rest}\n"))
     };
-    Some(lines.map(in_ros1).collect::<Vec<_>>().join("\n"))
-}
-
-/// The types that a text names, as `package/Type`.
-fn nested(inside: &str, text: &str) -> Vec<String> {
-    let package = inside.split('/').next().unwrap_or_default();
-    let base = |line: &str| match parse_line(line) {
-        Ok(Some(Line::Field { base, .. })) if Primitive::parse(base).is_none() => {
-            Some(if base.contains('/') { base.to_owned() } else { format!("{package}/{base}") })
-        }
-        _ => None,
-    };
-    text.lines().filter_map(base).collect()
+    part.lines().map(line).collect()
 }
 
 #[cfg(test)]

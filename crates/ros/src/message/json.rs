@@ -23,11 +23,11 @@ impl Definition {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let root = self.root().ok_or_else(|| RosError::body("", "the definition is empty"))?;
         let steps = body.len().saturating_mul(3).saturating_add(100_000);
-        let walk = self.walk(body, Limits { steps, ..Limits::default() }).map_err(failed)?;
+        let mut walk = self.walk(body, Limits { steps, ..Limits::default() }).map_err(failed)?;
         let left = body.len().saturating_mul(GROWTH).saturating_add(LEAST);
-        let mut export = Export { walk, out: Bounded { out, left, full: false } };
-        export.message(root).map_err(failed)?;
-        export.walk.end().map_err(failed)
+        let mut out = Bounded { out, left, full: false };
+        Export { walk: &mut walk, out: &mut out }.message(root).map_err(failed)?;
+        walk.end().map_err(failed)
     }
 }
 
@@ -62,12 +62,12 @@ impl Write for Bounded<'_> {
     }
 }
 
-struct Export<'a> {
-    walk: Walk<'a>,
-    out: Bounded<'a>,
+struct Export<'a, 'b> {
+    walk: &'b mut Walk<'a>,
+    out: &'b mut Bounded<'a>,
 }
 
-impl<'a> Export<'a> {
+impl<'a> Export<'a, '_> {
     fn unwritten(&self) -> Failure {
         if self.out.full { Failure::Long } else { Failure::Written }
     }
@@ -93,17 +93,18 @@ impl<'a> Export<'a> {
         if field.arity == Arity::One {
             return self.element(field.kind);
         }
-        // Empty arrays (`uint8[0]`) have no bytes to bound them.
-        self.walk.spend()?;
-        let (part, count) = self.walk.begin_array(field)?;
-        self.text("[")?;
-        for place in 0..count {
-            if place > 0 {
-                self.text(",")?;
+        let Self { walk, out } = self;
+        walk.array(field, |walk, count| {
+            let mut inside = Export { walk, out };
+            inside.text("[")?;
+            for place in 0..count {
+                if place > 0 {
+                    inside.text(",")?;
+                }
+                inside.element(field.kind)?;
             }
-            self.element(field.kind)?;
-        }
-        self.walk.end_part(part)?;
+            Ok(())
+        })?;
         self.text("]")
     }
 
@@ -122,15 +123,12 @@ impl<'a> Export<'a> {
                 let value = self.walk.primitive(primitive)?;
                 self.plain(&value)
             }
-            Kind::Message(index) => match self.walk.layouts().get(index) {
-                Some(layout) => self.message(layout),
-                None => Err(Failure::Costly),
-            },
+            Kind::Message(index) => self.message(self.walk.layout(index)?),
         }
     }
 
     fn plain(&mut self, value: &Value) -> Result<(), Failure> {
-        serde_json::to_writer(&mut self.out, value).map_err(|_| self.unwritten())
+        serde_json::to_writer(&mut *self.out, value).map_err(|_| self.unwritten())
     }
 }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use super::definition::{
-    Arity, Definition, Field, Kind, LONGEST_DEFINITION, Layout, MOST_TYPES, Nesting, Primitive, Texts, element_size,
+    Arity, Definition, Field, Kind, LONGEST_DEFINITION, Layout, MOST_TYPES, Nesting, Primitive, is_name, sections,
 };
 use crate::model::bytes::hex;
 use crate::model::topic::LONGEST_NAME;
@@ -26,15 +26,11 @@ impl Definition {
     /// # Errors
     /// [`RosError::Definition`] if the text is too long, broken, incomplete, recursive or too deep.
     pub fn parse_ros2(type_name: &str, text: &str) -> Result<Self, RosError> {
-        Schema::parse(type_name, text).map(|schema| Self::of_schema(&schema))
-    }
-
-    fn of_schema(schema: &Schema) -> Self {
-        let mut layouts = Vec::with_capacity(schema.interfaces.len());
-        for interface in &schema.interfaces {
-            layouts.push(layout(interface, &layouts));
-        }
-        Self { layouts, cdr: true }
+        let failed = |reason: String| RosError::definition(type_name, reason);
+        let name = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
+        let texts = sections(&name, text, |name| full_name(name, None)).map_err(failed)?;
+        let layouts = Nesting::layouts_of(&name, texts, layout).map_err(failed)?;
+        Ok(Self { layouts, cdr: true })
     }
 }
 
@@ -43,116 +39,13 @@ impl Definition {
 /// # Errors
 /// [`RosError::Definition`] if the text is not a definition of `type_name`.
 pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
-    Schema::parse(type_name, text).map(|schema| of(&schema))
+    Definition::parse_ros2(type_name, text).map(|definition| of(&definition.layouts))
 }
 
 /// Whether the definition built into this program has this hash.
 pub fn is_built_in(type_name: &str, hash: &str) -> bool {
     let text = Folders::default().text_of(type_name);
     text.is_ok_and(|(text, _)| type_hash(type_name, &text).is_ok_and(|found| found == hash))
-}
-
-fn layout(interface: &Interface, known: &[Layout]) -> Layout {
-    let fields: Vec<Field> = interface.members.iter().map(field).collect();
-    let least = |field: &Field| match field.arity {
-        Arity::One => element_size(known, field.kind).0,
-        Arity::Fixed(count) => element_size(known, field.kind).0.saturating_mul(count),
-        Arity::Variable => 4,
-    };
-    let minimum = fields.iter().map(least).fold(0, usize::saturating_add).max(1);
-    // The padding between numbers depends on where a message begins, so none has a fixed size.
-    Layout { name: interface.name.clone(), fields, constants: Vec::new(), minimum, fixed: false }
-}
-
-fn field(member: &Member) -> Field {
-    let arity = match member.many {
-        Many::One => Arity::One,
-        Many::Fixed(count) => Arity::Fixed(count),
-        Many::Bounded(_) | Many::Any => Arity::Variable,
-    };
-    let kind = match member.of {
-        Of::Plain { primitive, .. } => Kind::Primitive(primitive),
-        Of::Interface(index) => Kind::Message(index),
-    };
-    Field { name: member.name.as_str().into(), kind, arity, written: member.written.clone() }
-}
-
-/// The type of a member.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Of {
-    Plain {
-        primitive: Primitive,
-        number: u8,
-    },
-    /// Index of an interface.
-    Interface(usize),
-}
-
-/// One member of an interface.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Member {
-    pub name: String,
-    pub of: Of,
-    pub many: Many,
-    /// The most characters of a text; 0 if unbounded.
-    pub bound: usize,
-    /// The type as written, with its brackets.
-    pub written: String,
-}
-
-/// One type.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Interface {
-    /// `package/msg/Type`.
-    pub name: String,
-    pub members: Vec<Member>,
-}
-
-/// A type with all the types it consists of.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Schema {
-    /// The type itself is last; each comes after those it consists of.
-    pub interfaces: Vec<Interface>,
-}
-
-impl Schema {
-    /// Parses the type's own lines and the sections after them.
-    pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
-        let failed = |reason: String| RosError::definition(type_name, reason);
-        let name = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
-        if text.len() > LONGEST_DEFINITION {
-            return Err(failed(format!("it is longer than {LONGEST_DEFINITION} bytes")));
-        }
-        let texts = sections(&name, text).map_err(failed)?;
-        let interfaces = Nesting::layouts_of(&name, texts, interface).map_err(failed)?;
-        Ok(Self { interfaces })
-    }
-}
-
-/// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
-fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
-    let mut found: Vec<(String, Vec<&str>)> = vec![(type_name.to_owned(), Vec::new())];
-    let mut after_rule = false;
-    for line in text.lines() {
-        let rule = line.len() >= 20 && line.bytes().all(|byte| byte == b'=');
-        let name = line.strip_prefix("MSG: ").filter(|_| after_rule);
-        if let Some(name) = name.and_then(|name| full_name(name.trim(), None)) {
-            found.push((name, Vec::new()));
-        } else if after_rule && line.starts_with("IDL: ") {
-            return Err("part of it is IDL, which is not supported".into());
-        } else if let (false, Some((_, lines))) = (rule, found.last_mut()) {
-            lines.push(line);
-        }
-        after_rule = rule;
-        if found.len() > MOST_TYPES {
-            return Err(format!("it has more than {MOST_TYPES} types"));
-        }
-    }
-    let mut texts = Texts::new();
-    for (name, lines) in found {
-        texts.entry(name).or_insert(lines);
-    }
-    Ok(texts)
 }
 
 /// The text of a type in MCAP's form. rosbag2 describes the event of a service (`package/srv/Type_Event`) by the service's own
@@ -188,43 +81,33 @@ fn full_name(name: &str, package: Option<&str>) -> Option<String> {
     (full.len() <= LONGEST_NAME && parts.iter().all(|part| is_name(part))).then_some(full)
 }
 
-/// The interface of a type and its number of levels.
-fn interface(nesting: &mut Nesting<'_, Interface>, name: &str, lines: &[&str]) -> Result<(Interface, usize), String> {
-    let mut members = Vec::new();
-    let mut height = 1;
+/// The layout of a type and its number of levels.
+fn layout(nesting: &mut Nesting<'_>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
+    let (mut layout, mut height) = (Layout::new(name), 1);
     for line in lines {
         let read = parse_line(line).map_err(|reason| format!("{reason} in {name}"))?;
-        let Some(Line::Field { written, base, bound, many, name: member }) = read else { continue };
-        let (of, below) = what(nesting, name, base)?;
+        let Some(Line::Field { written, base, arity, name: member, .. }) = read else { continue };
+        let (kind, below) = kind(nesting, name, base)?;
         height = height.max(below + 1);
-        let (name, written) = (member.to_owned(), written.to_owned());
-        members.push(Member { name, of, many, bound, written });
+        layout.add(&nesting.layouts, Field { name: member.into(), kind, arity, written: written.to_owned() });
     }
-    Ok((Interface { name: name.to_owned(), members }, height))
+    // The padding between numbers depends on where a message begins, so none has a fixed size; one without fields has a byte.
+    (layout.minimum, layout.fixed) = (layout.minimum.max(1), false);
+    Ok((layout, height))
 }
 
-fn what(nesting: &mut Nesting<'_, Interface>, inside: &str, base: &str) -> Result<(Of, usize), String> {
-    if let Some((primitive, number)) = plain(base) {
-        return Ok((Of::Plain { primitive, number }, 0));
+fn kind(nesting: &mut Nesting<'_>, inside: &str, base: &str) -> Result<(Kind, usize), String> {
+    if let Some((primitive, _)) = plain(base) {
+        return Ok((Kind::Primitive(primitive), 0));
     }
     let package = inside.split('/').next();
     let full = full_name(base, package).ok_or_else(|| format!("a type's name is broken in {inside}"))?;
-    let (index, height) = nesting.resolve(&full, interface)?;
-    Ok((Of::Interface(index), height))
+    let (index, height) = nesting.resolve(&full, layout)?;
+    Ok((Kind::Message(index), height))
 }
 
 /// The most digits of a number, including leading zeros: the text is kept, and shown with every array.
 const LONGEST_NUMBER: usize = 20;
-
-/// How many of its type a field holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Many {
-    One,
-    Fixed(usize),
-    /// At most this many.
-    Bounded(usize),
-    Any,
-}
 
 /// A meaningful line. Default values and the values of constants are not part of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -235,14 +118,14 @@ enum Line<'a> {
         base: &'a str,
         /// The most characters of a text; 0 if unbounded.
         bound: usize,
-        many: Many,
+        arity: Arity,
         name: &'a str,
     },
     Constant,
 }
 
 /// A type that needs no definition: its layout in a body, and its number in type descriptions.
-fn plain(base: &str) -> Option<(Primitive, u8)> {
+pub(super) fn plain(base: &str) -> Option<(Primitive, u8)> {
     Some(match base {
         "int8" => (Primitive::Int8, 2),
         // In ROS 2 a char is an eight-bit number.
@@ -301,43 +184,42 @@ fn without_comment(line: &str) -> &str {
     if quote.is_some() { line.split('#').next().unwrap_or_default() } else { line }
 }
 
-fn field_line<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> {
+/// The type of a field as written: its base, the most characters of a text, and how many of them.
+fn written_type(written: &str) -> Result<(&str, usize, Arity), &'static str> {
     let bounded = |text: &str| text.len() <= LONGEST_NUMBER;
     let number = |text: &str| text.parse().ok().filter(|count: &usize| *count > 0 && bounded(text));
-    let (element, many) = match written.strip_suffix(']').and_then(|inner| inner.rsplit_once('[')) {
-        None => (written, Many::One),
-        Some((element, "")) => (element, Many::Any),
+    let (element, arity) = match written.strip_suffix(']').and_then(|inner| inner.rsplit_once('[')) {
+        None => (written, Arity::One),
+        Some((element, "")) => (element, Arity::Variable),
         Some((element, count)) => {
-            let many = match count.strip_prefix("<=") {
-                Some(most) => number(most).map(Many::Bounded),
-                None => number(count).map(Many::Fixed),
+            let arity = match count.strip_prefix("<=") {
+                Some(most) => number(most).map(Arity::Bounded),
+                None => number(count).map(Arity::Fixed),
             };
-            (element, many.ok_or("an array has a broken length")?)
+            (element, arity.ok_or("an array has a broken length")?)
         }
     };
-    let (base, bound) = match element.split_once("<=") {
-        Some((base @ ("string" | "wstring"), most)) => (base, number(most).ok_or("a text has a broken bound")?),
-        Some(_) => return Err("a bound where none is allowed"),
-        None => (element, 0),
-    };
+    match element.split_once("<=") {
+        Some((base @ ("string" | "wstring"), most)) => {
+            Ok((base, number(most).ok_or("a text has a broken bound")?, arity))
+        }
+        Some(_) => Err("a bound where none is allowed"),
+        None => Ok((element, 0, arity)),
+    }
+}
+
+fn field_line<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> {
+    let (base, bound, arity) = written_type(written)?;
     let mut parts = base.split('/');
     let base_ok = parts.by_ref().take(3).all(is_name) && parts.next().is_none();
     if !base_ok || !is_name(name) {
         return Err("a field is broken");
     }
-    Ok(Line::Field { written, base, bound, many, name })
+    Ok(Line::Field { written, base, bound, arity, name })
 }
 
 fn written_base(written: &str) -> &str {
     written.split_once("<=").map_or(written, |(base, _)| base)
-}
-
-/// Whether it is valid as the name of a field, a package or a type.
-fn is_name(name: &str) -> bool {
-    let mut bytes = name.bytes();
-    name.len() <= 255
-        && bytes.next().is_some_and(|byte| byte.is_ascii_alphabetic() || byte == b'_')
-        && bytes.all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }
 
 /// The member of an interface that has none.
@@ -350,49 +232,53 @@ const UINT8: u8 = 3;
 /// Bounded texts have other numbers.
 const BOUNDED_TEXTS: u8 = 4;
 
-/// The hash of a type.
-fn of(schema: &Schema) -> String {
-    let Some((root, others)) = schema.interfaces.split_last() else { return String::new() };
-    let mut others: Vec<&Interface> = others.iter().collect();
+/// The hash of the last of these types.
+fn of(layouts: &[Layout]) -> String {
+    let Some((root, others)) = layouts.split_last() else { return String::new() };
+    let mut others: Vec<&Layout> = others.iter().collect();
     others.sort_by(|one, other| one.name.cmp(&other.name));
     // Hashed as it is written: a definition of a megabyte has a description of hundreds of megabytes.
     let mut hash = Sha256::new();
     hash.update("{\"type_description\": ");
-    describe(schema, root, &mut hash);
+    describe(layouts, root, &mut hash);
     hash.update(", \"referenced_type_descriptions\": [");
     for (place, other) in others.into_iter().enumerate() {
         hash.update(if place > 0 { ", " } else { "" });
-        describe(schema, other, &mut hash);
+        describe(layouts, other, &mut hash);
     }
     hash.update("]}");
     format!("RIHS01_{}", hex(&hash.finalize()))
 }
 
-fn describe(schema: &Schema, interface: &Interface, hash: &mut Sha256) {
-    hash.update(format!("{{\"type_name\": \"{}\", \"fields\": [", interface.name));
-    for (place, member) in interface.members.iter().enumerate() {
+fn describe(layouts: &[Layout], layout: &Layout, hash: &mut Sha256) {
+    hash.update(format!("{{\"type_name\": \"{}\", \"fields\": [", layout.name));
+    for (place, field) in layout.fields.iter().enumerate() {
         hash.update(if place > 0 { ", " } else { "" });
-        hash.update(described(schema, member));
+        hash.update(described(layouts, field));
     }
-    if interface.members.is_empty() {
+    if layout.fields.is_empty() {
         hash.update(put_field(FILLER, UINT8, 0, 0, ""));
     }
     hash.update("]}");
 }
 
-fn described(schema: &Schema, member: &Member) -> String {
-    let (number, nested) = match member.of {
-        Of::Plain { number, .. } if member.bound > 0 => (number + BOUNDED_TEXTS, ""),
-        Of::Plain { number, .. } => (number, ""),
-        Of::Interface(index) => (INTERFACE, schema.interfaces.get(index).map_or("", |nested| nested.name.as_str())),
+fn described(layouts: &[Layout], field: &Field) -> String {
+    // It was read as such before.
+    let (base, bound, _) = written_type(&field.written).unwrap_or(("", 0, Arity::One));
+    let (number, nested) = match field.kind {
+        Kind::Primitive(_) => {
+            let number = plain(base).map_or(0, |(_, number)| number);
+            (if bound > 0 { number + BOUNDED_TEXTS } else { number }, "")
+        }
+        Kind::Message(index) => (INTERFACE, layouts.get(index).map_or("", |nested| nested.name.as_str())),
     };
-    let (more, capacity) = match member.many {
-        Many::One => (0, 0),
-        Many::Fixed(count) => (48, count),
-        Many::Bounded(most) => (96, most),
-        Many::Any => (144, 0),
+    let (more, capacity) = match field.arity {
+        Arity::One => (0, 0),
+        Arity::Fixed(count) => (48, count),
+        Arity::Bounded(most) => (96, most),
+        Arity::Variable => (144, 0),
     };
-    put_field(&member.name, number + more, capacity, member.bound, nested)
+    put_field(&field.name, number + more, capacity, bound, nested)
 }
 
 fn put_field(name: &str, number: u8, capacity: usize, bound: usize, nested: &str) -> String {
@@ -449,7 +335,8 @@ impl Folders {
     pub fn complete(&self, type_name: &str, text: &str) -> Result<(String, Vec<String>), RosError> {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
-        let mut own: Vec<(String, Vec<&str>)> = sections(&root, text).map_err(failed)?.into_iter().collect();
+        let mut own: Vec<(String, Vec<&str>)> =
+            sections(&root, text, |name| full_name(name, None)).map_err(failed)?.into_iter().collect();
         own.sort();
         let mut known: BTreeSet<String> = own.iter().map(|(name, _)| name.clone()).collect();
         let mut waiting = Vec::new();
@@ -526,7 +413,7 @@ fn built_in_sections(text: &'static str) -> impl Iterator<Item = (&'static str, 
 }
 
 /// The own lines of a type that is named as `package/msg/Type`.
-pub(super) fn text_of(name: &str) -> Option<&'static str> {
+fn text_of(name: &str) -> Option<&'static str> {
     TEXTS.get(name).copied()
 }
 
@@ -534,9 +421,9 @@ pub(super) fn text_of(name: &str) -> Option<&'static str> {
 mod line_tests {
     use super::*;
 
-    fn read(line: &str) -> (String, usize, Many, String) {
+    fn read(line: &str) -> (String, usize, Arity, String) {
         match parse_line(line) {
-            Ok(Some(Line::Field { base, bound, many, name, .. })) => (base.to_owned(), bound, many, name.to_owned()),
+            Ok(Some(Line::Field { base, bound, arity, name, .. })) => (base.to_owned(), bound, arity, name.to_owned()),
             other => panic!("{line}: {other:?}"),
         }
     }
@@ -544,16 +431,16 @@ mod line_tests {
     #[test]
     fn fields_have_bounds_and_default_values() {
         let cases = [
-            ("  float64[36]\tc # six by six", ("float64", 0, Many::Fixed(36), "c")),
-            ("string<=10 s \"a # b\" # why", ("string", 10, Many::One, "s")),
-            ("wstring<=3[<=4] w", ("wstring", 3, Many::Bounded(4), "w")),
-            ("geometry_msgs/msg/Point[] points", ("geometry_msgs/msg/Point", 0, Many::Any, "points")),
-            ("int32[] numbers [1, 2]", ("int32", 0, Many::Any, "numbers")),
-            ("string text 'a=b'", ("string", 0, Many::One, "text")),
-            ("string note # don't", ("string", 0, Many::One, "note")),
+            ("  float64[36]\tc # six by six", ("float64", 0, Arity::Fixed(36), "c")),
+            ("string<=10 s \"a # b\" # why", ("string", 10, Arity::One, "s")),
+            ("wstring<=3[<=4] w", ("wstring", 3, Arity::Bounded(4), "w")),
+            ("geometry_msgs/msg/Point[] points", ("geometry_msgs/msg/Point", 0, Arity::Variable, "points")),
+            ("int32[] numbers [1, 2]", ("int32", 0, Arity::Variable, "numbers")),
+            ("string text 'a=b'", ("string", 0, Arity::One, "text")),
+            ("string note # don't", ("string", 0, Arity::One, "note")),
         ];
-        for (line, (base, bound, many, name)) in cases {
-            assert_eq!(read(line), (base.to_owned(), bound, many, name.to_owned()), "{line}");
+        for (line, (base, bound, arity, name)) in cases {
+            assert_eq!(read(line), (base.to_owned(), bound, arity, name.to_owned()), "{line}");
         }
     }
 

@@ -8,10 +8,10 @@ mod outlet;
 
 use std::collections::BTreeMap;
 use std::io::{self, Write as _};
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -23,10 +23,8 @@ use crate::ros::address::{Endpoint, own_host};
 use crate::ros::child::{self, Declined, Errand, Run};
 use crate::ros::graph::master_error;
 use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
-use crate::ros::xmlrpc::{CallError, Value, call};
-use outlet::lock;
-
-pub(super) use outlet::Outlet;
+use crate::ros::xmlrpc::{CallError, Server, Value, call};
+use outlet::{Outlet, lock};
 
 /// How long to wait for the master and for names.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -49,56 +47,8 @@ pub struct Advertised {
     pub latching: bool,
 }
 
-/// A publishing node. It unregisters and ends on drop; queued messages are sent first, unless it was cut off.
-pub struct Publisher {
-    node: PublisherNode,
-}
-
-impl Publisher {
-    /// Starts a node at the master; it publishes nothing yet.
-    ///
-    /// # Errors
-    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] if the master's name does not resolve,
-    /// [`RosError::OwnHost`] if this machine's address cannot be listened on.
-    pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str) -> Result<Self, RosError> {
-        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
-        let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
-        Ok(Self { node: PublisherNode::start(master, &host, node_name.to_owned(), Vec::new())? })
-    }
-
-    /// Announces a topic; returns how many subscribers the master knows for it. A topic already announced is unchanged.
-    ///
-    /// # Errors
-    /// If the master does not answer or refuses.
-    pub fn advertise(&self, topic: &Advertised) -> Result<usize, RosError> {
-        self.node.advertise(Arc::new(Outlet::new(topic.clone())))
-    }
-
-    /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced.
-    pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
-        let outlet = self.node.outlet_of(topic);
-        outlet.as_ref().inspect(|outlet| outlet.publish_of(source, body)).is_some()
-    }
-
-    /// The number of connected subscribers of a topic.
-    pub fn subscribers(&self, topic: &str) -> usize {
-        self.node.outlet_of(topic).map_or(0, |outlet| outlet.subscribers())
-    }
-
-    /// Total messages that a subscriber missed because it read too slowly.
-    pub fn overflowed(&self) -> u64 {
-        self.node.overflowed()
-    }
-
-    /// Unregisters and ends, after sending what is queued, for at most five seconds. Returns the total messages that a
-    /// subscriber missed.
-    pub fn finish(self) -> u64 {
-        self.node.close(FAREWELL);
-        self.node.overflowed()
-    }
-}
-
-/// A publishing node: [`Publisher`], which is our own, or [`RosrustPublisher`], in a process without keys.
+/// A node that publishes into a graph of ROS 1: our own, in this process, or rosrust, in a process without keys. It leaves the
+/// graph when dropped.
 pub trait GraphPublisher: Send + Sync {
     /// Announces a topic, and waits for the subscribers that the master knows, at most for `patience`.
     ///
@@ -111,10 +61,14 @@ pub trait GraphPublisher: Send + Sync {
     fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool;
 
     /// Whether publishing may wait, for a pipe that is full.
-    fn may_block(&self) -> bool;
+    fn may_block(&self) -> bool {
+        false
+    }
 
     /// Why nothing is published now, if that is so.
-    fn broken(&self) -> Option<String>;
+    fn broken(&self) -> Option<String> {
+        None
+    }
 
     /// Whether a subscriber is so far behind that more messages would soon be dropped.
     fn is_crowded(&self) -> bool;
@@ -122,7 +76,7 @@ pub trait GraphPublisher: Send + Sync {
     /// Stops waiting for the subscribers that are behind now, until they have caught up.
     fn outrun(&self);
 
-    /// Comes back: our own registers all topics again, rosrust is started anew if it has ended, with what was latched.
+    /// Comes back: our own registers all topics again, rosrust is started anew if it has ended.
     ///
     /// # Errors
     /// If the master does not answer or refuses, or the program does not start.
@@ -137,76 +91,14 @@ pub trait GraphPublisher: Send + Sync {
     /// No more messages come; queued ones are still sent.
     fn leave(&self);
 
-    /// Whether everything queued has been sent, after [`Self::leave`], or nobody sends it any more.
+    /// Whether everything queued has been sent, after [`Self::leave`].
     fn is_sent(&self) -> bool;
 
-    /// Total messages that a subscriber missed because it read too slowly, or may have missed.
+    /// Total messages that a subscriber missed because it read too slowly.
     fn missed(&self) -> u64;
 
     /// Ends without further waiting. Returns the total messages that a subscriber missed.
     fn end(self: Box<Self>) -> u64;
-}
-
-impl GraphPublisher for Publisher {
-    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
-        let known = Publisher::advertise(self, topic)?;
-        let begun = Instant::now();
-        while self.subscribers(&topic.topic) < known && begun.elapsed() < patience {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        Ok(())
-    }
-
-    fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
-        Publisher::publish(self, topic, source, body)
-    }
-
-    fn may_block(&self) -> bool {
-        false
-    }
-
-    fn broken(&self) -> Option<String> {
-        None
-    }
-
-    fn is_crowded(&self) -> bool {
-        self.node.outlets().iter().any(|outlet| outlet.is_crowded())
-    }
-
-    fn outrun(&self) {
-        self.node.outlets().iter().for_each(|outlet| outlet.outrun());
-    }
-
-    fn come_back(&mut self) -> Result<(), RosError> {
-        self.node.register_all()
-    }
-
-    fn cut(&mut self, topics: &[String]) {
-        self.node.withdraw(topics);
-    }
-
-    fn silence(&mut self, topic: &str, source: u64) {
-        if let Some(outlet) = self.node.outlet_of(topic) {
-            outlet.silence(source);
-        }
-    }
-
-    fn leave(&self) {
-        self.node.leave();
-    }
-
-    fn is_sent(&self) -> bool {
-        self.node.is_sent()
-    }
-
-    fn missed(&self) -> u64 {
-        self.node.overflowed()
-    }
-
-    fn end(self: Box<Self>) -> u64 {
-        self.node.close(Duration::ZERO);
-        self.node.overflowed()
-    }
 }
 
 /// The longest connection header of a subscriber, bytes.
@@ -222,7 +114,8 @@ const MOST_CONNECTIONS: usize = 1024;
 struct Identity {
     name: String,
     host: String,
-    port: u16,
+    /// Where it serves its topics, once it does.
+    port: OnceLock<u16>,
     master: Endpoint,
     outlets: Mutex<Vec<Arc<Outlet>>>,
     /// Of withdrawn topics.
@@ -232,55 +125,52 @@ struct Identity {
     left: AtomicBool,
 }
 
-/// A running node.
-pub(crate) struct PublisherNode {
+/// Our own node. It unregisters and ends on drop; what is still queued then is not sent.
+pub struct Publisher {
     identity: Arc<Identity>,
     slave: SlaveServer,
-    stopping: Arc<AtomicBool>,
-    accepting: Option<JoinHandle<()>>,
+    _port: Server,
 }
 
-impl PublisherNode {
-    pub fn start(master: Endpoint, host: &str, name: String, outlets: Vec<Arc<Outlet>>) -> Result<Self, RosError> {
-        let listener = listen(host)?;
-        let port = listener.local_addr().map_err(|error| RosError::system("listen", &error))?.port();
-        let (outlets, overflowed) = (Mutex::new(outlets), AtomicU64::new(0));
-        let (telling, left, host_name) = (Mutex::default(), AtomicBool::new(false), host.to_owned());
-        let identity = Identity { name, host: host_name, port, master, outlets, overflowed, telling, left };
-        let identity = Arc::new(identity);
-        let stopping = Arc::new(AtomicBool::new(false));
-        let slave = SlaveServer::start(host, Arc::clone(&identity) as _)?;
-        let (seen, known) = (Arc::clone(&stopping), Arc::clone(&identity));
-        let accepting = std::thread::Builder::new()
-            .name("ros-port".into())
-            .spawn(move || accept_all(&listener, &seen, &known))
+impl Publisher {
+    /// Starts a node at the master; it publishes nothing yet.
+    ///
+    /// # Errors
+    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] if the master's name does not resolve,
+    /// [`RosError::OwnHost`] if this machine's address cannot be listened on.
+    pub fn start(master_uri: &str, given_host: Option<&str>, node_name: &str) -> Result<Self, RosError> {
+        let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
+        let host = own_host(given_host, &master, Instant::now() + PATIENCE)?;
+        let listener = listen(&host)?;
+        let identity = Arc::new(Identity {
+            name: node_name.to_owned(),
+            host,
+            port: OnceLock::new(),
+            master,
+            outlets: Mutex::default(),
+            overflowed: AtomicU64::new(0),
+            telling: Mutex::default(),
+            left: AtomicBool::new(false),
+        });
+        let known = Arc::clone(&identity);
+        let port = Server::of("ros-port", listener, MOST_CONNECTIONS, move |stream| welcome(&known, stream))
             .map_err(|error| RosError::system("start a thread", &error))?;
-        let node = Self { identity, slave, stopping, accepting: Some(accepting) };
-        node.register_all()?;
-        Ok(node)
+        identity.port.get_or_init(|| port.port());
+        let slave = SlaveServer::start(&identity.host, Arc::clone(&identity) as _)?;
+        Ok(Self { identity, slave, _port: port })
     }
 
-    pub fn outlets(&self) -> Vec<Arc<Outlet>> {
-        self.identity.outlets()
-    }
-
-    pub fn outlet_of(&self, topic: &str) -> Option<Arc<Outlet>> {
-        self.identity.outlet_of(topic)
-    }
-
-    /// Registers another topic; returns how many subscribers the master knows.
-    pub fn advertise(&self, outlet: Arc<Outlet>) -> Result<usize, RosError> {
-        let known = self.outlet_of(outlet.topic());
-        let outlet = known.unwrap_or_else(|| {
+    /// Announces a topic; returns how many subscribers the master knows for it. A topic already announced is unchanged.
+    ///
+    /// # Errors
+    /// If the master does not answer or refuses.
+    pub fn advertise(&self, topic: &Advertised) -> Result<usize, RosError> {
+        let outlet = self.identity.outlet_of(&topic.topic).unwrap_or_else(|| {
+            let outlet = Arc::new(Outlet::new(topic.clone()));
             lock(&self.identity.outlets).push(Arc::clone(&outlet));
             outlet
         });
         self.register(&outlet)
-    }
-
-    /// Registers all topics (again).
-    pub fn register_all(&self) -> Result<(), RosError> {
-        self.outlets().iter().try_for_each(|outlet| self.register(outlet).map(drop))
     }
 
     fn register(&self, outlet: &Outlet) -> Result<usize, RosError> {
@@ -291,48 +181,33 @@ impl PublisherNode {
         Ok(answer.as_array().map_or(0, <[Value]>::len))
     }
 
-    /// Total messages that subscribers missed.
-    pub fn overflowed(&self) -> u64 {
-        let now: u64 = self.outlets().iter().map(|outlet| outlet.overflowed()).sum();
-        now + self.identity.overflowed.load(Ordering::SeqCst)
+    /// Sends a message to all subscribers of an announced topic, as one of `source`; false if it is not announced.
+    pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
+        let outlet = self.identity.outlet_of(topic);
+        outlet.as_ref().inspect(|outlet| outlet.publish(source, body)).is_some()
     }
 
-    /// Withdraws topics: no subscriber gets any more of them, however late the master learns of it.
-    pub fn withdraw(&self, topics: &[String]) {
-        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
-        let gone: Vec<Arc<Outlet>> = self.outlets().into_iter().filter(is_meant).collect();
-        lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
-        for outlet in &gone {
-            outlet.close(Duration::ZERO);
-            self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
-        }
-        self.tell_gone(&gone);
+    /// The number of connected subscribers of a topic.
+    pub fn subscribers(&self, topic: &str) -> usize {
+        self.identity.outlet_of(topic).map_or(0, |outlet| outlet.subscribers())
     }
 
-    /// No more messages come; subscribers get what is queued.
-    pub fn leave(&self) {
-        if self.identity.left.swap(true, Ordering::SeqCst) {
-            return;
-        }
-        let outlets = self.outlets();
-        outlets.iter().for_each(|outlet| outlet.leave());
-        self.tell_gone(&outlets);
+    /// Unregisters and ends, after sending what is queued, for at most five seconds. Returns the total messages that a
+    /// subscriber missed.
+    pub fn finish(self) -> u64 {
+        self.close(FAREWELL)
     }
 
-    /// Whether the queues are empty.
-    pub fn is_sent(&self) -> bool {
-        self.outlets().iter().all(|outlet| outlet.is_sent())
-    }
-
-    /// Unregisters, and sends what is queued, with one deadline for all.
-    pub fn close(&self, patience: Duration) {
+    /// Unregisters, and sends what is queued, with one deadline for all. Returns what [`Self::finish`] does.
+    fn close(&self, patience: Duration) -> u64 {
         self.leave();
         let deadline = Instant::now() + patience;
         while Instant::now() < deadline && !self.is_sent() {
             std::thread::sleep(Duration::from_millis(5));
         }
-        self.outlets().iter().for_each(|outlet| outlet.end(deadline));
+        self.identity.outlets().iter().for_each(|outlet| outlet.end(deadline));
         self.finish_telling();
+        self.missed()
     }
 
     /// Unregisters, without waiting for a slow master.
@@ -361,16 +236,77 @@ impl PublisherNode {
     }
 }
 
-impl Drop for PublisherNode {
-    fn drop(&mut self) {
-        for outlet in self.outlets() {
-            outlet.close(Duration::ZERO);
+impl GraphPublisher for Publisher {
+    fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
+        let known = Self::advertise(self, topic)?;
+        let begun = Instant::now();
+        while self.subscribers(&topic.topic) < known && begun.elapsed() < patience {
+            std::thread::sleep(Duration::from_millis(5));
         }
-        self.stopping.store(true, Ordering::SeqCst);
-        // Accepting blocks: connecting to ourselves wakes it.
-        let woken = TcpStream::connect((self.identity.host.as_str(), self.identity.port)).is_ok();
-        if let Some(accepting) = self.accepting.take().filter(|_| woken) {
-            let _ = accepting.join();
+        Ok(())
+    }
+
+    fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
+        Self::publish(self, topic, source, body)
+    }
+
+    fn is_crowded(&self) -> bool {
+        self.identity.outlets().iter().any(|outlet| outlet.is_crowded())
+    }
+
+    fn outrun(&self) {
+        self.identity.outlets().iter().for_each(|outlet| outlet.outrun());
+    }
+
+    fn come_back(&mut self) -> Result<(), RosError> {
+        self.identity.outlets().iter().try_for_each(|outlet| self.register(outlet).map(drop))
+    }
+
+    /// No subscriber gets any more of them, however late the master learns of it.
+    fn cut(&mut self, topics: &[String]) {
+        let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
+        let gone: Vec<Arc<Outlet>> = self.identity.outlets().into_iter().filter(is_meant).collect();
+        lock(&self.identity.outlets).retain(|outlet| !is_meant(outlet));
+        for outlet in &gone {
+            outlet.close(Duration::ZERO);
+            self.identity.overflowed.fetch_add(outlet.overflowed(), Ordering::SeqCst);
+        }
+        self.tell_gone(&gone);
+    }
+
+    fn silence(&mut self, topic: &str, source: u64) {
+        if let Some(outlet) = self.identity.outlet_of(topic) {
+            outlet.silence(source);
+        }
+    }
+
+    fn leave(&self) {
+        if self.identity.left.swap(true, Ordering::SeqCst) {
+            return;
+        }
+        let outlets = self.identity.outlets();
+        outlets.iter().for_each(|outlet| outlet.leave());
+        self.tell_gone(&outlets);
+    }
+
+    fn is_sent(&self) -> bool {
+        self.identity.outlets().iter().all(|outlet| outlet.is_sent())
+    }
+
+    fn missed(&self) -> u64 {
+        let now: u64 = self.identity.outlets().iter().map(|outlet| outlet.overflowed()).sum();
+        now + self.identity.overflowed.load(Ordering::SeqCst)
+    }
+
+    fn end(self: Box<Self>) -> u64 {
+        self.close(Duration::ZERO)
+    }
+}
+
+impl Drop for Publisher {
+    fn drop(&mut self) {
+        for outlet in self.identity.outlets() {
+            outlet.close(Duration::ZERO);
         }
         self.finish_telling();
     }
@@ -397,10 +333,6 @@ impl Node for Identity {
         self.master.to_string()
     }
 
-    fn subscriptions(&self) -> Vec<(String, String)> {
-        Vec::new()
-    }
-
     fn publications(&self) -> Vec<(String, String)> {
         self.outlets().iter().map(|outlet| (outlet.topic().to_owned(), outlet.type_name().to_owned())).collect()
     }
@@ -409,32 +341,16 @@ impl Node for Identity {
         self.outlets().iter().flat_map(|outlet| outlet.links()).collect()
     }
 
-    fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}
-
     fn outlet(&self, topic: &str) -> Option<(String, u16)> {
-        self.outlet_of(topic).map(|_| (self.host.clone(), self.port))
-    }
-
-    fn shutdown_asked(&self, _by: &str, _reason: &str) {}
-}
-
-fn accept_all(listener: &TcpListener, stopping: &AtomicBool, identity: &Arc<Identity>) {
-    while !stopping.load(Ordering::SeqCst) {
-        let Ok((stream, _)) = listener.accept() else {
-            std::thread::sleep(Duration::from_millis(20));
-            continue;
-        };
-        if stopping.load(Ordering::SeqCst) || identity.links().len() >= MOST_CONNECTIONS {
-            continue;
-        }
-        let identity = Arc::clone(identity);
-        // Without a thread, or with a broken handshake, the subscriber's connection is closed.
-        let _ = std::thread::Builder::new().name("ros-handshake".into()).spawn(move || welcome(&identity, stream));
+        self.outlet_of(topic).and(Some((self.host.clone(), *self.port.get()?)))
     }
 }
 
 /// Shakes hands with a subscriber and hands it to its outlet.
 fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
+    if identity.links().len() >= MOST_CONNECTIONS {
+        return Ok(());
+    }
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
@@ -459,10 +375,6 @@ fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
 
 /// The program in which rosrust runs.
 const PROGRAM: &str = "authros-rosrust";
-/// How long the program may take to join the graph.
-const JOINING: Duration = Duration::from_secs(10);
-/// How long it may take to answer about a topic: it asks the master, and waits for subscribers.
-const ANSWERING: Duration = Duration::from_secs(10);
 
 /// An announced topic.
 struct Announced {
@@ -511,30 +423,11 @@ impl RosrustPublisher {
     }
 
     fn joined(&self) -> Result<(), RosError> {
-        match self.run.wait(JOINING, |state| state.joined.then_some(())) {
-            Ok(Some(())) => Ok(()),
-            Ok(None) => Err(self.failed("the program does not answer")),
-            Err(reason) => Err(self.failed(&reason)),
-        }
+        self.run.joined().map_err(|reason| self.failed(&reason))
     }
 
     fn failed(&self, reason: &str) -> RosError {
         RosError::NotPublishedByRosrust { uri: clean(&self.uri, 120), reason: reason.to_owned() }
-    }
-
-    /// Announces a topic, and waits for the subscribers that the master knows, for a while, if `patient`. A topic already
-    /// announced is unchanged.
-    ///
-    /// # Errors
-    /// [`RosError::NotPublishedByRosrust`] if the program does not run, or the master refuses.
-    pub fn advertise(&mut self, topic: &Advertised, patient: bool) -> Result<(), RosError> {
-        if self.announced.contains_key(&topic.topic) {
-            return Ok(());
-        }
-        let writer = self.announce(topic, patient)?;
-        let announced = Announced { writer, about: topic.clone(), latched: None };
-        self.announced.insert(topic.topic.clone(), announced);
-        Ok(())
     }
 
     /// Has a topic announced under a new number.
@@ -548,15 +441,9 @@ impl RosrustPublisher {
             latched: topic.latching,
         };
         let order = Order::Advertise { writer, topic: about, size: 0, alone: false, patient };
-        self.run.order(&order, topic.definition.as_bytes()).map_err(|reason| self.failed(&reason))?;
-        match self.run.wait(ANSWERING, |state| state.answers.remove(&writer)) {
-            Ok(Some(Ok(()))) => Ok(writer),
-            Ok(Some(Err(Declined { reason, .. }))) => Err(self.failed(&reason)),
-            Ok(None) => {
-                self.run.kill();
-                Err(self.failed("the program does not answer"))
-            }
-            Err(reason) => Err(self.failed(&reason)),
+        match self.run.announce(writer, &order, topic.definition.as_bytes()) {
+            Ok(Ok(())) => Ok(writer),
+            Ok(Err(Declined { reason, .. })) | Err(reason) => Err(self.failed(&reason)),
         }
     }
 
@@ -567,7 +454,7 @@ impl RosrustPublisher {
 
     /// Whether its program can open no file and no local socket.
     pub fn is_confined(&self) -> bool {
-        self.run.is_confined()
+        self.run.state().confined
     }
 
     fn announce_again(&mut self) -> Result<(), RosError> {
@@ -586,7 +473,13 @@ impl RosrustPublisher {
 
 impl GraphPublisher for RosrustPublisher {
     fn advertise(&mut self, topic: &Advertised, patience: Duration) -> Result<(), RosError> {
-        RosrustPublisher::advertise(self, topic, !patience.is_zero())
+        if self.announced.contains_key(&topic.topic) {
+            return Ok(());
+        }
+        let writer = self.announce(topic, !patience.is_zero())?;
+        let announced = Announced { writer, about: topic.clone(), latched: None };
+        self.announced.insert(topic.topic.clone(), announced);
+        Ok(())
     }
 
     fn publish(&mut self, topic: &str, source: u64, message: &[u8]) -> bool {
@@ -608,12 +501,21 @@ impl GraphPublisher for RosrustPublisher {
         self.run.broken()
     }
 
+    fn is_crowded(&self) -> bool {
+        self.run.is_crowded()
+    }
+
+    fn outrun(&self) {
+        drop(self.run.order(&Order::<Described>::Outrun, &[]));
+    }
+
+    /// Starts the program anew if it has ended, with all topics and what was latched.
     fn come_back(&mut self) -> Result<(), RosError> {
         if self.run.broken().is_none() {
             return Ok(());
         }
         let run = Run::start(&self.errand, 0)?;
-        self.missed += self.run.missed();
+        self.missed = self.missed();
         self.run = run;
         let done = self.joined().and_then(|()| self.announce_again());
         if done.is_err() {
@@ -621,14 +523,6 @@ impl GraphPublisher for RosrustPublisher {
             self.run.kill();
         }
         done
-    }
-
-    fn is_crowded(&self) -> bool {
-        self.run.is_crowded()
-    }
-
-    fn outrun(&self) {
-        drop(self.run.order(&Order::<Described>::Outrun, &[]));
     }
 
     fn cut(&mut self, topics: &[String]) {
@@ -664,15 +558,16 @@ impl GraphPublisher for RosrustPublisher {
     }
 
     fn is_sent(&self) -> bool {
-        self.run.has_left() || self.run.broken().is_some()
+        self.run.is_sent()
     }
 
     fn missed(&self) -> u64 {
-        self.missed + self.run.missed()
+        self.missed + self.run.state().missed()
     }
 
+    /// What is still queued was missed, too.
     fn end(self: Box<Self>) -> u64 {
-        let queued = if self.run.broken().is_some() { 0 } else { self.run.unconfirmed().0 };
+        let queued = if self.run.broken().is_some() { 0 } else { self.run.state().unconfirmed().0 };
         self.missed() + queued as u64
     }
 }

@@ -17,7 +17,6 @@ const MOST_LATCHED: usize = 64;
 /// A published topic.
 pub(crate) struct Outlet {
     about: Advertised,
-    published: AtomicU64,
     overflowed: AtomicU64,
     audience: Mutex<Audience>,
 }
@@ -33,7 +32,7 @@ struct Audience {
 
 impl Outlet {
     pub fn new(about: Advertised) -> Self {
-        Self { about, published: AtomicU64::new(0), overflowed: AtomicU64::new(0), audience: Mutex::default() }
+        Self { about, overflowed: AtomicU64::new(0), audience: Mutex::default() }
     }
 
     pub fn topic(&self) -> &str {
@@ -42,10 +41,6 @@ impl Outlet {
 
     pub fn type_name(&self) -> &str {
         &self.about.type_name
-    }
-
-    pub fn published(&self) -> u64 {
-        self.published.load(Ordering::SeqCst)
     }
 
     pub fn overflowed(&self) -> u64 {
@@ -66,17 +61,11 @@ impl Outlet {
         lock(&self.audience).subscribers.iter().for_each(|subscriber| subscriber.outrun());
     }
 
-    /// Sends `body` to all current subscribers.
-    pub fn publish(&self, body: &[u8]) {
-        self.publish_of(0, body);
-    }
-
-    /// Like [`Self::publish`], for one of several sources: a latching topic keeps the last message of each.
-    pub fn publish_of(&self, source: u64, body: &[u8]) {
+    /// Sends `body` of one of several sources to all current subscribers; a latching topic keeps the last message of each.
+    pub fn publish(&self, source: u64, body: &[u8]) {
         let Ok(length) = u32::try_from(body.len()) else { return };
         let frame = Arc::new([length.to_le_bytes().as_slice(), body].concat());
         let mut audience = lock(&self.audience);
-        self.published.fetch_add(1, Ordering::SeqCst);
         let Audience { subscribers, latched, .. } = &mut *audience;
         subscribers.retain(|subscriber| match subscriber.push(&frame) {
             Some(dropped) => {
@@ -343,20 +332,20 @@ mod tests {
         let (mut near, far) = connection();
         outlet.add("/s".into(), far).expect("add");
         for number in 0..1000u32 {
-            outlet.publish(&number.to_le_bytes());
+            outlet.publish(0, &number.to_le_bytes());
         }
         outlet.close(PATIENCE * 20);
         let mut bytes = Vec::new();
         near.read_to_end(&mut bytes).expect("read");
         assert_eq!(bytes, frames(0..1000));
-        assert_eq!((outlet.published(), outlet.overflowed()), (1000, 0));
+        assert_eq!(outlet.overflowed(), 0);
     }
 
     #[test]
     fn a_late_subscriber_of_a_latching_topic_gets_the_last_message_of_each_source() {
         let (latching, plain) = (outlet(true), outlet(false));
         for outlet in [&latching, &plain] {
-            [(7, 1u32), (9, 2), (7, 3)].iter().for_each(|(source, n)| outlet.publish_of(*source, &n.to_le_bytes()));
+            [(7, 1u32), (9, 2), (7, 3)].iter().for_each(|(source, n)| outlet.publish(*source, &n.to_le_bytes()));
         }
         for (outlet, expected) in [(&latching, frames([2, 3])), (&plain, Vec::new())] {
             let (mut near, far) = connection();
@@ -372,8 +361,8 @@ mod tests {
     #[test]
     fn a_source_that_is_silenced_is_not_latched_any_more() {
         let outlet = outlet(true);
-        outlet.publish_of(7, &1u32.to_le_bytes());
-        outlet.publish_of(9, &2u32.to_le_bytes());
+        outlet.publish(7, &1u32.to_le_bytes());
+        outlet.publish(9, &2u32.to_le_bytes());
         outlet.silence(7);
         let (mut near, far) = connection();
         outlet.add("/late".into(), far).expect("add");
@@ -391,9 +380,8 @@ mod tests {
         let body = vec![0; 1 << 20];
         let frames = u64::try_from(LONGEST_QUEUE >> 20).expect("small") * 3;
         for _ in 0..frames {
-            outlet.publish(&body);
+            outlet.publish(0, &body);
         }
-        assert_eq!(outlet.published(), frames);
         assert!(outlet.is_crowded());
         let dropped = outlet.overflowed();
         assert!(dropped > frames / 4, "{dropped}");
@@ -411,7 +399,7 @@ mod tests {
             let mut bytes = Vec::new();
             near.read_to_end(&mut bytes).map(|_| bytes.len())
         });
-        outlet.publish(&vec![1; LONGEST_QUEUE + 8]);
+        outlet.publish(0, &vec![1; LONGEST_QUEUE + 8]);
         outlet.close(PATIENCE * 60);
         assert_eq!(reading.join().expect("read").ok(), Some(LONGEST_QUEUE + 12));
         assert_eq!(outlet.overflowed(), 0);

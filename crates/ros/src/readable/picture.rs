@@ -3,9 +3,7 @@
 
 use std::io::Cursor;
 
-use super::{
-    Body, MOST_POINTS, Matrix, Plot, Readable, Table, count, float, floats, metres, number, shown, stamp, text,
-};
+use super::{Body, MOST_POINTS, Matrix, Plot, Readable, Table, count, float, floats, metres, number, shown, text};
 use crate::model::{ErrorKind, base64_text, clean};
 use crate::ros::message::{Definition, Limits, Value};
 use jpeg_encoder::{ColorType as JpegColour, Encoder as JpegEncoder, SamplingFactor};
@@ -127,7 +125,7 @@ fn from_matrix(kind: Exported, matrix: &Matrix) -> Result<Vec<u8>, PictureError>
     if kind == Exported::Npy {
         let shape = if matrix.channels == 1 { vec![size.1, size.0] } else { vec![size.1, size.0, matrix.channels] };
         let length = size.0 * size.1 * matrix.channels * matrix.sample;
-        return Ok(npy(dtype(matrix), &shape, length, (0..size.1).map(|row| matrix.row(row))));
+        return Ok(npy(&dtype(matrix), &shape, length, (0..size.1).map(|row| matrix.row(row))));
     }
     if kind == Exported::Png && matrix.channels == 1 && matrix.sample == 2 {
         let swap = |row: usize| {
@@ -143,30 +141,18 @@ fn from_matrix(kind: Exported, matrix: &Matrix) -> Result<Vec<u8>, PictureError>
     encode(kind, &rgb, size)
 }
 
-fn dtype(matrix: &Matrix) -> &'static str {
-    let signed = matrix.encoding.contains('S');
-    match (matrix.sample, matrix.encoding.starts_with("32F"), matrix.big_endian) {
-        (1, _, _) if signed => "|i1",
-        (1, _, _) => "|u1",
-        (2, _, false) => {
-            if signed {
-                "<i2"
-            } else {
-                "<u2"
-            }
-        }
-        (2, _, true) => {
-            if signed {
-                ">i2"
-            } else {
-                ">u2"
-            }
-        }
-        (_, true, false) => "<f4",
-        (_, true, true) => ">f4",
-        (_, false, false) => "<i4",
-        (_, false, true) => ">i4",
-    }
+fn dtype(matrix: &Matrix) -> String {
+    let order = match (matrix.sample, matrix.big_endian) {
+        (1, _) => '|',
+        (_, true) => '>',
+        (_, false) => '<',
+    };
+    let kind = match &matrix.encoding {
+        encoding if encoding.starts_with("32F") => 'f',
+        encoding if encoding.contains('S') => 'i',
+        _ => 'u',
+    };
+    format!("{order}{kind}{}", matrix.sample)
 }
 
 /// NumPy's format, version 1.0: magic, length of a text, the text padded to 64 bytes, the numbers.
@@ -193,20 +179,14 @@ fn encode(kind: Exported, rgb: &[u8], size: (usize, usize)) -> Result<Vec<u8>, P
 }
 
 pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
-    let mut out = Readable::default();
-    out.line("Stamp (UTC)", stamp(value));
-    out.line("Frame", text(value, "header.frame_id"));
+    let mut out = Readable::headed(value);
     out.line("Format", text(value, "format"));
     let Some(data) = value.get("data").and_then(|data| bytes(data, body)) else { return out };
     out.line("Bytes", data.len().to_string());
     match decode(&data) {
         Ok(rgb) => {
             out.line("Size", format!("{} x {}", rgb.width, rgb.height));
-            let pixel = |x: usize, y: usize| {
-                let at = (y * rgb.width + x) * 3;
-                rgb.pixels.get(at..at + 3).and_then(|rgb| rgb.try_into().ok()).unwrap_or_default()
-            };
-            out.picture = Some(Raster::of((rgb.width, rgb.height), LARGEST, &pixel));
+            out.picture = Some(Raster { width: rgb.width, height: rgb.height, rgb: rgb.pixels }.fit(LARGEST));
         }
         Err(error) => out.line("Not shown", error.to_string()),
     }
@@ -214,9 +194,7 @@ pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
 }
 
 pub(super) fn raw(value: &Value, body: &Body) -> Readable {
-    let mut out = Readable::default();
-    out.line("Stamp (UTC)", stamp(value));
-    out.line("Frame", text(value, "header.frame_id"));
+    let mut out = Readable::headed(value);
     out.line("Encoding", text(value, "encoding"));
     out.line("Size", format!("{} x {}", text(value, "width"), text(value, "height")));
     match Matrix::of(value, body) {
@@ -458,14 +436,12 @@ fn average(across: (usize, usize), down: (usize, usize), pixel: &dyn Fn(usize, u
 }
 
 pub(super) fn scan(value: &Value, body: &Body) -> Readable {
-    let mut out = Readable::default();
+    let mut out = Readable::headed(value);
     let (least, most) = (float(value, "range_min").unwrap_or(0.0), float(value, "range_max").unwrap_or(f64::INFINITY));
     let (first, step) = (float(value, "angle_min").unwrap_or(0.0), float(value, "angle_increment").unwrap_or(0.0));
     let ranges = floats(value, "ranges", body, usize::MAX);
     let valid = |range: &f64| range.is_finite() && *range >= least && *range <= most;
     let good = ranges.iter().map(|(_, range)| *range).filter(valid);
-    out.line("Stamp (UTC)", stamp(value));
-    out.line("Frame", text(value, "header.frame_id"));
     let degrees = |path: &str| float(value, path).map_or_else(|| String::from("-"), |angle| number(angle.to_degrees()));
     out.line("Angles", format!("{}° to {}°", degrees("angle_min"), degrees("angle_max")));
     out.line("Range", format!("{} to {} m", number(least), number(most)));
@@ -486,7 +462,7 @@ pub(super) fn scan(value: &Value, body: &Body) -> Readable {
     out
 }
 
-fn plot(title: &str, points: Vec<(f64, f64)>, here: Option<(f64, f64)>, path: bool) -> Option<Plot> {
+pub(super) fn plot(title: &str, points: Vec<(f64, f64)>, here: Option<(f64, f64)>, path: bool) -> Option<Plot> {
     let points: Vec<(f64, f64)> = points.into_iter().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
     let axes = (String::from("x, m"), String::from("y, m"));
     (!points.is_empty()).then(|| Plot { title: title.to_owned(), axes, points, path, here })
@@ -503,11 +479,9 @@ struct Part {
 const KINDS: [&str; 9] = ["?", "int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"];
 
 pub(super) fn cloud(value: &Value, body: &Body) -> Readable {
-    let mut out = Readable::default();
+    let mut out = Readable::headed(value);
     let parts = parts(value);
     let (columns, rows) = (count(value, "width").unwrap_or(0), count(value, "height").unwrap_or(0));
-    out.line("Stamp (UTC)", stamp(value));
-    out.line("Frame", text(value, "header.frame_id"));
     out.line("Points", format!("{} ({columns} x {rows})", columns.saturating_mul(rows)));
     out.line("Bytes of a point", text(value, "point_step"));
     out.line("Dense", if count(value, "is_dense") == Some(1) { "yes" } else { "no: points may be missing" });
@@ -559,7 +533,8 @@ fn seen_from_above(value: &Value, body: &Body, parts: &[Part]) -> Option<Vec<(f6
     Some(data.chunks_exact(step).step_by(every).filter_map(point).collect())
 }
 
-fn coordinate(bytes: &[u8], wide: bool, big: bool) -> Option<f64> {
+/// A float of four bytes, or of eight, at the beginning of the bytes.
+pub(super) fn coordinate(bytes: &[u8], wide: bool, big: bool) -> Option<f64> {
     if wide {
         let bytes = *bytes.first_chunk::<8>()?;
         return Some(if big { f64::from_be_bytes(bytes) } else { f64::from_le_bytes(bytes) });
@@ -584,9 +559,7 @@ pub(super) fn bytes<'a>(value: &Value, body: &'a Body) -> Option<std::borrow::Co
 }
 
 pub(super) fn path(value: &Value, _: &Body) -> Readable {
-    let mut out = Readable::default();
-    out.line("Stamp (UTC)", stamp(value));
-    out.line("Frame", text(value, "header.frame_id"));
+    let mut out = Readable::headed(value);
     let Some(Value::Array(poses)) = value.get("poses") else { return out };
     out.line("Poses", poses.len().to_string());
     let point = |pose: &Value| Some((float(pose, "pose.position.x")?, float(pose, "pose.position.y")?));

@@ -7,11 +7,9 @@ mod described;
 pub mod tags;
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
-use std::str::FromStr;
 use std::sync::Arc;
 
 use crate::model::{Timestamp, clean};
@@ -253,8 +251,21 @@ impl Findings {
 }
 
 /// How the chunks of a recording are compressed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Default,
+    Serialize,
+    Deserialize,
+    strum::Display,
+    strum::EnumString,
+    strum::IntoStaticStr,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case", parse_err_ty = String, parse_err_fn = not_a_compression)]
 pub enum ChunkCompression {
     /// No compression.
     #[default]
@@ -267,34 +278,14 @@ pub enum ChunkCompression {
     Zstd,
 }
 
+fn not_a_compression(text: &str) -> String {
+    format!("'{}' is not a compression; choose none, bz2, lz4 or zstd", clean(text, 40))
+}
+
 impl ChunkCompression {
     /// Its name on the command line and in a bag.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Bz2 => "bz2",
-            Self::Lz4 => "lz4",
-            Self::Zstd => "zstd",
-        }
-    }
-}
-
-impl fmt::Display for ChunkCompression {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.word())
-    }
-}
-
-impl FromStr for ChunkCompression {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        [Self::None, Self::Bz2, Self::Lz4, Self::Zstd]
-            .into_iter()
-            .find(|compression| compression.word() == text)
-            .ok_or_else(|| {
-                format!("'{}' is not a compression; choose none, bz2, lz4 or zstd", crate::model::clean(text, 40))
-            })
+        self.into()
     }
 }
 
@@ -417,8 +408,9 @@ pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> std::io::Resul
 /// Bytes read ahead.
 const BUFFER: usize = 256 * 1024;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum RecordingFormat {
     /// rosbag 2.0.
     Bag,
@@ -429,11 +421,7 @@ pub enum RecordingFormat {
 
 impl RecordingFormat {
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Bag => "bag",
-            Self::Mcap => "mcap",
-            Self::Rosbag2 => "rosbag2",
-        }
+        self.into()
     }
 
     /// Whether chunks of this format may use this compression.

@@ -1,61 +1,38 @@
-//! The robots' messages and their vendored definitions, serialised as ROS 1 does (little endian, lengths of 32 bits) and as
+//! The robots' messages and their definitions, serialised as ROS 1 does (little endian, lengths of 32 bits) and as
 //! ROS 2 does (CDR, each value at a multiple of its size).
 
 use super::Motion;
 use crate::model::Timestamp;
-use crate::ros::message::md5sum;
+use crate::ros::message::{built_in_definition, md5sum};
 
 /// Standard deviations squared: x, y (m²) and the rotation about Z (rad²); the rest is not measured.
 const VARIANCES: [f64; 6] = [0.0004, 0.0004, 1e-6, 1e-6, 1e-6, 0.0003];
 
-/// The body of a `nav_msgs/Odometry`.
-pub(super) fn odometry(seq: u32, stamp: Timestamp, motion: &Motion) -> Vec<u8> {
-    let mut body = Vec::with_capacity(724);
-    put_header(&mut body, seq, stamp, "odom");
-    put_text(&mut body, "base_link");
+/// A `nav_msgs/Odometry`; the number is of ROS 1, whose headers have one.
+pub(super) fn odometry(is_cdr: bool, seq: u32, stamp: Timestamp, motion: &Motion) -> Vec<u8> {
+    let mut message = Message::new(is_cdr, 760);
+    message.put_header(seq, stamp, "odom");
+    message.put_text("base_link");
     let half = motion.heading / 2.0;
-    put_floats(&mut body, &[motion.x, motion.y, 0.0, 0.0, 0.0, half.sin(), half.cos()]);
-    put_floats(&mut body, &covariance());
-    put_floats(&mut body, &[motion.speed, 0.0, 0.0, 0.0, 0.0, motion.turn_rate]);
-    put_floats(&mut body, &covariance());
-    body
+    message.put_floats(&[motion.x, motion.y, 0.0, 0.0, 0.0, half.sin(), half.cos()]);
+    message.put_floats(&covariance());
+    message.put_floats(&[motion.speed, 0.0, 0.0, 0.0, 0.0, motion.turn_rate]);
+    message.put_floats(&covariance());
+    message.bytes
 }
 
-/// The body of a `sensor_msgs/CompressedImage` with format `jpeg`.
-pub(super) fn compressed_image(seq: u32, stamp: Timestamp, robot: u16, jpeg: &[u8]) -> Vec<u8> {
-    let mut body = Vec::with_capacity(jpeg.len() + 64);
-    put_header(&mut body, seq, stamp, &format!("robot{robot}_camera"));
-    put_text(&mut body, "jpeg");
-    put_bytes(&mut body, jpeg);
-    body
-}
-
-fn put_header(body: &mut Vec<u8>, seq: u32, stamp: Timestamp, frame: &str) {
-    let seconds = u32::try_from(stamp.seconds()).unwrap_or(u32::MAX);
-    let nanoseconds = u32::try_from(stamp.0 % 1_000_000_000).unwrap_or(0);
-    for number in [seq, seconds, nanoseconds] {
-        body.extend_from_slice(&number.to_le_bytes());
-    }
-    put_text(body, frame);
-}
-
-fn put_text(body: &mut Vec<u8>, text: &str) {
-    put_bytes(body, text.as_bytes());
-}
-
-fn put_bytes(body: &mut Vec<u8>, bytes: &[u8]) {
-    body.extend_from_slice(&u32::try_from(bytes.len()).unwrap_or(u32::MAX).to_le_bytes());
-    body.extend_from_slice(bytes);
-}
-
-fn put_floats(body: &mut Vec<u8>, numbers: &[f64]) {
-    for number in numbers {
-        body.extend_from_slice(&number.to_le_bytes());
-    }
+/// A `sensor_msgs/CompressedImage` with format `jpeg`.
+pub(super) fn compressed_image(is_cdr: bool, seq: u32, stamp: Timestamp, robot: u16, jpeg: &[u8]) -> Vec<u8> {
+    let mut message = Message::new(is_cdr, jpeg.len() + 72);
+    message.put_header(seq, stamp, &format!("robot{robot}_camera"));
+    message.put_text("jpeg");
+    message.put_length(jpeg.len());
+    message.bytes.extend_from_slice(jpeg);
+    message.bytes
 }
 
 /// The matrix of both messages' uncertainty.
-pub(super) fn covariance() -> [f64; 36] {
+fn covariance() -> [f64; 36] {
     let mut matrix = [0.0; 36];
     for (place, variance) in matrix.iter_mut().step_by(7).zip(VARIANCES) {
         *place = variance;
@@ -69,32 +46,14 @@ pub const ODOMETRY: &str = "nav_msgs/Odometry";
 /// Type of the pictures.
 pub const COMPRESSED_IMAGE: &str = "sensor_msgs/CompressedImage";
 
-const HEADER: (&str, &str) = ("std_msgs/Header", include_str!("../msg/Header.msg"));
-
 /// The full definition of `nav_msgs/Odometry`.
 pub fn odometry_definition() -> String {
-    let nested = [
-        HEADER,
-        ("geometry_msgs/PoseWithCovariance", include_str!("../msg/PoseWithCovariance.msg")),
-        ("geometry_msgs/Pose", include_str!("../msg/Pose.msg")),
-        ("geometry_msgs/Point", include_str!("../msg/Point.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../msg/Quaternion.msg")),
-        ("geometry_msgs/TwistWithCovariance", include_str!("../msg/TwistWithCovariance.msg")),
-        ("geometry_msgs/Twist", include_str!("../msg/Twist.msg")),
-        ("geometry_msgs/Vector3", include_str!("../msg/Vector3.msg")),
-    ];
-    assemble(include_str!("../msg/Odometry.msg"), &nested)
+    built_in_definition(ODOMETRY, "cd5e73d190d741a2f92e81eda573aca7").unwrap_or_default()
 }
 
 /// The full definition of `sensor_msgs/CompressedImage`.
 pub fn compressed_image_definition() -> String {
-    assemble(include_str!("../msg/CompressedImage.msg"), &[HEADER])
-}
-
-fn assemble(root: &str, nested: &[(&str, &str)]) -> String {
-    let rule = "=".repeat(80);
-    let sections = nested.iter().map(|(name, text)| format!("\n{rule}\nMSG: {name}\n{text}"));
-    std::iter::once(root.to_owned()).chain(sections).collect()
+    built_in_definition(COMPRESSED_IMAGE, "8f7a12909da2c9d3332d540a0977563f").unwrap_or_default()
 }
 
 /// The md5sum of a definition of ours.
@@ -105,68 +64,55 @@ pub(super) fn sum_of(type_name: &str, definition: &str) -> String {
 /// The encapsulation header of CDR in this order of bytes, without options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// A `nav_msgs/msg/Odometry`.
-pub(super) fn odometry_in_cdr(stamp: Timestamp, motion: &Motion) -> Vec<u8> {
-    let mut message = Message::new(760);
-    message.put_header(stamp, "odom");
-    message.put_text("base_link");
-    let half = motion.heading / 2.0;
-    message.put_floats(&[motion.x, motion.y, 0.0, 0.0, 0.0, half.sin(), half.cos()]);
-    message.put_floats(&covariance());
-    message.put_floats(&[motion.speed, 0.0, 0.0, 0.0, 0.0, motion.turn_rate]);
-    message.put_floats(&covariance());
-    message.0
+struct Message {
+    is_cdr: bool,
+    bytes: Vec<u8>,
 }
-
-/// A `sensor_msgs/msg/CompressedImage` with format `jpeg`.
-pub(super) fn compressed_image_in_cdr(stamp: Timestamp, robot: u16, jpeg: &[u8]) -> Vec<u8> {
-    let mut message = Message::new(jpeg.len() + 72);
-    message.put_header(stamp, &format!("robot{robot}_camera"));
-    message.put_text("jpeg");
-    message.put_length(jpeg.len());
-    message.0.extend_from_slice(jpeg);
-    message.0
-}
-
-struct Message(Vec<u8>);
 
 impl Message {
-    fn new(room: usize) -> Self {
+    fn new(is_cdr: bool, room: usize) -> Self {
         let mut bytes = Vec::with_capacity(room);
-        bytes.extend_from_slice(&ENCAPSULATION);
-        Self(bytes)
+        bytes.extend_from_slice(if is_cdr { &ENCAPSULATION } else { &[] });
+        Self { is_cdr, bytes }
     }
 
-    /// Places are counted from behind the encapsulation header.
+    /// In CDR places are multiples of a value's size, counted from behind the encapsulation header.
     fn align(&mut self, size: usize) {
-        let place = self.0.len() - ENCAPSULATION.len();
-        self.0.resize(ENCAPSULATION.len() + place.next_multiple_of(size), 0);
+        if self.is_cdr {
+            let place = self.bytes.len() - ENCAPSULATION.len();
+            self.bytes.resize(ENCAPSULATION.len() + place.next_multiple_of(size), 0);
+        }
     }
 
     fn put_number(&mut self, number: u32) {
         self.align(4);
-        self.0.extend_from_slice(&number.to_le_bytes());
+        self.bytes.extend_from_slice(&number.to_le_bytes());
     }
 
     fn put_length(&mut self, length: usize) {
         self.put_number(u32::try_from(length).unwrap_or(u32::MAX));
     }
 
-    fn put_header(&mut self, stamp: Timestamp, frame: &str) {
+    fn put_header(&mut self, seq: u32, stamp: Timestamp, frame: &str) {
+        if !self.is_cdr {
+            self.put_number(seq);
+        }
         self.put_number(u32::try_from(stamp.seconds()).unwrap_or(u32::MAX));
         self.put_number(u32::try_from(stamp.0 % 1_000_000_000).unwrap_or(0));
         self.put_text(frame);
     }
 
+    /// In CDR a zero ends a text and counts.
     fn put_text(&mut self, text: &str) {
-        self.put_length(text.len() + 1);
-        self.0.extend_from_slice(text.as_bytes());
-        self.0.push(0);
+        let end: &[u8] = if self.is_cdr { &[0] } else { &[] };
+        self.put_length(text.len() + end.len());
+        self.bytes.extend_from_slice(text.as_bytes());
+        self.bytes.extend_from_slice(end);
     }
 
     fn put_floats(&mut self, numbers: &[f64]) {
         self.align(8);
-        numbers.iter().for_each(|number| self.0.extend_from_slice(&number.to_le_bytes()));
+        numbers.iter().for_each(|number| self.bytes.extend_from_slice(&number.to_le_bytes()));
     }
 }
 
@@ -180,7 +126,7 @@ mod tests {
     fn odometry_decodes_to_what_was_put_in() {
         let definition = Definition::parse(ODOMETRY, &odometry_definition()).expect("definition");
         let motion = Track::of_robot(2).at(3.0);
-        let body = odometry(41, Timestamp(1_700_000_000_000_000_007), &motion);
+        let body = odometry(false, 41, Timestamp(1_700_000_000_000_000_007), &motion);
         let value = definition.decode(&body, Limits::default()).expect("fits");
         assert_eq!(value.get("header.seq"), Some(&Value::Unsigned(41)));
         assert_eq!(value.get("header.stamp"), Some(&Value::Time(1_700_000_000, 7)));
@@ -196,7 +142,7 @@ mod tests {
     fn a_picture_comes_back_byte_for_byte() {
         let definition = Definition::parse(COMPRESSED_IMAGE, &compressed_image_definition()).expect("definition");
         let jpeg: Vec<u8> = (0..=255).cycle().take(5000).collect();
-        let body = compressed_image(3, Timestamp(9), 1, &jpeg);
+        let body = compressed_image(false, 3, Timestamp(9), 1, &jpeg);
         let picture = definition.compressed_image(&body).expect("picture");
         assert_eq!((picture.format.as_str(), &body[picture.data]), ("jpeg", jpeg.as_slice()));
         assert_eq!(definition.compressed_image(&body[..body.len() - 1]), None);
@@ -230,7 +176,7 @@ mod cdr_tests {
     #[test]
     fn odometry_decodes_to_what_was_put_in() {
         let motion = Track::of_robot(2).at(3.0);
-        let message = odometry_in_cdr(Timestamp(1_700_000_000_000_000_007), &motion);
+        let message = odometry(true, 41, Timestamp(1_700_000_000_000_000_007), &motion);
         let value = definition("nav_msgs/msg/Odometry").decode(&message, Limits::default()).expect("fits");
         assert_eq!(value.get("header.frame_id"), Some(&Value::Text("odom".into())));
         assert_eq!(value.get("child_frame_id"), Some(&Value::Text("base_link".into())));
@@ -243,7 +189,7 @@ mod cdr_tests {
     #[test]
     fn a_picture_comes_back_byte_for_byte() {
         let jpeg: Vec<u8> = (0..=255).cycle().take(5001).collect();
-        let message = compressed_image_in_cdr(Timestamp(9), 1, &jpeg);
+        let message = compressed_image(true, 3, Timestamp(9), 1, &jpeg);
         let definition = definition("sensor_msgs/msg/CompressedImage");
         let picture = definition.compressed_image(&message).expect("a picture");
         assert_eq!((picture.format.as_str(), &message[picture.data]), ("jpeg", jpeg.as_slice()));

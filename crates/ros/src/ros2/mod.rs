@@ -83,26 +83,52 @@ impl Ros2Capture {
     /// [`RosError::NoReader`] if that program is missing, [`RosError::System`] if no thread can be started.
     pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
         let program = find(program)?;
-        let shared = Arc::new(Shared::new(domain, program, sink));
-        let mut capture = Self { shared: Arc::clone(&shared), threads: Vec::new() };
-        capture.threads.push(keep_reading(&shared)?);
-        capture.threads.push(keep_watch(&shared)?);
+        let shared = Arc::new(Shared {
+            domain,
+            program,
+            sink,
+            state: Mutex::new(State::new(domain)),
+            to_child: Mutex::default(),
+            running: Mutex::default(),
+            frames: AtomicU64::new(0),
+            stopping: AtomicBool::new(false),
+        });
+        let mut capture = Self { shared, threads: Vec::new() };
+        capture.keep("ros2", Shared::supervise)?;
+        capture.keep("ros2 watch", Shared::watch_over)?;
         Ok(capture)
     }
 
-    /// Captures a topic, whenever somebody publishes it.
+    fn keep(&mut self, name: &str, work: fn(&Shared)) -> Result<(), RosError> {
+        let shared = Arc::clone(&self.shared);
+        let started = std::thread::Builder::new().name(name.to_owned()).spawn(move || work(&shared));
+        self.threads.push(started.map_err(|error| RosError::system("start a thread for ROS 2", &error))?);
+        Ok(())
+    }
+
+    /// Captures a topic from now on, whenever somebody publishes it.
     pub fn watch(&self, topic: &TopicName) {
-        self.shared.watch(topic);
+        let mut outcome = Outcome::default();
+        if self.shared.state().watch(topic, &mut outcome) {
+            self.shared.wish(&Wish::Watch { topic: topic.to_string() });
+            self.shared.hand_on(outcome);
+        }
     }
 
     /// Stops capturing it.
     pub fn unwatch(&self, topic: &TopicName) {
-        self.shared.unwatch(topic);
+        let mut outcome = Outcome::default();
+        if self.shared.state().unwatch(topic, Instant::now(), &mut outcome) {
+            self.shared.hand_on(outcome);
+            self.shared.wish(&Wish::Unwatch { topic: topic.to_string() });
+        }
     }
 
     /// Captures the messages of a topic, or of all, that still wait for the identity of their publisher. Blocks like the sink.
     pub fn settle(&self, topic: Option<&str>) {
-        self.shared.settle(topic);
+        let mut outcome = Outcome::default();
+        self.shared.state().settle(Instant::now(), |name| topic.is_none_or(|topic| topic == name), &mut outcome);
+        self.shared.hand_on(outcome);
     }
 
     pub fn watched(&self) -> Vec<TopicName> {
@@ -129,8 +155,10 @@ impl Ros2Capture {
 
 impl Drop for Ros2Capture {
     fn drop(&mut self) {
-        self.shared.settle(None);
-        self.shared.stop();
+        self.settle(None);
+        // The end of its pipe tells the program to leave.
+        self.shared.stopping.store(true, Ordering::Release);
+        locked(&self.shared.to_child).take();
         for thread in self.threads.drain(..) {
             drop(thread.join());
         }
@@ -138,9 +166,10 @@ impl Drop for Ros2Capture {
 }
 
 /// The state of the program that reads.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum Reading {
     /// It was started and has not reported yet, or has not had time for discovery.
+    #[default]
     Looking,
     /// It reads.
     Up,
@@ -208,8 +237,8 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 const BEGAN_WELL: Duration = Duration::from_secs(10);
 
 /// Shared by the threads of a capture.
-pub struct Shared {
-    pub domain: u16,
+struct Shared {
+    domain: u16,
     program: PathBuf,
     sink: Arc<dyn MessageSink>,
     state: Mutex<State>,
@@ -224,22 +253,7 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Shared {
-    /// Nothing runs yet.
-    pub fn new(domain: u16, program: PathBuf, sink: Arc<dyn MessageSink>) -> Self {
-        Self {
-            domain,
-            program,
-            sink,
-            state: Mutex::new(State::new(domain)),
-            to_child: Mutex::default(),
-            running: Mutex::default(),
-            frames: AtomicU64::new(0),
-            stopping: AtomicBool::new(false),
-        }
-    }
-
-    /// What is known.
-    pub fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, State> {
         locked(&self.state)
     }
 
@@ -253,31 +267,6 @@ impl Shared {
         outcome.definitions.into_iter().for_each(|message| self.sink.define(message));
     }
 
-    /// Captures the messages that still wait for the identity of their publisher, of a topic or of all.
-    pub fn settle(&self, topic: Option<&str>) {
-        let mut outcome = Outcome::default();
-        self.state().settle(Instant::now(), |name| topic.is_none_or(|topic| topic == name), &mut outcome);
-        self.hand_on(outcome);
-    }
-
-    /// Captures a topic from now on.
-    pub fn watch(&self, topic: &TopicName) {
-        let mut outcome = Outcome::default();
-        if self.state().watch(topic, &mut outcome) {
-            self.wish(&Wish::Watch { topic: topic.to_string() });
-            self.hand_on(outcome);
-        }
-    }
-
-    /// Stops capturing it.
-    pub fn unwatch(&self, topic: &TopicName) {
-        let mut outcome = Outcome::default();
-        if self.state().unwatch(topic, Instant::now(), &mut outcome) {
-            self.hand_on(outcome);
-            self.wish(&Wish::Unwatch { topic: topic.to_string() });
-        }
-    }
-
     /// A program that does not receive it is restarted, and told then.
     fn wish(&self, wish: &Wish) {
         if let Some(to) = locked(&self.to_child).as_mut() {
@@ -287,12 +276,6 @@ impl Shared {
 
     fn is_stopping(&self) -> bool {
         self.stopping.load(Ordering::Acquire)
-    }
-
-    /// The end of its pipe tells the program to leave.
-    pub fn stop(&self) {
-        self.stopping.store(true, Ordering::Release);
-        locked(&self.to_child).take();
     }
 
     fn wait(&self, pause: Duration) {
@@ -401,30 +384,6 @@ impl Shared {
     }
 }
 
-fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, RosError> {
-    let started = std::thread::Builder::new().name(name.to_owned()).spawn(work);
-    started.map_err(|error| RosError::system("start a thread for ROS 2", &error))
-}
-
-/// Runs the program again and again until the capture is stopped.
-///
-/// # Errors
-/// [`RosError::System`] if there is no thread to be had.
-pub fn keep_reading(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
-    let shared = Arc::clone(shared);
-    thread("ros2", move || shared.supervise())
-}
-
-/// Kills a program that no longer reports.
-pub fn keep_watch(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
-    let shared = Arc::clone(shared);
-    thread("ros2 watch", move || shared.watch_over())
-}
-
-/// How long the program may take to join the domain.
-const JOINING: Duration = Duration::from_secs(10);
-/// How long it may take to answer about a topic: it looks around first, and waits for subscribers.
-const ANSWERING: Duration = Duration::from_secs(10);
 /// The most bytes of latched messages kept for a program that has to be started anew.
 const MOST_LATCHED: usize = 128 << 20;
 
@@ -472,11 +431,7 @@ impl Ros2Publisher {
     }
 
     fn joined(&self) -> Result<(), RosError> {
-        match self.run.wait(JOINING, |state| state.joined.then_some(())) {
-            Ok(Some(())) => Ok(()),
-            Ok(None) => Err(self.failed("the program that publishes does not answer")),
-            Err(reason) => Err(self.failed(&reason)),
-        }
+        self.run.joined().map_err(|reason| self.failed(&reason))
     }
 
     fn failed(&self, reason: &str) -> RosError {
@@ -485,7 +440,7 @@ impl Ros2Publisher {
 
     /// Whether its program can open no file and no local socket.
     pub fn is_confined(&self) -> bool {
-        self.run.is_confined()
+        self.run.state().confined
     }
 
     pub fn domain(&self) -> u16 {
@@ -503,20 +458,12 @@ impl Ros2Publisher {
         let writer = self.next;
         self.next = self.next.wrapping_add(1);
         let size = u32::try_from(size).unwrap_or(u32::MAX);
-        self.order(&Order::Advertise { writer, topic: topic.clone(), size, alone, patient }, &[])?;
-        match self.run.wait(ANSWERING, |state| state.answers.remove(&writer)) {
-            Ok(Some(Ok(()))) => {
-                let announced = Announced { topic: topic.clone(), size, latched: VecDeque::new() };
-                self.announced.insert(writer, announced);
-                Ok(Ok(writer))
-            }
-            Ok(Some(Err(declined))) => Ok(Err(declined)),
-            Ok(None) => {
-                self.run.kill();
-                Err(self.failed("the program that publishes does not answer"))
-            }
-            Err(reason) => Err(self.failed(&reason)),
+        let order = Order::Advertise { writer, topic: topic.clone(), size, alone, patient };
+        let answer = self.run.announce(writer, &order, &[]).map_err(|reason| self.failed(&reason))?;
+        if answer.is_ok() {
+            self.announced.insert(writer, Announced { topic: topic.clone(), size, latched: VecDeque::new() });
         }
+        Ok(answer.map(|()| writer))
     }
 
     /// Hands out a message, with its encapsulation header; false if the topic is not announced or nobody publishes now.
@@ -588,12 +535,12 @@ impl Ros2Publisher {
 
     /// Whether subscribers have everything, after [`Self::leave`], or nobody sends it any more.
     pub fn is_sent(&self) -> bool {
-        self.run.has_left() || self.run.broken().is_some()
+        self.run.is_sent()
     }
 
     fn delivery(&self) -> Delivery {
-        let Delivery { missed, unconfirmed } = self.earlier;
-        Delivery { missed: missed + self.run.missed(), unconfirmed: unconfirmed + self.run.best_effort() }
+        let (Delivery { missed, unconfirmed }, state) = (self.earlier, self.run.state());
+        Delivery { missed: missed + state.missed(), unconfirmed: unconfirmed + state.best_effort }
     }
 
     /// Leaves the domain. What is queued or not acknowledged was missed; if a right to it has ended, nobody knows.
@@ -603,7 +550,10 @@ impl Ros2Publisher {
             return delivery;
         }
         let Delivery { missed, unconfirmed } = delivery;
-        let open = self.run.unacknowledged() + self.run.unconfirmed().0 as u64;
+        let open = {
+            let state = self.run.state();
+            state.unacknowledged + state.unconfirmed().0 as u64
+        };
         if by_right {
             return Delivery { missed, unconfirmed: unconfirmed + open };
         }

@@ -27,7 +27,7 @@ fn what_is_confirmed_is_no_longer_waited_for_and_what_was_dropped_is_counted() {
     // More than was handed out, and more drops than messages.
     state.take(taken(9, u32::MAX), 0).expect("taken");
     assert_eq!((state.unconfirmed(), state.missed()), ((0, 0), 10));
-    assert_eq!((state.unacknowledged(), state.best_effort()), (4, 7), "the last figures hold");
+    assert_eq!((state.unacknowledged, state.best_effort), (4, 7), "the last figures hold");
 }
 
 #[test]

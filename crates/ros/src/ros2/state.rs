@@ -43,6 +43,7 @@ pub struct Outcome {
 }
 
 /// What is known.
+#[derive(Default)]
 pub struct State {
     /// Topics to be captured.
     pub watched: BTreeSet<TopicName>,
@@ -71,21 +72,7 @@ pub struct State {
 impl State {
     /// Nothing is known yet.
     pub fn new(domain: u16) -> Self {
-        Self {
-            watched: BTreeSet::new(),
-            reading: Reading::Looking,
-            counts: Counts::default(),
-            restarts: 0,
-            confined: None,
-            domain,
-            publishers: BTreeMap::new(),
-            descriptions: Descriptions::default(),
-            started: 0,
-            hello: None,
-            ordered: None,
-            held: 0,
-            participants: Vec::new(),
-        }
+        Self { domain, ..Self::default() }
     }
 
     /// Handles a frame.

@@ -12,7 +12,7 @@ use std::time::SystemTime;
 
 use rusqlite::config::DbConfig;
 use rusqlite::types::ValueRef;
-use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension as _, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension as _, Row, Rows, params};
 
 use crate::model::{Timestamp, clean};
 use crate::ros::RosError;
@@ -195,16 +195,7 @@ impl Db3Reader {
         let mut statement = self.database.prepare(&query).map_err(failed)?;
         let mut rows = statement.query([]).map_err(failed)?;
         let mut bytes = 0;
-        loop {
-            let row = match rows.next() {
-                Ok(Some(row)) => row,
-                Ok(None) => break,
-                Err(error) => {
-                    let text = format!("the table of topics cannot be read to its end: {}", told(&error));
-                    self.findings.note(0, &text);
-                    break;
-                }
-            };
+        while let Some(row) = next_row(&mut rows, "topics", &mut self.findings) {
             let Some(id) = row.get_ref(0).ok().and_then(|value| value.as_i64().ok()) else { continue };
             let [name, type_name, format, qos, hash] = [1, 2, 3, 4, 5].map(|column| text_at(row, column));
             bytes += name.as_deref().map_or(0, str::len) + type_name.as_deref().map_or(0, str::len);
@@ -241,16 +232,7 @@ impl Db3Reader {
             let mut statement = self.database.prepare(&query)?;
             let mut rows = statement.query([])?;
             let mut put = self.places.prepare("INSERT OR IGNORE INTO places VALUES(?1, ?2, ?3, ?4)")?;
-            loop {
-                let row = match rows.next() {
-                    Ok(Some(row)) => row,
-                    Ok(None) => break,
-                    Err(error) => {
-                        let text = format!("the table of messages cannot be read to its end: {}", told(&error));
-                        self.findings.note(0, &text);
-                        break;
-                    }
-                };
+            while let Some(row) = next_row(&mut rows, "messages", &mut self.findings) {
                 let number = |column| row.get_ref(column).ok().and_then(|value| value.as_i64().ok());
                 let name =
                     || number(1).and_then(|topic| self.topics.get(&topic)).map_or("", |topic| topic.name.as_str());
@@ -320,33 +302,27 @@ impl Db3Reader {
             self.findings.leave_out("", &format!("its topic {} is not described anywhere in the file", place.topic));
             return None;
         };
-        let channel = match &topic.usable {
-            Ok(channel) => Arc::clone(channel),
-            Err(why) => {
-                self.findings.leave_out(&topic.name, why);
-                return None;
-            }
-        };
-        if usize::try_from(place.size).map_or(true, |size| size > LONGEST_MESSAGE) {
-            self.findings.leave_out(&topic.name, TOO_LARGE);
-            return None;
-        }
-        let body = self.body(place.row).and_then(|body| {
-            let body = body.ok_or_else(|| String::from("its row cannot be found again"))?;
-            unpacked_body(channel.encoding, body)
-        });
-        match body {
-            Ok(body) => {
-                let time = Timestamp(u64::try_from(place.time).unwrap_or_default());
-                self.latest = time;
+        match self.read(topic, place) {
+            Ok(message) => {
+                self.latest = message.time;
                 self.findings.unguarded += 1;
-                Some(RecordedMessage { channel, time, sent: None, body })
+                Some(message)
             }
             Err(why) => {
                 self.findings.leave_out(&topic.name, &why);
                 None
             }
         }
+    }
+
+    fn read(&self, topic: &Topic, place: Place) -> Result<RecordedMessage, String> {
+        let channel = topic.usable.clone()?;
+        if usize::try_from(place.size).map_or(true, |size| size > LONGEST_MESSAGE) {
+            return Err(TOO_LARGE.to_owned());
+        }
+        let body = self.body(place.row)?.ok_or_else(|| String::from("its row cannot be found again"))?;
+        let (body, time) = (unpacked_body(channel.encoding, body)?, u64::try_from(place.time).unwrap_or_default());
+        Ok(RecordedMessage { channel, time: Timestamp(time), sent: None, body })
     }
 
     fn body(&self, row: i64) -> Result<Option<Vec<u8>>, String> {
@@ -358,12 +334,20 @@ impl Db3Reader {
     }
 }
 
+/// The next row of a table; where it cannot be read any further is damage.
+fn next_row<'a, 'b>(rows: &'a mut Rows<'b>, table: &str, findings: &mut Findings) -> Option<&'a Row<'b>> {
+    rows.next().unwrap_or_else(|error| {
+        findings.note(0, &format!("the table of {table} cannot be read to its end: {}", told(&error)));
+        None
+    })
+}
+
 /// A text column, unless it is too long.
 fn bounded(column: &str) -> String {
     format!("CASE WHEN octet_length({column}) <= {LONGEST_TEXT} THEN {column} END")
 }
 
-fn text_at(row: &rusqlite::Row<'_>, column: usize) -> Option<String> {
+fn text_at(row: &Row<'_>, column: usize) -> Option<String> {
     match row.get_ref(column) {
         Ok(ValueRef::Text(text)) => String::from_utf8(text.to_vec()).ok(),
         _ => None,

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use crate::model::clean;
 use crate::ros::RosError;
-use crate::ros::mcap::{Beside, attachment_record};
+use crate::ros::mcap::{AttachedFile, Beside};
 use crate::ros::recording::{
     Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, RecordingReader, SPOILT, why,
 };
@@ -148,7 +148,9 @@ impl FolderReader {
     /// [`RosError::Recording`] if it has no `metadata.yaml` that can be read.
     pub fn open(folder: &Path) -> Result<Self, RosError> {
         let (text, metadata) = described(folder)?;
-        let body = attachment_record(metadata.begins, METADATA, "application/yaml", text.as_bytes());
+        let (name, media_type, data) = (METADATA.into(), "application/yaml".into(), text.as_bytes());
+        let body =
+            AttachedFile { logged_at: metadata.begins, created_at: 0, name, media_type, data, checksum: 0 }.encode();
         let channel = Arc::new(Beside::Attachment.channel());
         let described = RecordedMessage { channel, time: metadata.begins, sent: None, body };
         let size = |name: &String| std::fs::metadata(folder.join(name)).map_or(0, |found| found.len());

@@ -123,15 +123,29 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Serves `listener` in its own thread, this many connections at once.
-    pub fn start(listener: TcpListener, answer: Arc<dyn Answer>, most: usize) -> std::io::Result<Self> {
+    /// Answers the calls that come to `listener`, this many connections at once.
+    pub fn start(listener: TcpListener, answer: Arc<dyn Answer>, most: usize) -> io::Result<Self> {
+        Self::of("ros-slave", listener, most, move |stream| serve(&stream, &*answer))
+    }
+
+    /// Has each connection handled in a thread of its own, this many at once; further ones are closed.
+    pub fn of(
+        name: &'static str,
+        listener: TcpListener,
+        most: usize,
+        handle: impl Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static,
+    ) -> io::Result<Self> {
         let address = listener.local_addr()?;
         let stopping = Arc::new(AtomicBool::new(false));
-        let seen = Arc::clone(&stopping);
-        let thread = std::thread::Builder::new()
-            .name("ros-slave".into())
-            .spawn(move || accept_all(&listener, &seen, &answer, most))?;
+        let (seen, handle) = (Arc::clone(&stopping), Arc::new(handle));
+        let accept = move || accept_all(name, &listener, &seen, &handle, most);
+        let thread = std::thread::Builder::new().name(name.into()).spawn(accept)?;
         Ok(Self { address, stopping, thread: Some(thread) })
+    }
+
+    /// The port that it listens on.
+    pub fn port(&self) -> u16 {
+        self.address.port()
     }
 }
 
@@ -146,7 +160,13 @@ impl Drop for Server {
     }
 }
 
-fn accept_all(listener: &TcpListener, stopping: &AtomicBool, answer: &Arc<dyn Answer>, most: usize) {
+fn accept_all<H: Fn(TcpStream) -> io::Result<()> + Send + Sync + 'static>(
+    name: &str,
+    listener: &TcpListener,
+    stopping: &AtomicBool,
+    handle: &Arc<H>,
+    most: usize,
+) {
     let open = Arc::new(AtomicUsize::new(0));
     while !stopping.load(Ordering::SeqCst) {
         let Ok((stream, _)) = listener.accept() else {
@@ -157,13 +177,12 @@ fn accept_all(listener: &TcpListener, stopping: &AtomicBool, answer: &Arc<dyn An
         if stopping.load(Ordering::SeqCst) || open.load(Ordering::SeqCst) >= most {
             continue;
         }
-        let place = Place::take(&open);
-        let answer = Arc::clone(answer);
+        let (place, handle) = (Place::take(&open), Arc::clone(handle));
         // Without a thread the peer's connection is closed, and it asks again.
-        let _ = std::thread::Builder::new().name("ros-slave-call".into()).spawn(move || {
+        let _ = std::thread::Builder::new().name(format!("{name}-call")).spawn(move || {
             let _place = place;
             // A peer that disconnects has only itself to blame.
-            let _ = serve(&stream, &*answer);
+            let _ = handle(stream);
         });
     }
 }

@@ -1,6 +1,12 @@
 //! XML-RPC values, written and parsed as XML: the subset of XML it uses, nothing else (no document types, no custom
 //! entities), values nested at most 16 deep. The caller caps the input's size.
 
+use std::borrow::Cow;
+
+use quick_xml::Reader;
+use quick_xml::escape::partial_escape;
+use quick_xml::events::{BytesStart, Event};
+
 /// An XML-RPC value. Dates and base64 remain text, unchanged.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Value {
@@ -100,15 +106,8 @@ fn write_struct(members: &[(String, Value)], out: &mut String) {
 }
 
 fn escape(text: &str, out: &mut String) {
-    for character in text.chars() {
-        match character {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '\r' => out.push_str("&#13;"),
-            _ => out.push(character),
-        }
-    }
+    // A reader of XML may take a carriage return for a line feed.
+    out.push_str(&partial_escape(text).replace('\r', "&#13;"));
 }
 
 /// The XML of a call.
@@ -152,15 +151,6 @@ pub(super) struct ParseError(&'static str);
 
 type Result<T> = std::result::Result<T, ParseError>;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Token<'a> {
-    Open(&'a str),
-    Close(&'a str),
-    Empty(&'a str),
-    Text(&'a str),
-    Verbatim(&'a str),
-}
-
 /// The content of a response.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Response {
@@ -168,151 +158,126 @@ pub(super) enum Response {
     Fault(String),
 }
 
-struct Tokens<'a> {
-    rest: &'a str,
-}
+/// Reads tags one after the other; each that is opened is closed in its place.
+struct Tags<'a>(Reader<&'a [u8]>);
 
-impl<'a> Tokens<'a> {
-    fn next(&mut self) -> Result<Token<'a>> {
+impl<'a> Tags<'a> {
+    fn of(text: &'a str) -> Self {
+        let mut reader = Reader::from_str(text);
+        reader.config_mut().expand_empty_elements = true;
+        Self(reader)
+    }
+
+    fn next(&mut self) -> Result<Event<'a>> {
         loop {
-            if let Some(after) = self.rest.strip_prefix("<?") {
-                self.rest = after.split_once("?>").ok_or(ParseError("an instruction does not end"))?.1;
-            } else if let Some(after) = self.rest.strip_prefix("<!--") {
-                self.rest = after.split_once("-->").ok_or(ParseError("a comment does not end"))?.1;
-            } else {
-                return self.token();
+            match self.0.read_event() {
+                Ok(Event::Decl(_) | Event::PI(_) | Event::Comment(_)) => {}
+                Ok(Event::DocType(_)) => return Err(ParseError("it declares a document type")),
+                Ok(Event::Eof) => return Err(ParseError("it ends too early")),
+                Ok(event) => return Ok(event),
+                Err(_) => return Err(ParseError("a tag is broken, or not closed in its place")),
             }
         }
     }
 
-    fn token(&mut self) -> Result<Token<'a>> {
-        if let Some(after) = self.rest.strip_prefix("<![CDATA[") {
-            let (text, rest) = after.split_once("]]>").ok_or(ParseError("a text does not end"))?;
-            self.rest = rest;
-            return Ok(Token::Verbatim(text));
-        }
-        let Some(after) = self.rest.strip_prefix('<') else {
-            let end = self.rest.find('<').ok_or(ParseError("it ends too early"))?;
-            let (text, rest) = self.rest.split_at(end);
-            self.rest = rest;
-            return Ok(Token::Text(text));
-        };
-        let (tag, rest) = after.split_once('>').ok_or(ParseError("a tag does not end"))?;
-        self.rest = rest;
-        if let Some(name) = tag.strip_prefix('/') {
-            Ok(Token::Close(name.trim()))
-        } else if tag.starts_with('!') {
-            Err(ParseError("it declares a document type"))
-        } else if let Some(name) = tag.strip_suffix('/') {
-            Ok(Token::Empty(name.trim()))
-        } else {
-            Ok(Token::Open(tag.split_whitespace().next().unwrap_or_default()))
-        }
-    }
-
-    /// The next token that is not white space between tags.
-    fn tag(&mut self) -> Result<Token<'a>> {
+    /// The next tag that is opened; `None` if the last one is closed.
+    fn tag(&mut self) -> Result<Option<BytesStart<'a>>> {
         loop {
             match self.next()? {
-                Token::Text(text) if text.trim().is_empty() => {}
-                token => return Ok(token),
+                Event::Start(tag) => return Ok(Some(tag)),
+                Event::End(_) => return Ok(None),
+                Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => {}
+                _ => return Err(ParseError("a text stands between tags")),
             }
         }
     }
 
-    fn open(&mut self, name: &'static str) -> Result<()> {
-        if self.tag()? == Token::Open(name) { Ok(()) } else { Err(ParseError("another tag was expected")) }
+    fn open(&mut self, name: &str) -> Result<()> {
+        let is_it = self.tag()?.is_some_and(|tag| tag.name().as_ref() == name.as_bytes());
+        if is_it { Ok(()) } else { Err(ParseError("another tag was expected")) }
     }
 
-    fn close(&mut self, name: &str) -> Result<()> {
-        if self.tag()? == Token::Close(name) { Ok(()) } else { Err(ParseError("a tag is not closed in its place")) }
+    fn close(&mut self) -> Result<()> {
+        if self.tag()?.is_none() { Ok(()) } else { Err(ParseError("a tag holds more than it should")) }
     }
 
-    /// Text up to the closing tag `name`, which is consumed too.
-    fn text_until(&mut self, name: &str) -> Result<String> {
+    /// Takes each tag of this name until the one around them is closed.
+    fn each(&mut self, name: &str, mut take: impl FnMut(&mut Self) -> Result<()>) -> Result<()> {
+        while let Some(tag) = self.tag()? {
+            if tag.name().as_ref() != name.as_bytes() {
+                return Err(ParseError("another tag was expected"));
+            }
+            take(self)?;
+        }
+        Ok(())
+    }
+
+    /// Text up to the closing tag, which is consumed too.
+    fn text(&mut self) -> Result<String> {
         let mut out = String::new();
         loop {
             match self.next()? {
-                Token::Text(text) => unescape(text, &mut out)?,
-                Token::Verbatim(text) => out.push_str(text),
-                Token::Close(closed) if closed == name => return Ok(out),
-                _ => return Err(ParseError("a text holds tags")),
+                Event::End(_) => return Ok(out),
+                event => out.push_str(&text_of(&event)?),
             }
         }
     }
 }
 
-fn unescape(text: &str, out: &mut String) -> Result<()> {
-    let mut rest = text;
-    while let Some((plain, after)) = rest.split_once('&') {
-        out.push_str(plain);
-        let (entity, after) = after.split_once(';').ok_or(ParseError("an entity does not end"))?;
-        out.push(match entity {
-            "amp" => '&',
-            "lt" => '<',
-            "gt" => '>',
-            "quot" => '"',
-            "apos" => '\'',
-            _ => numeric(entity).ok_or(ParseError("an entity is unknown"))?,
-        });
-        rest = after;
+fn text_of<'a>(event: &'a Event<'_>) -> Result<Cow<'a, str>> {
+    match event {
+        Event::Text(text) => text.unescape().map_err(|_| ParseError("an entity is unknown, or does not end")),
+        Event::CData(text) => Ok(String::from_utf8_lossy(text)),
+        _ => Err(ParseError("a text holds tags")),
     }
-    out.push_str(rest);
-    Ok(())
-}
-
-fn numeric(entity: &str) -> Option<char> {
-    let digits = entity.strip_prefix('#')?;
-    let code = match digits.strip_prefix(['x', 'X']) {
-        Some(hex) => u32::from_str_radix(hex, 16).ok()?,
-        None => digits.parse().ok()?,
-    };
-    char::from_u32(code)
 }
 
 /// The value after an opened `<value>`, including the closing tag.
-fn value(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
+fn value(tags: &mut Tags<'_>, depth: usize) -> Result<Value> {
     if depth > DEEPEST {
         return Err(ParseError("its values are nested too deeply"));
     }
     let mut plain = String::new();
     loop {
-        match tokens.next()? {
-            Token::Text(text) => unescape(text, &mut plain)?,
-            Token::Verbatim(text) => plain.push_str(text),
-            Token::Close("value") => return Ok(Value::Text(plain)),
-            Token::Open(kind) => {
-                let inner = typed(tokens, kind, depth)?;
-                tokens.close("value")?;
+        match tags.next()? {
+            Event::End(_) => return Ok(Value::Text(plain)),
+            Event::Start(tag) => {
+                let inner = typed(tags, &String::from_utf8_lossy(tag.name().as_ref()), depth)?;
+                tags.close()?;
                 return Ok(inner);
             }
-            Token::Empty(kind) => {
-                let inner = empty(kind)?;
-                tokens.close("value")?;
-                return Ok(inner);
-            }
-            Token::Close(_) => return Err(ParseError("a value is not closed in its place")),
+            event => plain.push_str(&text_of(&event)?),
         }
     }
 }
 
-fn empty(kind: &str) -> Result<Value> {
+fn typed(tags: &mut Tags<'_>, kind: &str, depth: usize) -> Result<Value> {
     match kind {
-        "string" | "base64" => Ok(Value::Text(String::new())),
-        "nil" => Ok(Value::Nil),
-        "struct" => Ok(Value::Struct(Vec::new())),
-        _ => Err(ParseError("a value is empty")),
-    }
-}
-
-fn typed(tokens: &mut Tokens<'_>, kind: &str, depth: usize) -> Result<Value> {
-    match kind {
-        "array" => array(tokens, depth),
-        "struct" => structure(tokens, depth),
-        "string" => tokens.text_until(kind).map(Value::Text),
-        "dateTime.iso8601" | "base64" => Ok(Value::Text(tokens.text_until(kind)?.trim().to_owned())),
-        "nil" => tokens.text_until(kind).map(|_| Value::Nil),
-        _ => number(kind, tokens.text_until(kind)?.trim()).ok_or(ParseError("a value does not match its type")),
+        "array" => {
+            let mut items = Vec::new();
+            tags.open("data")?;
+            tags.each("value", |tags| {
+                items.push(value(tags, depth + 1)?);
+                Ok(())
+            })?;
+            tags.close()?;
+            Ok(Value::Array(items))
+        }
+        "struct" => {
+            let mut members = Vec::new();
+            tags.each("member", |tags| {
+                tags.open("name")?;
+                let name = tags.text()?;
+                tags.open("value")?;
+                members.push((name, value(tags, depth + 1)?));
+                tags.close()
+            })?;
+            Ok(Value::Struct(members))
+        }
+        "string" => tags.text().map(Value::Text),
+        "dateTime.iso8601" | "base64" => Ok(Value::Text(tags.text()?.trim().to_owned())),
+        "nil" => tags.text().map(|_| Value::Nil),
+        _ => number(kind, tags.text()?.trim()).ok_or(ParseError("a value does not match its type")),
     }
 }
 
@@ -329,79 +294,37 @@ fn number(kind: &str, text: &str) -> Option<Value> {
     }
 }
 
-fn array(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
-    let mut items = Vec::new();
-    match tokens.tag()? {
-        Token::Open("data") => loop {
-            match tokens.tag()? {
-                Token::Open("value") => items.push(value(tokens, depth + 1)?),
-                Token::Empty("value") => items.push(Value::Text(String::new())),
-                Token::Close("data") => break,
-                _ => return Err(ParseError("an array contains something that is not a value")),
-            }
-        },
-        Token::Empty("data") => {}
-        _ => return Err(ParseError("an array has no data")),
-    }
-    tokens.close("array")?;
-    Ok(Value::Array(items))
-}
-
-fn structure(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
-    let mut members = Vec::new();
-    loop {
-        match tokens.tag()? {
-            Token::Open("member") => {
-                tokens.open("name")?;
-                let name = tokens.text_until("name")?;
-                tokens.open("value")?;
-                members.push((name, value(tokens, depth + 1)?));
-                tokens.close("member")?;
-            }
-            Token::Close("struct") => return Ok(Value::Struct(members)),
-            _ => return Err(ParseError("a struct contains something that is not a member")),
-        }
-    }
-}
-
 /// Parses a call: method name and parameters.
 pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
-    let mut tokens = Tokens { rest: text };
-    tokens.open("methodCall")?;
-    tokens.open("methodName")?;
-    let method = tokens.text_until("methodName")?.trim().to_owned();
-    let mut params = Vec::new();
-    match tokens.tag()? {
-        Token::Open("params") => {}
-        Token::Empty("params") | Token::Close("methodCall") => return Ok((method, params)),
-        _ => return Err(ParseError("a call has no parameters")),
+    let mut tags = Tags::of(text);
+    tags.open("methodCall")?;
+    tags.open("methodName")?;
+    let (method, mut params) = (tags.text()?.trim().to_owned(), Vec::new());
+    match tags.tag()? {
+        Some(tag) if tag.name().as_ref() == b"params" => tags.each("param", |tags| {
+            tags.open("value")?;
+            params.push(value(tags, 0)?);
+            tags.close()
+        })?,
+        Some(_) => return Err(ParseError("a call has no parameters")),
+        None => {}
     }
-    loop {
-        match tokens.tag()? {
-            Token::Open("param") => {
-                tokens.open("value")?;
-                params.push(value(&mut tokens, 0)?);
-                tokens.close("param")?;
-            }
-            Token::Close("params") => return Ok((method, params)),
-            _ => return Err(ParseError("a call has broken parameters")),
-        }
-    }
+    Ok((method, params))
 }
 
 /// Parses a response: its one value, or the text of its fault.
 pub(super) fn parse_response(text: &str) -> Result<Response> {
-    let mut tokens = Tokens { rest: text };
-    tokens.open("methodResponse")?;
-    match tokens.tag()? {
-        Token::Open("params") => {
-            tokens.open("param")?;
-            tokens.open("value")?;
-            value(&mut tokens, 0).map(Response::Value)
+    let mut tags = Tags::of(text);
+    tags.open("methodResponse")?;
+    match tags.tag()? {
+        Some(tag) if tag.name().as_ref() == b"params" => {
+            tags.open("param")?;
+            tags.open("value")?;
+            value(&mut tags, 0).map(Response::Value)
         }
-        Token::Open("fault") => {
-            tokens.open("value")?;
-            Ok(Response::Fault(fault_words(&value(&mut tokens, 0)?)))
+        Some(tag) if tag.name().as_ref() == b"fault" => {
+            tags.open("value")?;
+            Ok(Response::Fault(fault_words(&value(&mut tags, 0)?)))
         }
         _ => Err(ParseError("a response has neither value nor fault")),
     }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use authros_model::Timestamp;
 use authros_ros::robot::{COMPRESSED_IMAGE, compressed_image_definition};
-use authros_ros::{Advertised, Publisher, md5sum};
+use authros_ros::{Advertised, GraphPublisher as _, Publisher, md5sum};
 use authros_service::Failure;
 use authros_service::failure::internal;
 
@@ -92,7 +92,7 @@ impl Publishers {
 
     /// How many of them did not fit into a subscriber's queue.
     pub fn overflowed(&self) -> u64 {
-        self.nodes.iter().map(|node| node.publisher.overflowed()).sum()
+        self.nodes.iter().map(|node| node.publisher.missed()).sum()
     }
 
     /// Ends publishing; the nodes stay.

@@ -6,7 +6,7 @@ use std::time::Instant;
 use crate::account::{head, message};
 use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_crypto::compression::pack;
-use authros_crypto::record::{open_in_steps, seal_in_steps};
+use authros_crypto::record::{Step, open_in_steps, seal_in_steps};
 use authros_crypto::{Anchor, Expected, Names, Provider, SealRequest, SealedRecord, SmKeyPair, TopicKey};
 use authros_model::{Address, Domain, FilterId, Head, RecordKind, RecorderPrefix, Timestamp, TopicId};
 use authros_service::Failure;
@@ -84,7 +84,7 @@ impl Kit {
             head: &self.head,
             body: &self.body,
         };
-        let sealed = seal_in_steps(self.provider, &request, &mut |step| clock.done(step.word()))?;
+        let sealed = seal_in_steps(self.provider, &request, &mut |step| clock.done(word(step)))?;
         match packed {
             None => Ok((sealed, clock.lap)),
             Some(_) => Err(internal("random bytes were compressed")),
@@ -101,10 +101,21 @@ impl Kit {
         let mut clock = Clock::start();
         let proven = black_box(inclusion.proves(black_box(&leaf)));
         clock.done("proof");
-        let mut done = |step: authros_crypto::record::Step| clock.done(step.word());
+        let mut done = |step: Step| clock.done(word(step));
         let opened = open_in_steps(self.provider, record, Anchor::Chain(*digest), &self.key, &expected, &mut done)?;
         let same = proven && opened.body == self.body;
         if same { Ok(clock.lap) } else { Err(internal("a record did not open to what was sealed")) }
+    }
+}
+
+fn word(step: Step) -> &'static str {
+    match step {
+        Step::Fields => "fields",
+        Step::Keys => "keys",
+        Step::Cipher => "SM4-GCM",
+        Step::Digest => "SM3",
+        Step::Signature => "SM2",
+        Step::Restore => "restore",
     }
 }
 

@@ -1,7 +1,7 @@
 //! Reading an MCAP file while somebody writes it: only whole records are read, and what is missing is waited for until
 //! the file has its footer, or the caller says that nobody writes it any more.
 
-use std::io::{BufRead, Read, Seek};
+use std::io::{BufRead, Seek};
 use std::ops::Range;
 
 use super::{Code, Fields, LEAD, McapReader};
@@ -82,7 +82,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     fn is_next_whole(&mut self) -> std::io::Result<bool> {
         let Some((code, length)) = self.look(self.position)? else { return Ok(false) };
         let end = self.position.saturating_add(LEAD).saturating_add(length);
-        match Code::from_byte(code) {
+        match Code::from_repr(code) {
             // No record has this code: bytes that are not written yet.
             None if code == 0 => Ok(false),
             // What follows it is read at once.
@@ -101,7 +101,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     fn first_time(&mut self) -> std::io::Result<Option<Timestamp>> {
         let mut at = self.position;
         while let Some((code, length)) = self.look(at)? {
-            let before_time = match Code::from_byte(code) {
+            let before_time = match Code::from_repr(code) {
                 Some(Code::Chunk) => 0,
                 // Its channel and its number.
                 Some(Code::Message) => 6,
@@ -122,12 +122,8 @@ impl<R: BufRead + Seek> McapReader<R> {
         let Some(footer) = self.length.checked_sub(super::TAIL).filter(|footer| *footer >= self.position) else {
             return Ok(false);
         };
-        super::go_to(&mut self.file, footer)?;
-        let mut tail = Vec::new();
-        self.file.by_ref().take(super::TAIL).read_to_end(&mut tail)?;
-        let mut fields = Fields(&tail);
-        let is_footer = fields.record().is_some_and(|(code, _)| code == Code::Footer as u8);
-        Ok(is_footer && fields.0 == super::MAGIC)
+        let tail = super::read_at(&mut self.file, footer, super::TAIL)?;
+        Ok(crate::ros::mcap::footer(&tail).is_some())
     }
 }
 

@@ -3,7 +3,6 @@
 use crate::config::Config;
 use crate::pipeline::Recorder;
 use crate::site::parts::Parts;
-use std::any::Any;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,9 +16,7 @@ use crate::crypto::random_bytes;
 use crate::model::TopicName;
 use crate::model::bytes::hex;
 use crate::ros::graph::Unreached;
-use crate::ros::{
-    Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, RosrustFleet, TopicInfo,
-};
+use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, TopicInfo};
 use crate::service::event::Part;
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -49,15 +46,13 @@ pub enum RosState {
     },
 }
 
-/// Simulated robots: nodes of this process, or rosrust in processes of their own. They unregister when this is dropped.
-type Robots = Box<dyn Any + Send + Sync>;
-
-fn start_robots(config: &Config, uri: &str) -> Result<Robots, RosError> {
+/// Simulated robots: nodes of this process, or rosrust in processes of their own.
+fn start_robots(config: &Config, uri: &str) -> Result<Fleet, RosError> {
     let (robots, options) = (config.robots, FleetOptions::default());
-    Ok(match config.robots_by {
-        PublishedBy::Own => Box::new(Fleet::start(uri, robots, options)?),
-        PublishedBy::Rosrust => Box::new(RosrustFleet::start(uri, config.rosrust_program.as_deref(), robots, options)?),
-    })
+    match config.robots_by {
+        PublishedBy::Own => Fleet::start(uri, robots, options),
+        PublishedBy::Rosrust => Fleet::by_rosrust(uri, config.rosrust_program.as_deref(), robots, options),
+    }
 }
 
 /// A working connection to a master.
@@ -68,7 +63,7 @@ pub struct RosLink {
     pub embedded: bool,
     /// The monitoring node.
     pub capture: Capture,
-    _fleet: Option<Robots>,
+    _fleet: Option<Fleet>,
     /// Simulated robots, counted.
     pub robots: u16,
     graph: Graph,
