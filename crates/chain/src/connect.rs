@@ -257,7 +257,6 @@ impl Chain {
         ChainError::Answer { url: self.url(), method: method.to_owned(), reason: clean(reason, 200) }
     }
 
-    /// The newest block.
     pub async fn head(&self) -> Result<BlockRef, ChainError> {
         Ok(self.newest().await?.reference())
     }
@@ -322,9 +321,6 @@ const GETH_DEV: u64 = 1337;
 impl Chain {
     /// On a development node (anvil, ganache, hardhat, EthereumJS, `geth --dev`), gives an account that holds nothing
     /// 10 ether. Returns whether it did; `false` elsewhere, or if it is not possible.
-    ///
-    /// # Errors
-    /// [`ChainError::Unreachable`] and the like; a refusal by the node returns `false`.
     pub async fn fund_from_node(&self, account: Address) -> Result<bool, ChainError> {
         if !self.is_development() || !self.balance(account).await?.is_zero() {
             return Ok(false);
@@ -400,7 +396,6 @@ pub const LONGEST_PAUSE: Duration = Duration::from_secs(3 * DAY.as_secs());
 /// A contract that was deployed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Deployment {
-    /// What identifies it.
     pub pin: Pin,
     /// The price in wei per gas at which it was mined, if blocks had passed it by at lower ones.
     pub raised: Option<u128>,

@@ -13,7 +13,6 @@ pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --hom
 
 /// Why something on the chain did not happen.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum ChainError {
     /// The node does not answer, or what stands before it does not let requests through: its URL
     /// without credentials and path, what happened as a predicate of the node, and what to do.
@@ -49,7 +48,6 @@ pub enum ChainError {
     /// Another contract, or none, is at the address.
     #[error("{0} is not an AuthROS contract; check the address, or deploy a new one")]
     NotTheContract(Address),
-    /// The contract reverted.
     #[error("the contract refused: {}", explain(.code))]
     Reverted { code: String },
     /// The node already has this very transaction.

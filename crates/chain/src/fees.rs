@@ -19,7 +19,6 @@ const TRANSFER_GAS: u64 = 21_000;
 /// The newest block and its gas price.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Market {
-    /// The newest block.
     pub head: BlockRef,
     /// Its base fee, wei; `None` if the network has none, or it is zero.
     pub base: Option<u128>,
@@ -42,7 +41,6 @@ impl Market {
 /// The gas terms of signed bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Offered {
-    /// Wei per gas.
     pub price: u128,
     /// The most gas it may use.
     pub gas: u64,
@@ -115,9 +113,6 @@ impl Chain {
 
     /// Signs the call in `raw` again, with another nonce or price, and with gas that is estimated anew: the estimate of
     /// then may be what keeps it out of a block. Nothing is sent.
-    ///
-    /// # Errors
-    /// [`ChainError::Input`] if `raw` is not a legacy transaction, [`ChainError::BlockTooSmall`].
     pub async fn resign(
         &self,
         eoa: &EoaSecret,
@@ -185,12 +180,13 @@ pub struct Policy {
 
 /// A price, or a refusal because of the cap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Priced {
-    /// Wei per gas.
     At(u128),
     /// The price would have to exceed the cap; both in wei per gas.
-    Capped { needed: u128, cap: u128 },
+    Capped {
+        needed: u128,
+        cap: u128,
+    },
 }
 
 impl Policy {
@@ -283,7 +279,6 @@ impl Wait {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Shortfall {
     pub account: Address,
-    /// Its ether.
     pub held: Wei,
     /// The most that the transaction may cost.
     pub needed: Wei,

@@ -53,7 +53,6 @@ pub struct Allocation {
 /// The parameters of a new network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Genesis {
-    /// Its consensus.
     pub kind: GenesisKind,
     /// EIP-155 chain id; drawn at random if not given.
     pub chain_id: Option<u64>,
@@ -84,10 +83,6 @@ impl FromStr for Allocation {
 }
 
 impl Genesis {
-    /// The genesis file.
-    ///
-    /// # Errors
-    /// [`ChainError::Input`] naming the value that is not acceptable.
     pub fn file(&self) -> Result<Value, ChainError> {
         let signers = self.sorted_signers()?;
         let vanity: [u8; VANITY] = noise()?;

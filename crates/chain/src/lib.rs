@@ -78,10 +78,8 @@ impl fmt::Debug for Endpoint {
     }
 }
 
-/// How to connect.
 #[derive(Debug, Clone)]
 pub struct ChainOptions {
-    /// The location.
     pub endpoint: Endpoint,
     /// The contract to use, if known.
     pub contract: Option<Address>,
@@ -94,7 +92,6 @@ pub struct ChainOptions {
 /// Identifies one chain and contract.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pin {
-    /// Chain id (EIP-155).
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
@@ -119,10 +116,8 @@ pub struct Chain {
     inner: Arc<connect::Inner>,
 }
 
-/// A block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BlockRef {
-    /// Block number.
     pub number: u64,
     pub hash: Hash,
     /// Seconds since 1970, as the sealer of the block stated it.
@@ -139,7 +134,6 @@ pub struct ChainStatus {
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
-    /// Block number.
     pub block: u64,
     /// The contract in use.
     pub contract: Option<Address>,
@@ -162,7 +156,6 @@ pub struct SignedTransaction {
     pub raw: Vec<u8>,
     /// The most gas it may use.
     pub gas_limit: u64,
-    /// Wei per gas.
     pub gas_price: u128,
 }
 
@@ -184,16 +177,13 @@ pub struct Receipt {
 /// An event and its position.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EventAt {
-    /// Block number.
     pub block: u64,
     pub block_hash: Hash,
     /// Block time, seconds, if the node includes it with the event.
     pub timestamp: Option<u64>,
-    /// The transaction's hash.
     pub transaction: Hash,
     /// Its index among the block's events.
     pub log_index: u64,
-    /// What happened.
     pub event: Event,
 }
 

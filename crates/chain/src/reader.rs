@@ -84,9 +84,6 @@ impl Chain {
 
     /// Both next nonces of an account. They check each other: a node that answers one of them wrongly is not believed,
     /// because a transaction signed for a nonce far ahead would never be mined.
-    ///
-    /// # Errors
-    /// [`ChainError::Answer`] if they contradict each other, or an error of the node.
     pub async fn nonces(&self, account: Address) -> Result<Nonces, ChainError> {
         let (mined, pending) = (self.nonce(account, false).await?, self.nonce(account, true).await?);
         if (mined..=mined.saturating_add(MOST_PENDING)).contains(&pending) {
@@ -220,9 +217,6 @@ impl Chain {
     }
 
     /// All call data, storage slots and logs of the embedded chain, for the test that it holds no secret.
-    ///
-    /// # Errors
-    /// [`ChainError::Input`] for other chains.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.dump().await,

@@ -88,7 +88,6 @@ const IDENTITY_AT: usize = 4 + 3 * 32;
 /// Where its envelope begins: after the identity and a length.
 const ENVELOPE_AT: usize = IDENTITY_AT + Identity::LENGTH + 32;
 
-/// The caller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asker {
     /// A caller without a transport key.
@@ -108,7 +107,6 @@ pub struct Ground<'a> {
 
 /// A request that may pass, judged from the request alone.
 #[derive(Debug, Clone, PartialEq)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Passed {
     /// It reads, with these parameters.
     Read(Value),
@@ -118,7 +116,6 @@ pub enum Passed {
     Estimate { from: Option<Address>, registers: Option<Box<Identity>> },
     /// It sends a transaction to the contract.
     Transaction {
-        /// The signer.
         sender: Address,
         /// The identity, if it registers one.
         registers: Option<Box<Identity>>,

@@ -119,7 +119,6 @@ pub enum SealerKind {
     Development,
     /// Named accounts, under proof of authority.
     Authority,
-    /// Proof of work.
     Work,
     /// Not reported by the node.
     Unknown,
@@ -132,12 +131,10 @@ pub struct SealedBy {
     pub kind: SealerKind,
     /// Whether a single party decides about blocks and their times.
     pub alone: bool,
-    /// In words.
     pub text: String,
 }
 
 impl SealedBy {
-    /// The embedded chain's.
     pub fn embedded() -> Self {
         let text = "an embedded AuthROS chain: a single program seals it, its keys are in the home of the person who \
                     runs it, and block times are that machine's clock";

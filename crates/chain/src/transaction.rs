@@ -94,13 +94,11 @@ const REPLAY_PROTECTED: u64 = 35;
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Unsigned {
     pub nonce: u64,
-    /// Wei per gas.
     pub gas_price: u128,
     /// The most gas it may use.
     pub gas_limit: u64,
     /// The account it calls; `None` creates a contract.
     pub to: Option<Address>,
-    /// Wei to send.
     pub value: U256,
     /// Call data or creation code.
     pub input: Vec<u8>,
@@ -111,9 +109,7 @@ pub struct Unsigned {
 pub struct Transaction {
     /// Keccak-256 of the raw bytes.
     pub hash: Hash,
-    /// Who signed it.
     pub sender: Address,
-    /// What was signed.
     pub unsigned: Unsigned,
     /// Recovery value with the chain id (EIP-155).
     pub v: u64,
@@ -254,7 +250,6 @@ impl Chain {
         *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The node's estimate.
     pub(super) async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
         let mut message = json!({ "from": from.to_string(), "data": format!("0x{}", hex(data)) });
         if let Some(to) = to {
@@ -278,10 +273,6 @@ impl Chain {
     }
 
     /// Sends signed bytes.
-    ///
-    /// # Errors
-    /// [`ChainError::AlreadyKnown`], [`ChainError::NonceTooLow`], [`ChainError::Underpriced`],
-    /// [`ChainError::InsufficientFunds`], or an error of the node.
     pub async fn broadcast(&self, raw: &[u8]) -> Result<Hash, ChainError> {
         let sent = self.rpc::<String>("eth_sendRawTransaction", json!([format!("0x{}", hex(raw))])).await;
         let wrong = |_| self.misunderstood("eth_sendRawTransaction", "it is not a transaction hash");

@@ -73,13 +73,11 @@ enum Line {
     WebSocket(Kept<WebSocket>),
     Local(Kept<Local>),
     Relay(RelayLine),
-    /// Nobody is asked.
     Absent(ChainError),
 }
 
 /// Why a request failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum TransportError {
     /// The node answered with an error.
     #[error("{0}")]
@@ -90,7 +88,6 @@ pub enum TransportError {
     /// The embedded chain cannot continue.
     #[error("{0}")]
     Chain(ChainError),
-    /// The connection broke.
     #[error("{0}")]
     Broken(String),
     /// No answer came in time.
@@ -147,9 +144,6 @@ impl Transport {
     }
 
     /// Opens the embedded chain, or prepares the connection to a node; the first request opens it.
-    ///
-    /// # Errors
-    /// [`ChainError::Url`], [`ChainError::Roots`], or errors from opening the embedded chain.
     pub async fn open(endpoint: &Endpoint) -> Result<Self, ChainError> {
         match endpoint {
             Endpoint::Embedded { directory, consensus } => {
@@ -191,7 +185,6 @@ impl Transport {
         if let Line::Embedded(embedded) = &self.line { Some(embedded) } else { None }
     }
 
-    /// Makes one request.
     pub async fn request<R: DeserializeOwned>(&self, method: &str, parameters: Value) -> Result<R, TransportError> {
         self.request_within(method, parameters, Limits::of(method)).await
     }
@@ -259,7 +252,6 @@ const LONGEST_ERROR: usize = MIB;
 pub struct JsonRpcError {
     /// JSON-RPC's code; nodes do not agree on them.
     pub code: i64,
-    /// The node's words.
     #[serde(default)]
     pub message: String,
     /// More: revert data, in whatever shape this node likes.
@@ -301,9 +293,6 @@ struct Succeeded<R> {
 }
 
 /// The result in an answer, read as what was asked for: what is not that is never built.
-///
-/// # Errors
-/// [`TransportError::Answered`] and [`TransportError::Malformed`].
 fn read<R: DeserializeOwned>(bytes: &[u8]) -> Result<R, TransportError> {
     let malformed = |error: serde_json::Error| TransportError::Malformed(error.to_string());
     let kind: Kind = serde_json::from_slice(bytes).map_err(malformed)?;

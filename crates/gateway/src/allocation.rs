@@ -27,28 +27,19 @@ const TYPE: &str = "KeyAllocation(bytes32 gateway,bytes32 systemKey,bytes32 clie
 /// The client's keys and what it requests.
 #[derive(Debug)]
 pub struct Applicant<'a> {
-    /// N.
     pub name: &'a ProfileName,
-    /// (d_C, P_C).
     pub signing: &'a SmKeyPair,
-    /// P_E.
     pub envelope: PublicKey,
-    /// The account.
     pub account: &'a EoaSecret,
 }
 
 /// What the client seals to the system key: name length (1) name (32) K_T (32) P_C (64) P_E (64) Addr (20).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Allocation {
-    /// N.
     pub name: ProfileName,
-    /// K_T.
     pub key: TransportKey,
-    /// P_C.
     pub signing: PublicKey,
-    /// P_E.
     pub envelope: PublicKey,
-    /// Addr.
     pub account: Address,
 }
 
@@ -134,9 +125,6 @@ impl Transcript<'_> {
 }
 
 /// The client's side: a fresh K_T and the body of the command.
-///
-/// # Errors
-/// [`CryptoError`] if the random source fails or P_S is not a point.
 pub fn apply(
     context: &Context,
     agreed: &Agreed,
@@ -164,18 +152,14 @@ pub fn apply(
 /// The message the client sends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AllocationRequest {
-    /// The system key.
     pub system_key: SignerId,
-    /// CT.
     pub ciphertext: Vec<u8>,
-    /// Signature by d_C.
     pub signature: Signature,
     /// Signature by the EOA.
     pub account_signature: AccountSignature,
 }
 
 impl AllocationRequest {
-    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         let length = u16::try_from(self.ciphertext.len()).unwrap_or(u16::MAX).to_be_bytes();
         let parts: [&[u8]; 5] =
@@ -183,10 +167,6 @@ impl AllocationRequest {
         parts.concat()
     }
 
-    /// From its encoding.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let system_key = SignerId(reader.array("system key")?);
@@ -212,9 +192,6 @@ impl AllocationRequest {
 
 /// The gateway's side without the chain: opens CT, checks that N is the session's, then the SM2 signature, then the
 /// account's. `secret` is d_S of the request's system key, `None` if that key is not in use.
-///
-/// # Errors
-/// [`Refusal`] with `SystemKey`, `Malformed`, `Signature` or `Account`.
 pub fn examine(
     context: &Context,
     agreed: &Agreed,

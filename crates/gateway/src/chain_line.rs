@@ -35,7 +35,6 @@ impl ChainLine {
         Self { endpoint, trust, visitor, credentials: RwLock::default(), open: Mutex::default() }
     }
 
-    /// The gateway's address.
     pub fn endpoint(&self) -> &Endpoint {
         &self.endpoint
     }
@@ -47,9 +46,6 @@ impl ChainLine {
 
     /// Connects if there is no connection, so that a gateway other than the pinned one can be told from one that does
     /// not answer.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn meet(&self) -> Result<Agreed, GatewayError> {
         let mut open = self.open.lock().await;
         let met = match open.take() {
@@ -62,9 +58,6 @@ impl ChainLine {
     }
 
     /// Takes its place at the gateway by a small request: before there are credentials, a visitor's.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `RefusedInClear(Busy)` if visitors have no room.
     pub async fn probe(&self) -> Result<(), GatewayError> {
         self.relay("eth_chainId", &Value::Array(Vec::new())).await.map(drop)
     }

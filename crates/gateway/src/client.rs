@@ -39,12 +39,9 @@ pub struct Endpoint {
     pub patience: Duration,
 }
 
-/// A client's credentials.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Credentials {
-    /// N.
     pub name: ProfileName,
-    /// K_T.
     pub key: TransportKey,
     /// A token of the account, the current one.
     pub token: Token,
@@ -77,9 +74,6 @@ impl Client {
     }
 
     /// The same from one of this machine's addresses: a gateway limits each address by itself.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Unreachable` also if the address is not of this machine.
     pub async fn connect_from(
         source: Option<IpAddr>,
         endpoint: &Endpoint,
@@ -132,9 +126,6 @@ impl Client {
     }
 
     /// The same from one of this machine's addresses.
-    ///
-    /// # Errors
-    /// As [`Self::allocate`] and [`Self::connect_from`].
     pub async fn allocate_from(
         source: Option<IpAddr>,
         endpoint: &Endpoint,
@@ -154,9 +145,6 @@ impl Client {
 
     /// Asks the first of these addresses that answers which network it is on. Nothing is proven yet; the hello on that
     /// network proves it.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn inquire(addresses: &[String], patience: Duration) -> Result<NetworkName, GatewayError> {
         let mut failed = Vec::new();
         for address in addresses {
@@ -170,9 +158,6 @@ impl Client {
     }
 
     /// Connects without a transport key, to read the chain through the gateway. `name` is only for the gateway's log.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn visit(endpoint: &Endpoint, trust: &mut Trust, name: &ProfileName) -> Result<Self, GatewayError> {
         let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
         // The gateway signed the hello and holds its keys: from the pong on, large frames are accepted.
@@ -182,9 +167,6 @@ impl Client {
     }
 
     /// Has the gateway pass a JSON-RPC request on to its chain. The answer is the gateway's word.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Refused(Stale)` if the chain does not answer.
     pub async fn relay(&mut self, method: &str, parameters: &serde_json::Value) -> Result<Relayed, GatewayError> {
         let call = RelayCall { method: method.to_owned(), parameters: parameters.to_string() };
         if call.parameters.len() > LONGEST_PARAMETERS {
@@ -216,10 +198,6 @@ impl Client {
         self.session.is_spent(Instant::now() + self.endpoint.patience)
     }
 
-    /// The gateway's time.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn ping(&mut self) -> Result<Timestamp, GatewayError> {
         match self.ask(&Request::Ping).await? {
             Answer::Time(time) => Ok(time),
@@ -228,9 +206,6 @@ impl Client {
     }
 
     /// The published list, not yet checked.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn system_keys(&mut self) -> Result<SystemKeyList, GatewayError> {
         match self.ask(&Request::SystemKeys).await? {
             Answer::SystemKeys(bytes) => {
@@ -241,9 +216,6 @@ impl Client {
     }
 
     /// Uploads records; the receipt is checked to cover all of them.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; without a receipt nothing may be discarded.
     pub async fn upload(&mut self, mut uploads: Vec<Upload>) -> Result<Receipt, GatewayError> {
         let provider = self.endpoint.context.provider;
         let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
@@ -256,9 +228,6 @@ impl Client {
 
     /// Has the gateway erase its copies of records that the session's owner had erased, at most 64; returns what becomes of
     /// each, as the gateway states it.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, GatewayError> {
         let count = erasures.len();
         match self.ask(&Request::Erase(erasures)).await? {
@@ -278,9 +247,6 @@ impl Client {
     }
 
     /// The next page of the gateway's feed, its signature checked. Checking the proofs is up to the caller.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn feed(&mut self, asked: &Feed) -> Result<FeedPage, GatewayError> {
         let (number, context) = (self.send(&Request::Feed(asked.clone())).await?, self.endpoint.context);
         match self.answer_within(number, self.endpoint.patience + asked.wait).await? {
@@ -295,9 +261,6 @@ impl Client {
     /// The first of these records, at least one: their bytes match the digests, and their signatures are by the keys that came
     /// with them. The reader must check on the chain whether a key may sign for the owner and whether the anchor holds. Of each
     /// why it is not given: `Refused`, `Erased` with nothing of it checked, or `Crypto`.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn records(&mut self, digests: &[Digest]) -> Result<Vec<Result<Fetched, GatewayError>>, GatewayError> {
         let found = self.found(digests, true).await?;
         let each = found.into_iter().zip(digests).map(|(found, digest)| match found {
@@ -310,9 +273,6 @@ impl Client {
     }
 
     /// Which of these records the gateway does not have for this session, and why.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn missing(&mut self, digests: &[Digest]) -> Result<Vec<(Digest, Code)>, GatewayError> {
         let mut missing = Vec::new();
         let mut left = digests;
@@ -343,25 +303,16 @@ impl Client {
     }
 
     /// Tells the gateway of a grant, signed by d_C.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn grant(&mut self, signing: &SmKeyPair, notice: GrantNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Grant(notice))).await
     }
 
     /// Tells the gateway of a revoke, signed by d_C: it applies at once.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Revoke(notice))).await
     }
 
     /// Tells the gateway, signed by d_C, that this session's name belongs to a device that is lent on the chain.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::Notice(Notice::Device(notice))).await
     }
@@ -449,9 +400,6 @@ fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<
 impl Client {
     /// Sends a request and returns its number; [`Self::receive`] returns the answer. Read answers regularly: a gateway
     /// closes a connection whose peer does not read.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn send(&mut self, request: &Request) -> Result<u32, GatewayError> {
         let body = request.encode();
         if body.len() > LARGEST_MESSAGE {
@@ -481,9 +429,6 @@ impl Client {
     }
 
     /// The next answer, to any request. Can be cancelled at any point.
-    ///
-    /// # Errors
-    /// [`GatewayError::TimedOut`] if nothing came within `patience`; nothing is lost then.
     pub async fn receive(&mut self, patience: Duration) -> Result<(u32, Answer), GatewayError> {
         let message = timeout(patience, self.message()).await.map_err(|_| GatewayError::TimedOut)??;
         let answer = Answer::parse(message.command, &message.body).map_err(GatewayError::malformed("answer"))?;
@@ -534,9 +479,6 @@ impl Client {
     }
 
     /// Checks a receipt returned by [`Self::receive`]: by this gateway, for this network, over these digests.
-    ///
-    /// # Errors
-    /// [`GatewayError::Receipt`] or [`GatewayError::Crypto`].
     pub fn verified(&self, receipt: Receipt, digests: &[Digest]) -> Result<Receipt, GatewayError> {
         let context = &self.endpoint.context;
         receipt.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;

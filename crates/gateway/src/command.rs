@@ -33,7 +33,6 @@ macro_rules! commands {
         }
 
         impl Command {
-            /// Every Command.
             pub const ALL: &[Self] = &[$(Self::$name),*];
         }
     };
@@ -44,9 +43,7 @@ commands! {
     SystemKeys = 1;
     /// K_T to the gateway, N bound to an account.
     KeyAllocation = 2;
-    /// One record.
     Upload = 4;
-    /// Several records.
     UploadMany = 5;
     /// What the gateway holds, in the order of its own numbers.
     Feed = 6;
@@ -101,13 +98,10 @@ impl Command {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Part {
-    /// The whole message.
     Whole = 0,
     /// The first part: its body begins with the total length of all bodies (4).
     First = 1,
-    /// A middle part.
     Middle = 2,
-    /// The last part.
     Last = 3,
 }
 
@@ -121,10 +115,8 @@ impl Part {
     }
 }
 
-/// A parsed ND2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Inner<'a> {
-    /// Its Command.
     pub command: Command,
     /// Whether it is complete.
     pub part: Part,
@@ -132,17 +124,12 @@ pub struct Inner<'a> {
     pub request: u32,
     /// From the client: token of the epoch; zeros before registration.
     pub token: Option<Token>,
-    /// Of signed Commands.
     pub signature: Option<Signature>,
-    /// The rest.
     pub body: &'a [u8],
 }
 
 impl<'a> Inner<'a> {
     /// From a client's plaintext.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not a client's ND2.
     pub fn from_client(text: &'a [u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(text);
         let command = Command::from_number(reader.u8("command")?).filter(|command| command.is_request());
@@ -158,9 +145,6 @@ impl<'a> Inner<'a> {
     }
 
     /// From a gateway's plaintext.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not a gateway's ND2.
     pub fn from_gateway(text: &'a [u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(text);
         let command = reader.u8("command")?.checked_sub(FROM_GATEWAY).and_then(Command::from_number);
@@ -192,7 +176,6 @@ fn part_and_request(reader: &mut Reader<'_>) -> Result<(Part, u32), WireError> {
 pub enum Speaker {
     /// A client, with its token.
     Client(Token),
-    /// The gateway.
     Gateway,
 }
 

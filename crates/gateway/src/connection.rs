@@ -91,7 +91,6 @@ impl Shared {
 enum End {
     /// The peer went away.
     Closed,
-    /// It was refused.
     Refused(Refusal),
 }
 

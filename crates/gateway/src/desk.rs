@@ -52,9 +52,7 @@ impl BoundDevice {
 /// The binding of a name at this gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Binding {
-    /// Addr.
     pub account: Address,
-    /// K_T.
     pub key: TransportKey,
     /// P_C when the key was allocated.
     pub signing: PublicKey,
@@ -67,30 +65,23 @@ pub struct Binding {
 /// The caller, authenticated by K_T.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Caller {
-    /// N.
     pub name: ProfileName,
-    /// Addr.
     pub account: Address,
     /// P_C as registered when the session began.
     pub signing: PublicKey,
     /// The calling device, if it is one: it may use only what a device needs.
     pub device: Option<BoundDevice>,
-    /// Its address.
     pub peer: SocketAddr,
 }
 
 /// A record whose header, network, owner and signature have been checked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Received {
-    /// Its header.
     pub header: Header,
-    /// D.
     pub digest: Digest,
-    /// (r, s).
     pub signature: Signature,
     /// The key that verified it: the owner's or a lent one.
     pub signer: PublicKey,
-    /// CT1.
     pub blob: Vec<u8>,
 }
 

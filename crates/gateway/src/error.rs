@@ -12,12 +12,7 @@ use crate::model::{ErrorKind, SignerId};
 pub enum GatewayError {
     /// Nobody listens, or the connection broke.
     #[error("the gateway at {address} does not answer ({source}); check the address and that the gateway is running")]
-    Unreachable {
-        /// The address tried.
-        address: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
+    Unreachable { address: String, source: std::io::Error },
     /// None of its addresses leads to the gateway.
     #[error("none of the gateway's addresses can be used: {}", each(.0))]
     Nowhere(Vec<(String, GatewayError)>),
@@ -27,7 +22,6 @@ pub enum GatewayError {
     /// The gateway did not answer in time.
     #[error("the gateway did not answer in time; try again")]
     TimedOut,
-    /// The gateway refused.
     #[error("the gateway refused: {0}")]
     Refused(Code),
     /// A refusal in clear: anyone on the network can forge one, so it means no more than a closed connection.
@@ -45,7 +39,6 @@ pub enum GatewayError {
          not continue"
     )]
     NotTheGateway {
-        /// The pinned fingerprint.
         pinned: SignerId,
         /// The fingerprint it showed.
         found: SignerId,
@@ -57,7 +50,6 @@ pub enum GatewayError {
     RolledBack {
         /// The highest version seen so far.
         seen: u64,
-        /// The version shown.
         found: u64,
     },
     /// Two lists with the same version.
@@ -74,7 +66,6 @@ pub enum GatewayError {
     /// Malformed bytes.
     #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
     Malformed {
-        /// The message.
         what: &'static str,
         /// What is wrong with it.
         why: WireError,
@@ -158,7 +149,6 @@ macro_rules! codes {
         }
 
         impl Code {
-            /// Every code.
             pub const ALL: &[Self] = &[$(Self::$name),*];
 
             /// What it means and what to do next.

@@ -28,7 +28,6 @@ pub type FeedId = [u8; 16];
 /// An owner who is followed: owner (20) || number (8) || grant (8).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {
-    /// The owner.
     pub owner: Address,
     /// Rows up to this number were told.
     pub after: u64,
@@ -60,7 +59,6 @@ pub struct Feed {
     pub topics: Vec<TopicId>,
     /// Numbered by one of these; empty for any. It is how a device asks for its own: nobody else knows them.
     pub recorders: Vec<RecorderId>,
-    /// The owners.
     pub places: Vec<Place>,
 }
 
@@ -118,17 +116,11 @@ impl Feed {
 /// capture time (8) || length (8) || kind (1) || length (4) and proof of its anchor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeedEntry {
-    /// Its number.
     pub number: u64,
-    /// What it says.
     pub fact: Fact,
-    /// D.
     pub digest: Digest,
-    /// The owner.
     pub owner: Address,
-    /// The recorder.
     pub recorder: RecorderId,
-    /// Its seq.
     pub seq: u64,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
@@ -191,7 +183,6 @@ pub struct FeedPage {
 }
 
 impl FeedPage {
-    /// Not signed yet.
     pub fn new(id: FeedId, (head, upto): (u64, u64), refused: Vec<(Address, Code)>, entries: Vec<FeedEntry>) -> Self {
         Self { id, is_anew: false, head, upto, refused, entries, time: Timestamp::now(), signature: Signature([0; 64]) }
     }
@@ -217,9 +208,6 @@ impl FeedPage {
     }
 
     /// Signs it, if it tells anything.
-    ///
-    /// # Errors
-    /// [`CryptoError::Random`].
     pub fn sign(mut self, provider: &dyn Provider, domain: &Domain, identity: &SmKeyPair) -> Result<Self, CryptoError> {
         if !self.entries.is_empty() {
             let signed = signed_bytes(domain, &self.statement(provider));
@@ -228,10 +216,6 @@ impl FeedPage {
         Ok(self)
     }
 
-    /// Checks the signature.
-    ///
-    /// # Errors
-    /// [`CryptoError::BadSignature`].
     pub fn verify(&self, provider: &dyn Provider, domain: &Domain, gateway: &PublicKey) -> Result<(), CryptoError> {
         if self.entries.is_empty() {
             return Ok(());

@@ -14,7 +14,6 @@ use crate::model::{Signature, Token};
 
 /// The cap until the peer is authenticated, bytes of kind and payload.
 pub const CAP_BEFORE: usize = 4 * 1024;
-/// The cap afterwards.
 pub const CAP_AFTER: usize = 1024 * 1024;
 /// A buffer larger than this is released when it is empty, bytes.
 const KEPT: usize = 16 * 1024;
@@ -31,7 +30,6 @@ pub enum FrameKind {
     Answer = 2,
     /// N under the agreed key.
     Identify = 3,
-    /// ND3.
     Transfer = 4,
     /// A code in clear, before the connection closes.
     Refusal = 5,
@@ -62,7 +60,6 @@ pub enum FrameError {
     /// Longer than the cap, or without a kind.
     #[error("a frame of {0} bytes")]
     Length(u32),
-    /// An unknown kind.
     #[error("a frame of kind {0}")]
     Kind(u8),
 }
@@ -156,20 +153,15 @@ impl Default for FrameDecoder {
     }
 }
 
-/// A complete message.
 #[derive(Debug)]
 pub struct Message<C> {
-    /// Its Command.
     pub command: Command,
     /// The client's number of the request.
     pub request: u32,
-    /// From a client.
     pub token: Option<Token>,
-    /// Of signed Commands.
     pub signature: Option<Signature>,
     /// The counter of its last frame.
     pub counter: u64,
-    /// The whole body.
     pub body: Vec<u8>,
     /// Held as long as the message.
     pub charge: Option<C>,
@@ -186,7 +178,6 @@ pub struct Assembler<C> {
 }
 
 impl<C> Assembler<C> {
-    /// With nothing begun.
     pub fn new() -> Self {
         Self { unfinished: None }
     }

@@ -21,7 +21,6 @@ pub const SUITE_SM: u8 = 1;
 pub struct Context {
     /// Computes SM2, SM3 and SM4.
     pub provider: &'static dyn Provider,
-    /// The network.
     pub domain: Domain,
 }
 
@@ -42,11 +41,8 @@ pub struct Agreed {
     pub gateway: SignerId,
     /// The gateway's identity key: verifies its lists and receipts.
     pub gateway_key: PublicKey,
-    /// The client's nonce.
     pub client_nonce: [u8; 32],
-    /// The gateway's nonce.
     pub gateway_nonce: [u8; 32],
-    /// The session's id.
     pub session: SessionId,
     /// The gateway's current system-key list.
     pub list: ListSummary,
@@ -102,9 +98,6 @@ pub struct ClientHello {
 
 impl ClientHello {
     /// With fresh nonce and ephemeral key.
-    ///
-    /// # Errors
-    /// [`GatewayError::Crypto`] if the random source fails.
     pub fn begin(context: Context) -> Result<Self, GatewayError> {
         let ephemeral = Ephemeral::generate(context.provider)?;
         Ok(Self::with(context, random_bytes()?, ephemeral))
@@ -123,9 +116,6 @@ impl ClientHello {
 
     /// Processes the gateway's answer: its signature, its point. Whether it is the intended gateway is for the caller
     /// to judge by [`Agreed::gateway`] before naming itself.
-    ///
-    /// # Errors
-    /// [`GatewayError::Malformed`], or [`GatewayError::Crypto`] if signature or point is not valid.
     pub fn agree(self, payload: &[u8]) -> Result<ClientAgreed, GatewayError> {
         let answer = Answer::parse(payload).map_err(GatewayError::malformed("answer to the hello"))?;
         let transcript = transcript(&self.context, &self.hello, &answer);
@@ -141,15 +131,11 @@ impl ClientHello {
 pub struct ClientAgreed(Shared);
 
 impl ClientAgreed {
-    /// The terms agreed.
     pub fn agreed(&self) -> &Agreed {
         &self.0.agreed
     }
 
     /// The payload of the identify frame, and the session. A session for transfer needs the transport key.
-    ///
-    /// # Errors
-    /// [`GatewayError::Crypto`] if sealing fails.
     pub fn identify(self, name: &ProfileName, key: Option<&TransportKey>) -> Result<(Vec<u8>, Session), GatewayError> {
         let purpose = if key.is_some() { Purpose::Transfer } else { Purpose::Allocation };
         let mut sealed = encode_name(purpose, name);
@@ -165,9 +151,6 @@ pub struct GatewayHello(Shared);
 
 impl GatewayHello {
     /// Answers a hello: the payload to send, and the next state.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Malformed`, `Version`, `Network` or `Internal`.
     pub fn answer(
         context: Context,
         identity: &SmKeyPair,
@@ -205,15 +188,11 @@ impl GatewayHello {
         Ok((answer.encode(), Self(Shared { context, secret, transcript, agreed })))
     }
 
-    /// The terms agreed.
     pub fn agreed(&self) -> &Agreed {
         &self.0.agreed
     }
 
     /// Opens the identify frame.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Tag` or `Malformed`.
     pub fn identified(self, payload: &[u8]) -> Result<Identified, Refusal> {
         let (key, nonce) = halves(&self.0.identify_key());
         let opened = self.0.context.provider.gcm_open(&key, &nonce, &self.0.identify_aad(), payload);
@@ -234,7 +213,6 @@ pub struct Identified {
 }
 
 impl Identified {
-    /// The terms agreed.
     pub fn agreed(&self) -> Agreed {
         self.shared.agreed
     }
@@ -272,7 +250,6 @@ pub struct NetworkName {
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
-    /// The contract.
     pub contract: Address,
 }
 
@@ -293,9 +270,6 @@ impl NetworkName {
     }
 
     /// From the payload of a frame.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not of this version.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
         Self::whole_behind(&[VERSION], "version", payload)
     }
@@ -304,9 +278,7 @@ impl NetworkName {
 /// The client's first message: version (1) suite (1) domain (32) nonce (32) point (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Hello {
-    /// The network.
     pub domain: Domain,
-    /// Random.
     pub nonce: [u8; 32],
     /// The client's ephemeral point.
     pub point: PublicKey,
@@ -321,9 +293,6 @@ impl Hello {
     }
 
     /// From the payload of a frame; the point is not checked yet.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Version` or `Malformed`.
     pub fn parse(payload: &[u8]) -> Result<Self, Refusal> {
         let mut reader = Reader::new(payload);
         let (version, suite) = (reader.u8("version")?, reader.u8("suite")?);
@@ -337,7 +306,6 @@ impl Hello {
 /// A gateway's current system-key list: a client never accepts an older one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ListSummary {
-    /// Its version.
     pub version: u64,
     /// SM3 of its encoding.
     pub digest: Digest,
@@ -347,7 +315,6 @@ pub struct ListSummary {
 /// list digest (32) identity key (64) signature (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Answer {
-    /// Random.
     pub nonce: [u8; 32],
     /// The gateway's ephemeral point.
     pub point: PublicKey,
@@ -385,9 +352,6 @@ impl Answer {
     }
 
     /// From the payload of a frame; neither point nor signature is checked yet.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not an answer of this version.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
         Self::whole_behind(&[VERSION, SUITE_SM], "version", payload)
     }

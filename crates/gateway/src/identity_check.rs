@@ -29,9 +29,6 @@ pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Ref
 
 /// What a device may ask: to store its records, what became of them, and its owner's notices to it; nothing else of its
 /// owner's. For single records ([`Request::Records`]) the desk decides.
-///
-/// # Errors
-/// [`Refusal`] with `NotAuthorised`.
 pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
     let Some(device) = &caller.device else { return Ok(()) };
     let may = match request {
@@ -60,9 +57,6 @@ fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Re
 }
 
 /// A signed Command was signed by d_C for this very frame.
-///
-/// # Errors
-/// [`Refusal`] with `Signature`.
 pub fn check_signed<C>(
     context: &Context,
     agreed: &Agreed,
@@ -131,9 +125,6 @@ fn check_own(caller: &Caller, received: &[Received]) -> Result<(), Refusal> {
 }
 
 /// Whether each record is signed by the key beside it, in one go.
-///
-/// # Errors
-/// [`Refusal`] with `Signature`; one bad record refuses all.
 pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
     let mut records = Vec::with_capacity(uploads.len());
     for (upload, signer) in uploads.iter().zip(signers) {
@@ -150,9 +141,6 @@ pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey])
 
 /// A complete key allocation: both signatures, the chain's registration, the owner of the name. Binds the name as its
 /// last step; the caller must hold off other bindings meanwhile.
-///
-/// # Errors
-/// [`Refusal`] with `SystemKey`, `Malformed`, `Signature`, `Account`, `NotRegistered` or `NameBound`, or the desk's.
 pub async fn allocate(
     context: &Context,
     desk: &dyn Desk,

@@ -15,7 +15,6 @@ use crate::error::{Code, Refusal};
 /// The limits of a gateway.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Total connections.
     pub connections: usize,
     /// Connections of one peer.
     pub connections_of_peer: usize,
@@ -47,7 +46,6 @@ pub struct Limits {
     pub hello_time: Duration,
     /// Until a frame that has begun, or a message in parts, is complete.
     pub frame_time: Duration,
-    /// Without any frames.
     pub idle_time: Duration,
     /// Until the peer accepts what is sent to it.
     pub write_time: Duration,
@@ -107,12 +105,10 @@ pub struct Peers {
 }
 
 impl Peers {
-    /// With no connections.
     pub fn new(limits: Limits) -> Self {
         Self { limits, counts: Arc::default() }
     }
 
-    /// The bounds.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
@@ -128,9 +124,6 @@ impl Peers {
 
     /// Admits a connection, which is a handshake until [`Seat::authenticated`]. If every handshake place is taken, the
     /// connection that has held one the longest is dropped ([`Seat::evicted`]).
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Busy`.
     pub fn admit(&self, address: IpAddr, now: Instant) -> Result<Seat, Refusal> {
         let limits = &self.limits;
         let mut counts = self.lock();
@@ -223,9 +216,6 @@ impl Seat {
 
     /// The connection reads the chain without a transport key: the handshake is over, and it takes a visitor's place
     /// until it ends or has to make room for another visitor ([`Self::evicted`]).
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Busy`.
     pub fn visit(&mut self) -> Result<(), Refusal> {
         if self.visit.is_none() {
             self.visit = Some(self.peers.lock().enter_visit(self.place, &self.peers.limits)?);
@@ -250,9 +240,6 @@ impl Seat {
     }
 
     /// Counts a transaction of a peer without a transport key: each one makes the chain longer forever.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Quota`.
     pub fn newcomer(&self, now: Instant) -> Result<(), Refusal> {
         if self.peers.lock().take_newcomer(&self.place, &self.peers.limits, now) {
             return Ok(());
@@ -264,9 +251,6 @@ impl Seat {
     }
 
     /// Charges memory to the peer until the charge is dropped.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Quota`.
     pub fn charge(&self, bytes: usize) -> Result<Charge, Refusal> {
         let mut counts = self.peers.lock();
         let limits = &self.peers.limits;
@@ -324,7 +308,6 @@ const UNREMEMBERED: IpAddr = IpAddr::V6(Ipv6Addr::UNSPECIFIED);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Place {
     pub peer: IpAddr,
-    /// For IPv6 only.
     pub network: Option<IpAddr>,
 }
 
@@ -453,9 +436,6 @@ impl Counts {
     }
 
     /// Whether one more connection fits here; if so, it is counted as an arrival.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Busy`.
     pub fn check_room(&mut self, place: &Place, limits: &Limits, now: Instant) -> Result<(), Refusal> {
         let busy = |what: &str, of: &IpAddr| Err(Refusal::new(Code::Busy, format_args!("too many {what} of {of}")));
         let all = limits.connections_of_peer.saturating_mul(PEERS_OF_NETWORK);
@@ -511,9 +491,6 @@ impl Counts {
 
     /// Gives a connection a visitor's place. If all are taken, the oldest visitor of those who hold the most has to go:
     /// somebody with many addresses must not keep others out.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Busy` if its peer or network holds its share already.
     pub fn enter_visit(&mut self, place: Place, limits: &Limits) -> Result<(u64, oneshot::Receiver<()>), Refusal> {
         let of_network = limits.visits_of_peer.saturating_mul(2);
         let network = place.network.and_then(|key| self.networks.get(&key));

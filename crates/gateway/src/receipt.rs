@@ -13,7 +13,6 @@ pub const MOST_DIGESTS: usize = 1024;
 pub struct Receipt {
     /// When the gateway had them on disk.
     pub time: Timestamp,
-    /// The digests.
     pub digests: Vec<Digest>,
     /// Signature by the gateway's identity key.
     pub signature: Signature,
@@ -32,9 +31,6 @@ fn put(out: &mut Vec<u8>, time: Timestamp, digests: &[Digest]) {
 
 impl Receipt {
     /// A receipt of at most [`MOST_DIGESTS`] digests.
-    ///
-    /// # Errors
-    /// [`CryptoError::Length`] for more, [`CryptoError::Random`].
     pub fn sign(
         provider: &dyn Provider,
         domain: &Domain,
@@ -50,14 +46,10 @@ impl Receipt {
     }
 
     /// Checks the signature; it covers [`Self::digests`].
-    ///
-    /// # Errors
-    /// [`CryptoError::BadSignature`] or [`CryptoError::PublicPoint`].
     pub fn verify(&self, provider: &dyn Provider, domain: &Domain, gateway: &PublicKey) -> Result<(), CryptoError> {
         provider.verify(gateway, &signed_bytes(domain, self.time, &self.digests), &self.signature)
     }
 
-    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(74 + 32 * self.digests.len());
         put(&mut out, self.time, &self.digests);
@@ -65,10 +57,6 @@ impl Receipt {
         out
     }
 
-    /// From its encoding.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let receipt = Self::read(&mut reader)?;

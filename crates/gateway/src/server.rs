@@ -36,9 +36,6 @@ pub struct Server {
 
 impl Server {
     /// Listens and serves until it is stopped.
-    ///
-    /// # Errors
-    /// If the address cannot be listened on.
     pub async fn start(
         address: impl ToSocketAddrs,
         desk: Arc<dyn Desk>,
@@ -189,13 +186,9 @@ fn rotate(shared: &Arc<Shared>) {
 /// A sender whose session is under its transport key.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sender {
-    /// N.
     pub name: ProfileName,
-    /// Addr.
     pub account: Address,
-    /// Its address.
     pub peer: SocketAddr,
-    /// When it began.
     pub since: Timestamp,
     /// Frames of this session.
     pub frames: u64,
@@ -242,7 +235,6 @@ impl Tally {
         self.lock().senders.values().cloned().collect()
     }
 
-    /// Refusals by reason.
     pub fn refused(&self) -> Vec<(Code, u64)> {
         self.lock().refused.iter().map(|(code, count)| (*code, *count)).collect()
     }
@@ -256,7 +248,6 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// A frame came.
     pub fn frame(&self, bytes: usize) {
         if let Some(sender) = self.tally.lock().senders.get_mut(&self.number) {
             sender.frames += 1;

@@ -152,9 +152,6 @@ impl Session {
     }
 
     /// Opens the payload of a transfer frame; returns its counter and ND2.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Length`, `Session`, `Counter` or `Tag`, in this order of checking.
     pub fn open(&mut self, payload: &[u8]) -> Result<(u64, Zeroizing<Vec<u8>>), Refusal> {
         let opened = self.opened(payload);
         self.broken |= opened.is_err();
@@ -204,7 +201,6 @@ mod tests {
             vec![("client key and iv", bytes(&self.sending.keys)), ("gateway key and iv", bytes(&self.receiving.keys))]
         }
 
-        /// Its id.
         pub fn id(&self) -> SessionId {
             self.id
         }

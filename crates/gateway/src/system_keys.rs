@@ -25,11 +25,8 @@ const MOST_KEYS: usize = 2;
 /// One P_S and its period of use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SystemKey {
-    /// P_S.
     pub public: PublicKey,
-    /// Start of use.
     pub not_before: Timestamp,
-    /// End of use.
     pub not_after: Timestamp,
 }
 
@@ -49,7 +46,6 @@ impl SystemKey {
 /// count (1) keys (id 32, P_S 64, not before 8, not after 8) signature (64).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SystemKeyList {
-    /// The network.
     pub domain: Domain,
     /// The gateway: SM3 of its identity key.
     pub gateway: SignerId,
@@ -57,7 +53,6 @@ pub struct SystemKeyList {
     pub version: u64,
     /// When it was signed.
     pub issued_at: Timestamp,
-    /// When it expires.
     pub expires_at: Timestamp,
     /// The current key, then the next.
     pub keys: Vec<SystemKey>,
@@ -66,10 +61,6 @@ pub struct SystemKeyList {
 }
 
 impl SystemKeyList {
-    /// Signs a list.
-    ///
-    /// # Errors
-    /// [`CryptoError::Random`].
     pub fn sign(
         provider: &dyn Provider,
         domain: Domain,
@@ -108,15 +99,11 @@ impl SystemKeyList {
         [&b"AuthROS/systemkeys/1"[..], &self.domain.0, &self.unsigned()].concat()
     }
 
-    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         [&self.unsigned()[..], &self.signature.0].concat()
     }
 
     /// From its encoding; only the form is checked.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not a list of this version.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         expect(reader.array("magic")? == MAGIC, "magic")?;
@@ -141,9 +128,6 @@ impl SystemKeyList {
 
     /// Checks that it is the list named in the hello, signed by that gateway for this network, and not expired; returns
     /// the key in use.
-    ///
-    /// # Errors
-    /// [`GatewayError::List`] or [`GatewayError::Crypto`].
     pub fn check(
         &self,
         provider: &dyn Provider,
@@ -229,7 +213,6 @@ pub struct Rotation {
     pub erased: usize,
 }
 
-/// The gateway's keys.
 pub struct Cabinet {
     directory: PathBuf,
     provider: &'static dyn Provider,
@@ -282,7 +265,6 @@ impl Cabinet {
         SystemKeyList::parse(&bytes).ok().map(|list| list.gateway)
     }
 
-    /// The identity key.
     pub fn identity(&self) -> &SmKeyPair {
         &self.identity
     }

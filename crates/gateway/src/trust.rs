@@ -57,10 +57,6 @@ impl Trust {
         Self { first_use: true, ..Self::default() }
     }
 
-    /// From its file.
-    ///
-    /// # Errors
-    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] or [`CryptoError::NotAKey`].
     pub fn load(path: &Path) -> Result<Self, CryptoError> {
         let bytes = read_private(path, LONGEST)?;
         let file = File::parse(path, &bytes)?;
@@ -70,9 +66,6 @@ impl Trust {
 
     /// Saves it. Before a gateway has been met there is nothing to write; a newer list of the same gateway that another
     /// connection has seen stays.
-    ///
-    /// # Errors
-    /// [`CryptoError::Write`].
     pub fn save(&self, path: &Path) -> Result<(), CryptoError> {
         let (Some(gateway), Some(seen)) = (self.pinned, self.seen) else { return Ok(()) };
         let file = File { gateway, list_version: seen.version, list_digest: seen.digest };
@@ -85,10 +78,6 @@ impl Trust {
     }
 
     /// Judges a gateway that has just proven its identity key; remembers what it showed if it passes.
-    ///
-    /// # Errors
-    /// [`GatewayError::NotPinned`], [`GatewayError::NotTheGateway`], [`GatewayError::RolledBack`] or
-    /// [`GatewayError::TwoLists`]; nothing is remembered then.
     pub fn judge(&mut self, agreed: &Agreed) -> Result<(), GatewayError> {
         match self.pinned {
             Some(pinned) if pinned != agreed.gateway => {
@@ -146,9 +135,6 @@ impl KeptTrust {
     }
 
     /// Remembers what a connection has learnt, also in the file.
-    ///
-    /// # Errors
-    /// [`GatewayError::NotTheGateway`] if another connection met another gateway first, or errors from writing.
     pub fn learn(&self, learnt: &Trust) -> Result<(), GatewayError> {
         let mut trust = self.trust.lock().unwrap_or_else(PoisonError::into_inner);
         if let (Some(pinned), Some(found)) = (trust.pinned, learnt.pinned)

@@ -15,21 +15,18 @@ const WIDEST_CELL: usize = 80;
 /// The format of messages beside the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Log {
-    /// Lines for people.
     #[default]
     Text,
     /// One JSON object per line; on stdout too, unless the output is JSON anyway.
     Json,
 }
 
-/// The result channel.
 #[derive(Debug, Clone, Copy)]
 pub struct Output {
     json: bool,
     log: Log,
 }
 
-/// A log line.
 #[derive(Serialize)]
 struct Line<'a> {
     time: String,
@@ -39,7 +36,6 @@ struct Line<'a> {
 }
 
 impl Output {
-    /// JSON or text.
     pub fn new(json: bool) -> Self {
         Self { json, log: Log::Text }
     }

@@ -16,9 +16,6 @@ pub const LONGEST_PAYLOAD: u32 = 64 << 20;
 const LENGTHS: u32 = 8;
 
 /// Writes one frame; the caller flushes.
-///
-/// # Errors
-/// [`PipeError::TooLong`] before anything is written, [`PipeError::Broken`] if the other side is gone.
 pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Result<(), PipeError> {
     let head = serde_json::to_vec(head).map_err(|error| PipeError::Head(error.to_string()))?;
     let mut lengths = [0; LENGTHS as usize];

@@ -43,7 +43,6 @@ pub struct Writer {
     pub type_name: String,
     /// `RIHS01_` and 64 hex characters, if announced.
     pub type_hash: Option<String>,
-    /// Its offer.
     pub quality: Quality,
     /// Node name, if announced.
     pub node: Option<String>,
@@ -68,7 +67,6 @@ pub struct Counts {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "told", rename_all = "snake_case")]
 pub enum Told {
-    /// The first frame.
     Hello {
         /// [`crate::VERSION`].
         version: u32,
@@ -102,7 +100,6 @@ pub enum Told {
     /// The answer to [`Wish::Describe`]. The payload is the definition with all its types, as in MCAP's `ros2msg`, twice: as written
     /// from the node's structured description, and the node's own text; either may be empty.
     Described {
-        /// Who was asked.
         node: String,
         /// The type, `package/msg/Type`.
         type_name: String,

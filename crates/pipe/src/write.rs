@@ -89,10 +89,11 @@ pub enum Report {
         participant: String,
     },
     /// A topic is announced.
-    Ready { writer: u32 },
+    Ready {
+        writer: u32,
+    },
     /// A topic is not announced.
     Refused {
-        /// Its number.
         writer: u32,
         reason: String,
         /// Whether it is that somebody else publishes it.
@@ -100,7 +101,6 @@ pub enum Report {
     },
     /// The oldest messages that were not confirmed yet have left the queue; none, if only the other figures changed.
     Taken {
-        /// Their number.
         messages: u32,
         /// Of these the ones that a subscriber did not get because it read too slowly.
         dropped: u32,
@@ -109,7 +109,6 @@ pub enum Report {
         /// Messages of all reports so far that were sent to subscribers that do not acknowledge.
         unconfirmed: u64,
     },
-    /// Subscribers have everything.
     Left,
     /// Every half second.
     Alive {
@@ -117,7 +116,9 @@ pub enum Report {
         participants: u32,
     },
     /// The child is ending on its own.
-    Failed { reason: String },
+    Failed {
+        reason: String,
+    },
 }
 
 #[cfg(test)]

@@ -29,7 +29,6 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// A message as received from its publisher.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Message {
-    /// Topic name.
     pub topic: Arc<str>,
     /// Type, `package/Type`.
     pub type_name: Arc<str>,
@@ -70,7 +69,6 @@ pub trait MessageSink: Send + Sync {
 pub enum CaptureNotice {
     /// A publisher is being read.
     PublisherConnected {
-        /// Topic name.
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
@@ -90,11 +88,9 @@ pub enum CaptureNotice {
     Contradiction { topic: Arc<str>, caller_id: String, contradiction: String },
     /// Sequence numbers are missing: this many messages never arrived.
     LostInTransport {
-        /// Topic name.
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// The number.
         count: u64,
         /// The first and the last of the missing numbers.
         numbers: (u32, u32),
@@ -106,7 +102,6 @@ pub enum CaptureNotice {
     ReadingBroken { reason: String },
     /// A publisher vanished while nothing could be read of it.
     EndUnknown {
-        /// Topic name.
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
@@ -142,7 +137,6 @@ pub struct TopicCapture {
     pub publishers: usize,
     /// Those that the master lists and that cannot be read.
     pub unreached: Vec<Unreached>,
-    /// Messages captured.
     pub messages: u64,
     /// Bytes of their bodies.
     pub bytes: u64,
@@ -235,9 +229,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 struct Errands {
     /// Topics to query the master about at once.
     pub urgent: BTreeSet<TopicName>,
-    /// Topics to unregister.
     pub leaving: BTreeSet<TopicName>,
-    /// The capture ends.
     pub stopping: bool,
 }
 

@@ -71,17 +71,11 @@ impl Graph {
     }
 
     /// Whether a master answers.
-    ///
-    /// # Errors
-    /// [`RosError::Unreachable`] if nothing answers, [`RosError::Protocol`] if it is not a master.
     pub fn ping(&self) -> Result<(), RosError> {
         self.ask("getPid", Instant::now() + PATIENCE).map(drop)
     }
 
     /// All topics with a publisher or subscriber, by name.
-    ///
-    /// # Errors
-    /// See [`Graph::ping`], and [`RosError::Refused`] if the master refuses.
     pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
         self.topics_again(&mut LastLook::default())
     }
@@ -255,9 +249,6 @@ impl Graph {
 
     /// The host that this machine would give other nodes, and what is wrong with it: `given` is `ros.host` or
     /// ROS_HOSTNAME.
-    ///
-    /// # Errors
-    /// Why other nodes cannot use it, in words.
     pub fn own_name(&self, given: Option<&str>) -> Result<String, (String, String)> {
         let deadline = Instant::now() + PATIENCE;
         let host = own_host(given, &self.master, deadline)

@@ -27,7 +27,6 @@ const PATIENCE: Duration = Duration::from_secs(3);
 /// The most calls answered at once: all nodes of a graph ask it.
 const MOST_CALLS: usize = 512;
 
-/// A running master.
 pub struct EmbeddedMaster {
     uri: String,
     front: Option<Server>,
@@ -37,9 +36,6 @@ pub struct EmbeddedMaster {
 
 impl EmbeddedMaster {
     /// Starts a master on a free port of 127.0.0.1 and waits until it answers.
-    ///
-    /// # Errors
-    /// [`RosError::EmbeddedMaster`] if none answers on any of several ports.
     pub fn start() -> Result<Self, RosError> {
         let mut failure = String::new();
         for _ in 0..ATTEMPTS {

@@ -18,9 +18,6 @@ pub use ros2::{Folders, Source, is_built_in, type_hash};
 use super::RosError;
 
 /// The md5sum of a message type as ROS computes it from the full definition text, 32 hex characters.
-///
-/// # Errors
-/// [`RosError::Definition`] if the text is not a definition of `type_name`.
 pub fn md5sum(type_name: &str, definition: &str) -> Result<String, RosError> {
     Definition::parse(type_name, definition).map(|definition| definition.md5sum())
 }

@@ -19,12 +19,9 @@ pub const MOST_POINTS: usize = 4_000;
 /// A message in readable form.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Readable {
-    /// Label and value.
     pub lines: Vec<(String, String)>,
-    /// Matrices and lists.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tables: Vec<Table>,
-    /// Points to plot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plot: Option<Plot>,
     /// A thumbnail of the picture.
@@ -38,7 +35,6 @@ pub struct Table {
     pub title: String,
     /// Columns; may be empty.
     pub head: Vec<String>,
-    /// Rows of cells.
     pub rows: Vec<Vec<String>>,
 }
 
@@ -48,7 +44,6 @@ pub struct Plot {
     pub title: String,
     /// Names and units of both axes.
     pub axes: (String, String),
-    /// Points, in order.
     pub points: Vec<(f64, f64)>,
     /// Whether the points are a path.
     pub path: bool,
@@ -65,7 +60,6 @@ impl Readable {
         out
     }
 
-    /// Adds a line.
     fn line(&mut self, label: &str, value: impl Into<String>) {
         self.lines.push((label.to_owned(), value.into()));
     }

@@ -256,9 +256,7 @@ struct Track {
 /// Where a robot is on the ground and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Motion {
-    /// Metres.
     pub x: f64,
-    /// Metres.
     pub y: f64,
     /// Radians from the X axis.
     pub heading: f64,
@@ -300,7 +298,6 @@ impl Track {
 
 /// What a node of ROS 2 offers if it is not told otherwise.
 const USUAL: Offer = Offer { reliable: true, latched: false, depth: 10 };
-/// CDR, little-endian.
 const LITTLE: u16 = 1;
 /// About how long a message is, bytes.
 const ODOMETRY_SIZE: usize = 720;

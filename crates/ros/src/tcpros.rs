@@ -25,7 +25,6 @@ const MOST_FIELDS: usize = 64;
 pub(crate) struct ConnectionHeader(Vec<(String, String)>);
 
 impl ConnectionHeader {
-    /// With these fields.
     pub fn new<'a>(fields: impl IntoIterator<Item = (&'a str, &'a str)>) -> Self {
         Self(fields.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned())).collect())
     }
@@ -75,7 +74,6 @@ const BUFFER: usize = 256 << 10;
 /// The result of reading.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Poll {
-    /// A complete frame.
     Frame(Vec<u8>),
     /// Nothing complete before the read timed out.
     Pending,
@@ -170,7 +168,6 @@ pub(super) trait Node: Send + Sync + 'static {
     fn publications(&self) -> Vec<(String, String)> {
         Vec::new()
     }
-    /// Its connections.
     fn links(&self) -> Vec<BusLink>;
     /// Somebody reports that the publishers of a topic have changed, and their URIs.
     fn publishers_changed(&self, _topic: &str, _publishers: &[&str]) {}

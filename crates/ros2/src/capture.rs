@@ -23,7 +23,6 @@ const WAKE: Token = Token(0);
 /// The first reader's; 1 is the participants'.
 const FIRST: usize = 2;
 
-/// The longest wait.
 const BEAT: Duration = Duration::from_millis(100);
 /// Interval between looks at the graph if no change was reported.
 const LOOK: Duration = Duration::from_secs(1);

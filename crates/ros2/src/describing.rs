@@ -64,10 +64,8 @@ struct Asked {
     writer: DataWriter<Bytes, Encoded<CDR>>,
 }
 
-/// Where to ask.
 pub type Parts<'a> = (&'a DomainParticipant, &'a Subscriber, &'a Publisher);
 
-/// All questions.
 #[derive(Default)]
 pub struct Describing {
     waiting: VecDeque<Question>,
@@ -475,7 +473,6 @@ impl Writer {
         self.0.extend(text.bytes().chain([0]));
     }
 
-    /// Yes or no.
     pub fn truth(&mut self, truth: bool) {
         self.0.push(u8::from(truth));
     }

@@ -278,7 +278,6 @@ pub struct Departures {
 }
 
 impl Departures {
-    /// Nothing leaves yet.
     pub fn new(domain: u16, own: &Id) -> Self {
         Self { domain, own: graph::prefix(own), heralds: 0, herald: None, others: Vec::new() }
     }
@@ -328,11 +327,8 @@ pub struct Channel {
     reader: Entity,
 }
 
-/// Announces participants.
 const PARTICIPANTS: Channel = Channel { writer: [0, 1, 0, 0xc2], reader: [0, 1, 0, 0xc7] };
-/// Announces writers.
 pub const WRITERS: Channel = Channel { writer: [0, 0, 3, 0xc2], reader: [0, 0, 3, 0xc7] };
-/// Announces readers.
 pub const READERS: Channel = Channel { writer: [0, 0, 4, 0xc2], reader: [0, 0, 4, 0xc7] };
 const PARTICIPANT: Entity = [0, 0, 1, 0xc1];
 
@@ -358,7 +354,6 @@ const PARTICIPANT_ID: u16 = 0x50;
 const ENDPOINTS: u16 = 0x58;
 const KEY_HASH: u16 = 0x70;
 const STATUS: u16 = 0x71;
-/// Disposed and unregistered.
 const GONE: [u8; 4] = [0, 0, 0, 3];
 /// Announces participants, writers and readers, and reads nothing but participants.
 const ANNOUNCERS: u32 = 1 | 2 | 4 | 16;

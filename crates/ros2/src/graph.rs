@@ -24,7 +24,6 @@ pub struct Found {
     pub dds_type: String,
     /// Whether its type has a key.
     pub keyed: bool,
-    /// Its offer.
     pub quality: Quality,
     /// In the site's form; `None` if it is not of ROS 2.
     pub told: Option<Writer>,
@@ -33,7 +32,6 @@ pub struct Found {
 /// The most participants of this program that are told apart from others: the last ones.
 const MOST_OWN: usize = 4;
 
-/// The present writers.
 #[derive(Default)]
 pub struct Graph {
     own: Vec<Prefix>,

@@ -19,7 +19,6 @@ pub enum Bringer {
     Successor,
 }
 
-/// One writer's messages.
 #[derive(Default)]
 struct Line {
     /// Up to this number they were passed on before their present bringer's turn; the first message of a writer is 1.
@@ -56,11 +55,9 @@ impl Line {
     }
 }
 
-/// All writers' messages.
 #[derive(Default)]
 pub struct Lines {
     by_writer: HashMap<Id, Line>,
-    /// Bytes that wait.
     held: usize,
 }
 

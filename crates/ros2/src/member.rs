@@ -31,7 +31,6 @@ pub struct Member {
     // In drop order.
     /// Its readers, by their tokens.
     pub readings: BTreeMap<usize, Reading>,
-    /// Its questions.
     pub describing: Describing,
     subscriber: Subscriber,
     publisher: Publisher,
@@ -41,7 +40,6 @@ pub struct Member {
     /// What it says when it leaves.
     pub farewell: Farewell,
     participants: BTreeSet<Prefix>,
-    /// When it joined.
     pub begun: Instant,
     /// Writers and readers that it has met since it has been the only one.
     pub met: usize,
@@ -54,10 +52,6 @@ pub struct Member {
 }
 
 impl Member {
-    /// Joins a domain.
-    ///
-    /// # Errors
-    /// [`Ros2Error::Join`] and [`Ros2Error::System`].
     pub fn join(domain: u16, registry: &Registry) -> Result<Self, Ros2Error> {
         let join = |error: &dyn std::fmt::Debug| Ros2Error::join(domain, error);
         let participant = DomainParticipantBuilder::new(domain).build().map_err(|error| join(&error))?;
@@ -117,7 +111,6 @@ impl Member {
         }
     }
 
-    /// The present writers.
     pub fn writers(&mut self) -> Vec<DiscoveredWriterData> {
         let found = self.participant.discovered_writers();
         found.iter().for_each(|writer| self.see(graph::prefix(&writer.publication_topic_data.key.to_bytes())));

@@ -14,13 +14,11 @@ use rustdds::{Duration, Keyed, QosPolicies, QosPolicyBuilder, RepresentationIden
 pub const FIRST_DEPTH: usize = 16;
 /// The most samples kept of a topic.
 const MOST_DEPTH: usize = 1000;
-/// The fewest.
 const LEAST_DEPTH: usize = 4;
 /// Bytes of samples kept of one topic, and of all topics.
 const TOPIC_BYTES: usize = 32 << 20;
 const ALL_BYTES: usize = 256 << 20;
 
-/// A writer's offer.
 pub fn offered(told: &PublicationBuiltinTopicData) -> Quality {
     Quality {
         // A writer that does not say so is reliable, by the standard's default.

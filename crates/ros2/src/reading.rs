@@ -22,7 +22,6 @@ pub struct Taken {
     pub sent: Option<u64>,
     /// When it arrived, nanoseconds.
     pub arrived: u64,
-    /// Header and body.
     pub bytes: Vec<u8>,
 }
 
@@ -70,9 +69,7 @@ impl Port {
     }
 }
 
-/// A reader.
 pub struct Reading {
-    /// What it reads.
     pub subject: Subject,
     pub request: Request,
     /// Whether there may be something to take.
@@ -94,10 +91,6 @@ fn refused(error: impl std::fmt::Debug) -> Ros2Error {
 }
 
 impl Reading {
-    /// Starts reading.
-    ///
-    /// # Errors
-    /// [`Ros2Error::System`] with the words of the network code.
     pub fn begin(
         (participant, subscriber): (&DomainParticipant, &Subscriber),
         subject: Subject,

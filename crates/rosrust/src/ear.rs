@@ -50,7 +50,6 @@ impl Ear {
         Ok(ear)
     }
 
-    /// Messages so far.
     pub fn heard(&self) -> u64 {
         self.heard.load(Ordering::Acquire)
     }

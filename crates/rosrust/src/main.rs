@@ -9,7 +9,6 @@ use authros_keyless::{ATTEMPT, Begun, Memory, Network, attempt_all, begin, close
 const MEMORY: Memory = Memory::Data(4 << 30);
 /// More arguments are not looked at.
 const MOST_ARGUMENTS: usize = 16;
-/// The longest name.
 const LONGEST: usize = 200;
 
 fn main() -> ExitCode {

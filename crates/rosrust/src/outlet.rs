@@ -19,7 +19,6 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// The name under which it counts.
 const EAR: &str = "/ear";
 
-/// A published topic.
 pub struct Outlet {
     topic: String,
     publisher: Publisher<RawMessage>,
@@ -35,7 +34,6 @@ pub struct Outlet {
 }
 
 impl Outlet {
-    /// Announces a topic.
     pub fn begin(ros: &Ros, topic: &Described, definition: String) -> Result<Self, String> {
         let description = RawMessageDescription {
             msg_definition: definition,
@@ -60,7 +58,6 @@ impl Outlet {
         Ok(Self { topic, publisher, served, ear, handed, ahead, ahead_bytes, is_outrun, has_failed, last })
     }
 
-    /// Its name.
     pub fn topic(&self) -> &str {
         &self.topic
     }

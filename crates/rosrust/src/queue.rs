@@ -6,9 +6,6 @@ use std::collections::{BTreeMap, VecDeque};
 /// What can be written to.
 pub trait Outlet {
     /// Hands a message on; returns its number, from 1.
-    ///
-    /// # Errors
-    /// Gives it back if there is no room now.
     fn attempt(&mut self, message: Vec<u8>) -> Result<u64, Vec<u8>>;
     /// The number of the last message that left.
     fn left(&self) -> u64;
@@ -16,7 +13,6 @@ pub trait Outlet {
     fn has_caught_up(&self) -> bool;
     /// Whether its subscribers are no longer waited for.
     fn is_outrun(&self) -> bool;
-    /// Sets that.
     fn outrun(&mut self, is_outrun: bool);
 }
 

@@ -57,16 +57,12 @@ impl From<AccountError> for Failure {
 /// A user of this machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Account {
-    /// The user's name.
     pub name: OperatorName,
     groups: Vec<Gid>,
 }
 
 impl Account {
     /// Looks a number up. Waits for the user database.
-    ///
-    /// # Errors
-    /// [`AccountError`].
     pub fn of(uid: u32) -> Result<Self, AccountError> {
         if uid == overflow() {
             return Err(AccountError::OtherNamespace(uid));
@@ -79,17 +75,11 @@ impl Account {
     }
 
     /// The user of this process.
-    ///
-    /// # Errors
-    /// [`AccountError`].
     pub fn own() -> Result<Self, AccountError> {
         Self::of(rustix::process::geteuid().as_raw())
     }
 
     /// What the rules give this user, by name and by group. Waits for the user database.
-    ///
-    /// # Errors
-    /// [`AccountError::Silent`].
     pub fn rights(&self, rules: &[OperatorRule]) -> Result<OperatorRights, AccountError> {
         let mut rights = OperatorRights::default();
         for rule in rules {
@@ -106,9 +96,6 @@ impl Account {
 }
 
 /// The rules for users and groups that this machine does not have, each in a sentence that says where it is written.
-///
-/// # Errors
-/// [`AccountError::Silent`].
 pub fn unknown(rules: &[OperatorRule]) -> Result<Vec<String>, AccountError> {
     let mut lines = Vec::new();
     for OperatorRule { whom, place, .. } in rules {

@@ -10,7 +10,6 @@ use crate::model::{ErrorKind, ProfileName};
 /// One request, with the channel for its answer.
 #[derive(Debug)]
 pub struct Call {
-    /// The request.
     pub request: Request,
     /// The channel for the answer.
     pub answer: oneshot::Sender<Result<Reply, Failure>>,
@@ -30,7 +29,6 @@ impl Client {
         Self { profile, calls, events }
     }
 
-    /// Its profile.
     pub fn profile(&self) -> &ProfileName {
         &self.profile
     }

@@ -136,7 +136,6 @@ const FAR_AHEAD: u64 = 120;
 /// The name of the embedded chain.
 const EMBEDDED: &str = "embedded";
 
-/// Checks it.
 async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
     let pinned = match tokio::task::block_in_place(|| network_pin_in(&home.ledger())) {
         Ok(pinned) => pinned,
@@ -261,7 +260,6 @@ const TIGHT: u64 = 1 << 30;
 /// Free space below which it cannot work, bytes.
 const FULL: u64 = 32 << 20;
 
-/// Directory and modes.
 fn home_folder(home: &Home, sheet: &mut Sheet) {
     let root = home.root();
     if !root.exists() {
@@ -302,7 +300,6 @@ fn is_secret(path: &Path) -> bool {
     ["profiles", "chain", "gateway", "ledger.db"].iter().any(|begin| name.starts_with(begin))
 }
 
-/// Every profile's keyring.
 fn keys(home: &Home, sheet: &mut Sheet) {
     let profiles = home.profiles();
     let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();

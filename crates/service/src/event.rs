@@ -30,7 +30,6 @@ pub enum NoticeLevel {
     Info,
     /// Something is waiting or was counted.
     Warning,
-    /// Stays until seen.
     Error,
 }
 
@@ -50,15 +49,10 @@ impl NoticeLevel {
 #[serde(rename_all = "snake_case", tag = "event")]
 pub enum Event {
     /// Pull this part again. Sent at most four times a second per part.
-    Changed {
-        /// What changed.
-        part: Part,
-    },
+    Changed { part: Part },
     /// Something an operator should know; the text is cleaned.
     Notice {
-        /// When.
         at: Timestamp,
-        /// The urgency.
         level: NoticeLevel,
         /// What happened, to what, what to do.
         text: String,

@@ -85,7 +85,6 @@ impl Hub {
         self.notice(NoticeLevel::Info, text);
     }
 
-    /// Sends a warning.
     pub fn warn(&self, text: &str) {
         self.notice(NoticeLevel::Warning, text);
     }

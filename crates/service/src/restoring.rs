@@ -95,7 +95,6 @@ fn put_back(from: &Path, place: &Path) -> Option<String> {
     Some(format!("{} could not be moved to {}: {error}; it is used in its current place", shown(from), shown(place)))
 }
 
-/// Also across disks.
 fn move_to(from: &Path, place: &Path) -> io::Result<()> {
     let parent = place.parent().ok_or(io::ErrorKind::InvalidInput)?;
     fs::DirBuilder::new().recursive(true).mode(0o700).create(parent)?;

@@ -25,7 +25,6 @@ pub struct FolderCheck {
     pub ok: bool,
     /// SM3 of the record.
     pub digest: Digest,
-    /// Its owner.
     pub owner: Address,
     /// When it was captured, according to its owner.
     pub captured_at: Timestamp,
@@ -36,7 +35,6 @@ pub struct FolderCheck {
     pub sealed_by: Option<SealedBy>,
     /// What the reader of the verdict has to know besides.
     pub warnings: Vec<String>,
-    /// Step by step.
     pub steps: Vec<VerifyStep>,
     /// The kind of error that determines the exit code; `None` if every check passes.
     pub worst: Option<ErrorKind>,
@@ -45,9 +43,7 @@ pub struct FolderCheck {
 /// A block of the chain that anchors a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AnchoredAt {
-    /// Its number.
     pub block: u64,
-    /// Its hash.
     pub hash: Hash,
     /// Its time, to the second, by the clocks of those who seal that chain.
     pub time: Timestamp,
@@ -65,7 +61,6 @@ impl From<BlockRef> for AnchoredAt {
 pub struct Known {
     /// Hash of block 0.
     pub genesis: Option<Hash>,
-    /// The contract.
     pub contract: Option<Address>,
 }
 

@@ -251,7 +251,7 @@ impl Mission {
         let flipped = self.flipped_bit_is_refused(one).await?;
         let plant = &self.site.plant;
         let take = |record: &RecordView| -> Result<Genuine, Failure> {
-            let row = block_in_place(|| plant.ledger.records.find(record.digest))?.ok_or_else(gone)?;
+            let row = plant.ledger.records.find(record.digest)?.ok_or_else(gone)?;
             Genuine::take(plant, &self.network, &self.cura_a.owner, row)
         };
         // Same topic and epoch, so that one key opens both and only the named check can refuse.
@@ -298,7 +298,7 @@ impl Mission {
     /// A record that claims another's place in its batch. If digests are anchored one by one no record has a place to
     /// claim.
     fn path_of_another_is_refused(&self, one: &Genuine, other: &Genuine) -> Result<bool, Failure> {
-        let placed = block_in_place(|| self.site.plant.ledger.records.placed(one.row.digest))?;
+        let placed = self.site.plant.ledger.records.placed(one.row.digest)?;
         let place = placed.and_then(|placed| placed.place);
         Ok(place.is_none_or(|place| !chain_proofs::is_included(&place, &other.row)))
     }
@@ -321,7 +321,7 @@ impl Mission {
     async fn open_after_revoke(&self, revoked_at: Timestamp, kept: &[(u64, EpochKey)]) -> Result<u64, Failure> {
         let (owner, since) = (Some(self.cura_a.address), Some(revoked_at));
         let query = RecordQuery { owner, since, limit: 10_000, ..RecordQuery::default() };
-        let rows = block_in_place(|| self.site.plant.ledger.records.list(&query))?.rows;
+        let rows = self.site.plant.ledger.records.list(&query)?.rows;
         let provider = self.site.plant.provider;
         let mut opened = 0;
         let signer = self.cura_a.owner.signing();
@@ -345,7 +345,7 @@ impl Mission {
         let mut query = RecordQuery { owner, kind, limit: 10_000, newest_first: true, ..RecordQuery::default() };
         let mut anchored = 0;
         loop {
-            let page = block_in_place(|| self.site.plant.ledger.records.list(&query))?;
+            let page = self.site.plant.ledger.records.list(&query)?;
             for row in &page.rows {
                 let in_this_mission = row.block.is_some_and(|block| block >= self.first_block);
                 if in_this_mission && chain_proofs::is_anchored(&self.site.plant, &self.network, row).await? {

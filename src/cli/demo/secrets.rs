@@ -1,7 +1,5 @@
 //! What a mission must keep off the chain, collected for the test that searches for it there.
 
-use tokio::task::block_in_place;
-
 use super::mission::Mission;
 use crate::crypto::topic_key;
 use crate::model::Hash;
@@ -75,7 +73,7 @@ impl Mission {
 
     fn some_rows(&self) -> Result<Vec<crate::store::RecordRow>, Failure> {
         let query = RecordQuery { owner: Some(self.cura_a.address), limit: 20, ..RecordQuery::default() };
-        Ok(block_in_place(|| self.site.plant.ledger.records.list(&query))?.rows)
+        Ok(self.site.plant.ledger.records.list(&query)?.rows)
     }
 
     /// What the chain holds for some of the mission's records: their batches' roots, or their digests.
@@ -84,7 +82,7 @@ impl Mission {
     /// Errors of the ledger.
     pub fn some_anchors(&self) -> Result<Vec<Hash>, Failure> {
         let anchor = |row: crate::store::RecordRow| {
-            let placed = block_in_place(|| self.site.plant.ledger.records.placed(row.digest))?;
+            let placed = self.site.plant.ledger.records.placed(row.digest)?;
             let place = placed.and_then(|placed| placed.place);
             Ok(place.map_or(Hash(row.digest.0), |place| place.inclusion.root))
         };

@@ -29,7 +29,6 @@ const NO_UNCLES: [u8; 32] = [
     0x1b, 0x94, 0x8a, 0x74, 0x13, 0xf0, 0xa1, 0x42, 0xfd, 0x40, 0xd4, 0x93, 0x47,
 ];
 
-/// A block header.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
     /// Hash of the parent.
@@ -44,7 +43,6 @@ pub struct Header {
     pub beneficiary: Address,
     /// Proof of authority: 1 for the genesis block, 2 for one sealed in turn, 1 out of turn. Otherwise the work.
     pub difficulty: u64,
-    /// Block number.
     pub number: u64,
     /// The most gas of its transactions.
     pub gas_limit: u64,
@@ -102,9 +100,6 @@ impl Header {
     }
 
     /// From the RLP encoding.
-    ///
-    /// # Errors
-    /// If it is not exactly one header of this chain's kind.
     pub fn decode(bytes: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(bytes)?;
         let parent = Hash(items.next()?);
@@ -130,7 +125,6 @@ impl Header {
         Ok(header)
     }
 
-    /// The block hash.
     pub fn hash(&self) -> Hash {
         Hash(keccak256(self.encode()).0)
     }
@@ -212,9 +206,7 @@ impl Receipt {
 /// Where a transaction was mined.
 #[derive(Clone, Copy)]
 pub struct Mining {
-    /// Block number.
     pub block: u64,
-    /// Block hash.
     pub hash: Hash,
     /// Block time, seconds.
     pub timestamp: u64,
@@ -240,7 +232,6 @@ pub fn data(bytes: &[u8]) -> Value {
     Value::String(format!("0x{}", hex(bytes)))
 }
 
-/// Parses a quantity.
 pub fn read_quantity(value: &Value) -> Option<U256> {
     let digits = value.as_str()?.strip_prefix("0x")?;
     U256::from_str_radix(digits, 16).ok()

@@ -170,7 +170,6 @@ impl World {
         }
     }
 
-    /// authorised, epoch, count
     fn query(&self, from: Address, token: Token, owner: Address) -> (bool, u64, u64) {
         let values = self.view(from, "dataQuery", &[AbiToken::Bytes(token.0.to_vec()), address(owner)]);
         let number = |index: usize| values[index].clone().into_uint().expect("number").as_u64();

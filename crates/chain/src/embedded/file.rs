@@ -55,9 +55,7 @@ pub struct Founding {
 /// A block to be written to the file.
 pub struct Sealed<'a> {
     pub header: &'a Header,
-    /// Its transactions.
     pub sent: &'a [Transaction],
-    /// Their receipts.
     pub receipts: &'a [Receipt],
     /// Its changes to the state's nodes.
     pub written: &'a Turnover,
@@ -73,7 +71,6 @@ pub struct Mined {
     pub logs: u64,
 }
 
-/// The open file.
 pub struct ChainFile {
     path: PathBuf,
     connection: Connection,
@@ -100,9 +97,6 @@ impl ChainFile {
 
     /// Refuses a chain written by another version of this program, and leaves the file as it is. Other problems are
     /// reported when it is opened.
-    ///
-    /// # Errors
-    /// [`ChainError::Newer`], [`ChainError::Tampered`].
     pub fn check(directory: &Path) -> Result<(), ChainError> {
         let path = super::file_in(directory);
         if !path.exists() {
@@ -119,9 +113,6 @@ impl ChainFile {
     }
 
     /// The founding data; `None` in a new file.
-    ///
-    /// # Errors
-    /// [`ChainError`] if the file cannot be read or was changed.
     pub fn founding(&self) -> Result<Option<Founding>, ChainError> {
         type Columns = (u64, String, Zeroizing<Vec<u8>>);
         let columns = |row: &Row<'_>| Ok((natural(row, 0)?, row.get(1)?, Zeroizing::new(row.get(2)?)));
@@ -146,9 +137,6 @@ impl ChainFile {
     }
 
     /// Writes a block and its changes to the state; when this returns it is on disk.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written; then nothing was.
     pub fn append(&self, block: &Sealed<'_>) -> Result<(), ChainError> {
         self.write(|transaction| {
             insert_header(transaction, block.header)?;
@@ -337,7 +325,6 @@ fn natural(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
 /// A mined transaction, with its receipt.
 pub struct Done {
     pub transaction: Transaction,
-    /// Its result.
     pub receipt: Receipt,
 }
 
@@ -385,9 +372,6 @@ impl Looked {
 
 impl Node {
     /// A block's header; `None` above the newest.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] if it was altered.
     pub fn header(&self, number: u64) -> Result<Option<Header>, ChainError> {
         if number > self.head.number {
             return Ok(None);
@@ -405,9 +389,6 @@ impl Node {
     }
 
     /// A block's transactions with their receipts, in order.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] if they differ from what the header commits to.
     pub fn done(&self, header: &Header) -> Result<Rc<Vec<Done>>, ChainError> {
         let number = header.number;
         if let Some(done) = self.looked.find(number) {
@@ -433,9 +414,6 @@ impl Node {
     }
 
     /// Where a transaction was mined: the block's header and the index in it.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] if the block was altered, or does not hold it.
     pub fn mined(&self, hash: Hash) -> Result<Option<Place>, ChainError> {
         let Some((number, position)) = self.file.place_of(hash)? else { return Ok(None) };
         let gone = || self.file.tampered(number, "a transaction was moved");

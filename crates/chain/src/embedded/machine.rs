@@ -25,7 +25,6 @@ use crate::transaction::{Transaction, Unsigned};
 /// The context of a block or call.
 #[derive(Debug, Clone, Copy)]
 pub struct Environment {
-    /// Block number.
     pub number: u64,
     /// Seconds since 1970.
     pub timestamp: u64,
@@ -39,7 +38,6 @@ pub struct Environment {
 pub struct Outcome {
     /// Those included, in order.
     pub included: Vec<Transaction>,
-    /// Their receipts.
     pub receipts: Vec<Receipt>,
     /// Those that cannot go into any block, and why.
     pub refused: Vec<(Transaction, String)>,
@@ -62,13 +60,11 @@ pub enum Answer {
 
 /// The world state, and the chain whose transactions change it.
 pub struct Machine {
-    /// The state.
     pub tries: Tries,
     pub chain_id: u64,
 }
 
 impl Machine {
-    /// Over a state.
     pub fn new(tries: Tries, chain_id: u64) -> Self {
         Self { tries, chain_id }
     }

@@ -97,18 +97,12 @@ pub fn file_in(directory: &Path) -> PathBuf {
 }
 
 /// Refuses an embedded chain in `directory` written by another version of this program, without touching it.
-///
-/// # Errors
-/// [`ChainError::Newer`], [`ChainError::Tampered`].
 pub fn check_embedded_chain(directory: &Path) -> Result<(), ChainError> {
     file::ChainFile::check(directory)
 }
 
 impl Embedded {
     /// Opens or founds the chain in `directory`.
-    ///
-    /// # Errors
-    /// [`ChainError::File`], [`ChainError::Tampered`] or [`ChainError::OtherConsensus`].
     pub async fn open(directory: PathBuf, asked: Option<Consensus>) -> Result<Self, ChainError> {
         let (requests, inbox) = channel();
         let (opened, answer) = oneshot::channel();
@@ -154,9 +148,6 @@ impl Embedded {
     }
 
     /// Answers a JSON-RPC request.
-    ///
-    /// # Errors
-    /// The [`Fault`] that a node would answer with.
     pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, Fault> {
         let method = method.to_owned();
         let answer = self.with(move |node| rpc::answer(node, &method, parameters)).await;

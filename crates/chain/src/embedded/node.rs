@@ -31,24 +31,19 @@ const MOST_TRANSACTIONS: usize = 4096;
 /// Receives the nonce that a search found, on the search's thread.
 pub type Found = Arc<dyn Fn(u64) + Send + Sync>;
 
-/// One chain, open.
 pub struct Node {
     /// Its rules and state.
     pub machine: Machine,
     pub file: Rc<ChainFile>,
     /// The blocks whose transactions were read or written last.
     pub looked: Looked,
-    /// The pending transactions.
     pub pool: Pool,
     pub chain_id: u64,
-    /// Its founding data.
     pub consensus: Consensus,
     pub sealing: Sealing,
-    /// Its newest block.
     pub head: BlockRef,
     /// What callers wait for.
     pub filters: Filters,
-    /// Audits in progress.
     pub audits: VecDeque<Auditing>,
     /// Why the last block could not be written.
     pub trouble: Option<String>,
@@ -61,7 +56,6 @@ pub struct Node {
 struct Work {
     header: Header,
     outcome: Outcome,
-    /// Ends when dropped.
     _search: Search,
 }
 
@@ -70,9 +64,6 @@ impl Node {
     ///
     /// The newest block is run again and must come out as in the file; older blocks are authenticated through it when
     /// read.
-    ///
-    /// # Errors
-    /// [`ChainError::File`], [`ChainError::Tampered`] if the file was changed, or [`ChainError::OtherConsensus`].
     pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
         let file = Rc::new(ChainFile::open(directory)?);
         let founded = sealing::open(&file, asked)?;
@@ -286,9 +277,6 @@ impl Again {
 }
 
 /// A block's header, checked against its hash in the file.
-///
-/// # Errors
-/// [`ChainError::Tampered`] if it is missing or another one.
 pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     let blame = |what: &str| file.tampered(number, what);
     let (hash, bytes) = file.block(number)?.ok_or_else(|| blame("it is gone"))?;

@@ -78,7 +78,6 @@ impl Payload {
         Self::precompiled(format!("BLAKE2F of {rounds} rounds"), 9, mstore(0, word), 213)
     }
 
-    /// New storage slots.
     pub fn sstore() -> Self {
         Self::new("SSTORE of new slots", push(1), &[0x80, 0x80, 0x55, 0x60, 1, 0x01])
     }
@@ -88,7 +87,6 @@ impl Payload {
         Self::modexp(1, 40_000, 1, 0xff)
     }
 
-    /// All payloads.
     pub fn all() -> Vec<Self> {
         let hashes = |length: u64| [push(length), push(0), vec![0x20, 0x50]].concat();
         let mut signature = mstore(0, [7; 32]);

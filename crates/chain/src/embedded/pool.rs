@@ -206,7 +206,6 @@ impl Pool {
         self.lanes.get(&sender).map_or(next, |lane| lane.free().max(next))
     }
 
-    /// A pending transaction.
     pub fn get(&self, hash: Hash) -> Option<&Transaction> {
         if !self.hashes.contains(&hash) {
             return None;
@@ -242,7 +241,6 @@ pub const TOO_MUCH_WORK: &str = "too much work for its gas";
 
 /// The address of ecrecover.
 const ECRECOVER: EvmAddress = revm::precompile::u64_to_address(1);
-/// Its price.
 const ECRECOVER_GAS: u64 = 3_000;
 /// Its surplus, measured against the other instructions.
 const ECRECOVER_SURPLUS: u64 = 6_000;

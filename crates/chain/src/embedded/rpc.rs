@@ -29,7 +29,6 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// Without data.
     pub fn new(code: i64, message: impl Into<String>) -> Self {
         Self { code, message: message.into(), data: None, cause: None }
     }
@@ -49,9 +48,6 @@ pub struct Parameters(Vec<Value>);
 
 impl Parameters {
     /// One of them, parsed.
-    ///
-    /// # Errors
-    /// [`Fault`] -32602 if it is missing or malformed.
     pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
         self.0.get(index).and_then(read).ok_or_else(|| Self::missing(index))
     }
@@ -61,10 +57,6 @@ impl Parameters {
     }
 }
 
-/// Answers one request.
-///
-/// # Errors
-/// [`Fault`] for an unknown method, bad parameters, a refusal or a revert.
 pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
     let parameters = Parameters(match parameters {
         Value::Array(all) => all,

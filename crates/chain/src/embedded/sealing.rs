@@ -251,7 +251,6 @@ pub struct Founded {
     pub consensus: Consensus,
     /// The same, with its keys.
     pub sealing: Sealing,
-    /// Its first block.
     pub genesis: Header,
 }
 

@@ -87,7 +87,6 @@ impl Site {
         answer(&mut self.node, method, parameters)
     }
 
-    /// A whole audit.
     fn audit(&mut self) -> Result<u64, ChainError> {
         let (reply, mut heard) = oneshot::channel();
         self.node.begin_audit(reply);

@@ -60,7 +60,6 @@ impl Tries {
         decode_exact(bytes).map_err(|_| self.ground.malformed(root))
     }
 
-    /// An account.
     pub fn account(&self, address: Address) -> Result<Option<TrieAccount>, ChainError> {
         let found = Trie::new(&*self.ground, self.root).get(&keccak256(address.0)[..])?;
         found.map(|bytes| self.read(self.root, &bytes)).transpose()
@@ -279,9 +278,6 @@ impl ChainFile {
     }
 
     /// Looks at a node as stored in the file, ignoring the cache.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] if it was altered, or is missing and must not be.
     pub fn look_at(&self, hash: Hash, may_be_gone: bool) -> Result<(), ChainError> {
         match self.read_node(hash)? {
             None if !may_be_gone => Err(self.wrong(hash, "is gone")),

@@ -60,9 +60,6 @@ const LONG: Refusal = Refusal(StatusCode::SERVICE_UNAVAILABLE, "the chain took t
 const CUT: Refusal = Refusal(StatusCode::BAD_REQUEST, "the body is cut");
 
 /// Opens the listener, on loopback only.
-///
-/// # Errors
-/// [`ChainError::Input`] for another address, or one that cannot be bound.
 pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
     if !address.ip().is_loopback() {
         return Err(ChainError::Input(format!(
@@ -77,9 +74,6 @@ pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
 
 impl Chain {
     /// Answers JSON-RPC on `listener` until `stop`; all connections end with it.
-    ///
-    /// # Errors
-    /// [`ChainError::Input`] if the chain is a node, which serves itself.
     pub async fn serve(&self, listener: TcpListener, stop: impl Future<Output = ()> + Send) -> Result<(), ChainError> {
         self.serve_within(LIMITS, listener, stop).await
     }

@@ -21,7 +21,6 @@ pub struct Service {
 }
 
 impl Service {
-    /// Over a chain.
     pub fn new(chain: Embedded) -> Self {
         Self { chain, heavy: Heavy::new(Instant::now()) }
     }
@@ -137,7 +136,6 @@ pub struct Heavy {
 }
 
 impl Heavy {
-    /// All of them.
     pub fn new(now: Instant) -> Self {
         Self { left: Mutex::new((AT_ONCE, now)) }
     }

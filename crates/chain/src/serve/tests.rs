@@ -29,7 +29,6 @@ async fn is_answered(stream: &mut TcpStream, call: &str) -> bool {
     true
 }
 
-/// A served chain.
 struct Served {
     chain: Chain,
     address: SocketAddr,

@@ -28,9 +28,7 @@ use zeroize::Zeroizing;
 use super::{CONNECTING, ChainError, IDLE, Limits, Refused, TOGETHER, TransportError, broken, is_one, read};
 use crate::model::{address_without_secrets, clean};
 
-/// A node's address.
 pub(super) struct Address {
-    /// For display.
     pub shown: String,
     /// What it leads to.
     pub place: Place,
@@ -105,7 +103,6 @@ fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
 // Connections that stay open between requests. Each carries one request at a time, so an answer is always that of the
 // last question; one on which something went wrong is closed.
 
-/// A connection.
 pub(super) trait Link: Send + Sized {
     /// Sends a request and reads its answer, of at most `most` bytes.
     fn exchange(&mut self, request: &str, most: usize) -> impl Future<Output = Result<Bytes, TransportError>> + Send;
@@ -126,7 +123,6 @@ pub(super) struct Kept<L> {
 type Idle<L> = Mutex<Vec<(L, Instant)>>;
 
 impl<L: Link> Kept<L> {
-    /// Not connected yet.
     pub(super) fn new(open: Opener<L>) -> Self {
         Self { open, usual: Idle::default(), wide: Idle::default() }
     }
@@ -314,7 +310,6 @@ pub(super) struct Http {
 }
 
 impl Http {
-    /// Not connected yet.
     pub(super) fn new(server: Server) -> Result<Self, ChainError> {
         // Redirects are not followed: only the node that was named gets requests and credentials.
         let client = Client::builder().no_proxy().redirect(Policy::none()).tls_built_in_root_certs(false);

@@ -19,23 +19,19 @@ pub enum Act {
     Suspend,
     /// Frees a suspended account.
     Restore,
-    /// Lets anyone register.
     Open,
     /// Lets only admitted accounts register.
     Close,
     /// Blocks all changes except revokes.
     Pause,
-    /// Allows changes again.
     Continue,
     /// Proposes who is to continue for a lost account.
     Propose,
-    /// Withdraws an admission.
     Dismiss,
     /// Names the next administrator.
     HandOver,
     /// Takes over, having been named.
     Accept,
-    /// Deploys the contract.
     Deploy,
 }
 

@@ -24,15 +24,11 @@ const MOST_OVER: usize = 20;
 pub struct Alert {
     /// Its subject; the text may change while this stays.
     pub about: String,
-    /// How urgent.
     pub level: NoticeLevel,
-    /// In words.
     pub text: String,
-    /// Since when.
     pub since: Timestamp,
     /// How often it occurred, including this time.
     pub count: usize,
-    /// When it ended.
     pub resolved: Option<Timestamp>,
     /// Whether its end is worth reporting.
     pub lasts: bool,
@@ -111,7 +107,6 @@ pub fn refresh(state: &mut State) {
     state.alerts.refresh(found, now);
 }
 
-/// All active ones.
 fn standing(state: &State) -> Vec<Alert> {
     let alert = |about: &str, level, text| Alert {
         about: about.to_owned(),
@@ -253,14 +248,10 @@ const SHOWN_FOR: u64 = 3_000_000_000;
 /// The most messages waiting to be seen.
 const MOST: usize = 50;
 
-/// One message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Toast {
-    /// How urgent.
     pub level: NoticeLevel,
-    /// What happened.
     pub text: String,
-    /// When it disappears.
     pub until: Option<Timestamp>,
     /// Its subject, if a later message about the same replaces it.
     pub about: Option<String>,

@@ -13,7 +13,6 @@ use crate::service::reply::RecordView;
 /// One thing to choose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Choice {
-    /// The text shown.
     pub text: String,
     /// The text beside it.
     pub note: String,
@@ -91,7 +90,6 @@ pub fn browse_key(state: &mut State, selected: usize, key: Key) -> Vec<Effect> {
 /// A theme being chosen.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThemeChoice {
-    /// The selected name.
     pub selected: usize,
     /// The previous theme, which Esc restores.
     pub before: String,
@@ -128,7 +126,6 @@ pub fn theme_key(state: &mut State, mut choice: ThemeChoice, key: Key) -> Vec<Ef
 pub struct Offered {
     /// Its name, as in `:columns topic,state`.
     pub name: &'static str,
-    /// What it shows.
     pub words: &'static str,
     /// The width of the list from which it is usually shown, columns.
     pub from: u16,
@@ -205,9 +202,6 @@ pub fn wanted(screen: Screen, table: &Table, width: u16) -> Vec<&'static str> {
 }
 
 /// Those of `names` that the screen offers, each once, and the one that is always shown.
-///
-/// # Errors
-/// The first name that it does not offer.
 pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Result<Vec<&'static str>, &'a str> {
     let mut found: Vec<&'static str> = Vec::new();
     for name in names {
@@ -225,7 +219,6 @@ pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Re
 /// The choice of columns, with its cursor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ColumnChoice {
-    /// The selected line.
     pub selected: usize,
     /// The columns chosen before, which esc restores.
     pub before: Vec<&'static str>,

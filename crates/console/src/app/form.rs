@@ -19,10 +19,12 @@ use crate::service::{Command, Epochs, KeyKind, SecretText};
 /// The input of a line.
 #[derive(Debug)]
 pub enum Input {
-    /// Typed text.
     Text(Field),
     /// One of a few words.
-    Choice { options: Vec<String>, chosen: usize },
+    Choice {
+        options: Vec<String>,
+        chosen: usize,
+    },
 }
 
 /// Which line is wrong, and why.
@@ -64,7 +66,6 @@ pub struct Form {
     pub title: String,
     /// Lines above the fields.
     pub notes: Vec<String>,
-    /// The fields.
     pub lines: Vec<Line>,
     /// Which field has the focus.
     pub focus: usize,
@@ -83,7 +84,6 @@ pub enum FormStep {
     Stay,
     /// The operator is done.
     Submit,
-    /// The operator cancelled.
     Cancel,
 }
 
@@ -145,7 +145,6 @@ impl Form {
         self.error = Some(error.into());
     }
 
-    /// Takes a key.
     pub fn key(&mut self, key: Key) -> FormStep {
         self.told.clear();
         self.tabbed = None;
@@ -161,7 +160,6 @@ impl Form {
         FormStep::Stay
     }
 
-    /// Takes pasted text.
     pub fn paste(&mut self, text: &str) {
         if let Some(Line { input: Input::Text(field), .. }) = self.lines.get_mut(self.focus) {
             field.insert(text.trim());
@@ -280,7 +278,6 @@ impl Field {
         true
     }
 
-    /// Empties it.
     pub fn clear(&mut self) {
         *self = Self { masked: self.masked, ..Self::default() };
     }
@@ -377,13 +374,10 @@ pub fn extend(grantee: &str, ends: &str) -> Form {
 /// The terms of a grant, as typed.
 #[derive(Debug, Clone)]
 pub struct GrantWish {
-    /// The reader.
     pub grantee: Party,
     /// Only these; empty = all.
     pub topics: Vec<TopicName>,
-    /// Which epochs.
     pub epochs: Epochs,
-    /// When it ends.
     pub expires: Option<Timestamp>,
 }
 
@@ -450,7 +444,6 @@ pub fn load_key() -> Form {
 pub struct KeyWish {
     /// Which key it holds.
     pub kind: KeyKind,
-    /// Its path, absolute.
     pub path: PathBuf,
     /// Passphrase of a V3 keystore, if one was given.
     pub passphrase: Option<SecretText>,

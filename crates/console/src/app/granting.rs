@@ -204,7 +204,6 @@ pub fn chosen(state: &State, selected: usize) -> Option<&ContactRow> {
     state.contacts.get(selected.min(state.contacts.len().saturating_sub(1)))
 }
 
-/// Opens the list.
 pub fn open_contacts(state: &mut State) {
     state.feeds.slot_mut(Feed::Contacts).stale = true;
     state.popups.push(Popup::Contacts(0));

@@ -294,7 +294,6 @@ struct Run {
     seen: (Timestamp, u64),
 }
 
-/// All current runs.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Progress(Vec<Run>);
 
@@ -312,7 +311,6 @@ impl Progress {
             .collect();
     }
 
-    /// Whether anything runs.
     pub fn any(&self) -> bool {
         !self.0.is_empty()
     }

@@ -13,7 +13,6 @@ use crate::service::{Command, Failure};
 /// How much of an identity a command needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Need {
-    /// An open keyring.
     Unlocked,
     /// An open keyring and a registration on the chain.
     Registered,

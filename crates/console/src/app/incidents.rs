@@ -27,13 +27,9 @@ const TOPICS: usize = 3;
 /// What is done to an incident.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Deed {
-    /// A new one.
     Open,
-    /// Another note.
     Note,
-    /// Its span ends.
     Close,
-    /// It is forgotten.
     Remove,
 }
 
@@ -74,7 +70,6 @@ impl Incidents {
         (self.rows, self.told_at) = (rows, now);
     }
 
-    /// Takes one over.
     pub fn put(&mut self, view: IncidentView) {
         match self.rows.iter_mut().find(|row| row.name == view.name) {
             Some(row) => *row = view,
@@ -86,7 +81,6 @@ impl Incidents {
 /// The list, with its cursor.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct IncidentList {
-    /// Which line.
     pub selected: usize,
     /// First line shown of what the incident under the cursor holds.
     pub scroll: usize,
@@ -100,7 +94,6 @@ impl IncidentList {
     }
 }
 
-/// Opens the list.
 pub fn open(state: &mut State) {
     state.feeds.slot_mut(Feed::Incidents).stale = true;
     state.popups.push(Popup::Incidents(IncidentList::default()));

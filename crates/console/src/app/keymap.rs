@@ -19,7 +19,6 @@ pub const LONGEST_CHORD: usize = 3;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binding {
     pub on: Vec<Key>,
-    /// What they do.
     pub entry: &'static Entry,
     /// The operator's own description.
     pub desc: Option<String>,
@@ -39,7 +38,6 @@ impl Binding {
 /// The meaning of keys pressed in sequence.
 #[derive(Debug, PartialEq)]
 pub enum Meaning<'a> {
-    /// They do this.
     Does(Verb),
     /// More keys must follow: these chords begin this way.
     Begins(Vec<&'a Binding>),
@@ -49,7 +47,6 @@ pub enum Meaning<'a> {
 /// Where bindings apply; a more specific place takes precedence over a more general one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// On every screen.
     Everywhere,
     /// On screens with a list.
     Lists,
@@ -112,9 +109,6 @@ struct Change {
 
 impl Keymap {
     /// The preset, overridden by an operator's file.
-    ///
-    /// # Errors
-    /// [`FileError`] naming `file`, the line, and what is wrong with it.
     pub fn with_file(file: &str, text: &str) -> Result<Self, FileError> {
         let source = Source { file, text };
         let lines = lines(&source)?;
@@ -268,7 +262,6 @@ enum On {
     Chord(Vec<String>),
 }
 
-/// A parsed line.
 struct Read {
     place: Place,
     change: Change,
@@ -387,27 +380,20 @@ pub enum Key {
     Char(char),
     /// Control and a lower-case letter.
     Control(char),
-    /// Return.
     Enter,
     Escape,
     Tab,
-    /// Shift and tab.
     BackTab,
     /// Deletes to the left.
     Backspace,
     /// Deletes to the right.
     Delete,
-    /// Cursor up.
     Up,
-    /// Cursor down.
     Down,
-    /// Cursor left.
     Left,
-    /// Cursor right.
     Right,
     PageUp,
     PageDown,
-    /// To the beginning.
     Home,
     End,
 }

@@ -199,9 +199,7 @@ impl Standing {
 /// Whether a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Capture {
-    /// Not watched.
     Unwatched,
-    /// Captured.
     Watched,
     /// Not until the keyring is unlocked.
     WaitsForKey,

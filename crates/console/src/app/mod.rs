@@ -140,18 +140,13 @@ pub struct State {
     /// What needs attention, or did recently.
     pub alerts: AlertBook,
     pub chain: Option<ChainView>,
-    /// The graph.
     pub topics: Topics,
-    /// Own records.
     pub uploads: Records,
-    /// Records of others.
     pub shared: Records,
     pub grants: Grants,
-    /// Notices and audit.
     pub log: Log,
     /// The popups over the screen, topmost last.
     pub popups: Vec<Popup>,
-    /// Messages.
     pub toasts: Toasts,
     /// Requests not yet answered, besides the feeds.
     pub work: Vec<Tag>,
@@ -160,7 +155,6 @@ pub struct State {
     pub gateway: Gateway,
     /// The file that is being read for a form.
     pub reading: Option<PathBuf>,
-    /// The address book.
     pub contacts: Vec<ContactRow>,
     /// Spans that are kept.
     pub incidents: Incidents,
@@ -266,7 +260,6 @@ impl State {
         self.pending_records() > 0 || self.work.iter().any(Tag::is_work)
     }
 
-    /// The profile's address.
     pub fn address(&self) -> Option<Address> {
         self.identity.as_ref().and_then(|identity| identity.address)
     }
@@ -356,13 +349,11 @@ pub enum Screen {
     Overview,
     /// Topics of the ROS graph.
     Topics,
-    /// Own records.
     Uploads,
     /// Records shared with this profile.
     Shared,
     /// Grants given and received.
     Grants,
-    /// Identity and keys.
     Keys,
     Chain,
     Gateway,
@@ -371,7 +362,6 @@ pub enum Screen {
 }
 
 impl Screen {
-    /// All, in order.
     pub fn all() -> impl Iterator<Item = Self> {
         Self::iter()
     }
@@ -435,7 +425,6 @@ pub struct FirstStep {
     pub name: &'static str,
     /// The key to press.
     pub key: &'static str,
-    /// Its benefit.
     pub text: &'static str,
 }
 
@@ -461,7 +450,6 @@ pub fn first_steps(state: &State) -> Vec<FirstStep> {
 pub struct KeptTable {
     /// The text of the filter.
     pub filter: String,
-    /// Which column sorts.
     pub sort: usize,
     /// Whether the order is reversed.
     #[serde(default)]
@@ -471,7 +459,6 @@ pub struct KeptTable {
     pub columns: Vec<String>,
 }
 
-/// The remembered state.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Kept {

@@ -28,7 +28,6 @@ pub enum Face {
     Plot,
     /// A small version of a picture.
     Picture,
-    /// Every field.
     Fields,
     /// The message's first bytes.
     Bytes,
@@ -251,7 +250,6 @@ pub struct Detail {
     due: Option<Timestamp>,
     /// An own record's provenance and state.
     pub steps: Option<Lookup<Provenance>>,
-    /// Another owner's record.
     pub opening: Option<Opening>,
     /// When there are records of a topic.
     pub coverage: Option<(String, Result<Box<CoverageView>, Failure>)>,

@@ -342,7 +342,6 @@ pub struct Candidate {
 /// The names that begin as wanted.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Found {
-    /// By name.
     pub names: Vec<Candidate>,
     /// Whether the folder holds more than was read.
     pub more: bool,

@@ -88,7 +88,6 @@ pub enum Purpose {
     Grant,
     /// A new end for a grant.
     Extend,
-    /// A key file.
     LoadKey,
     /// Which key to export.
     ExportKey,
@@ -113,9 +112,7 @@ pub enum Purpose {
 /// A question answered by `y`; anything else means no.
 #[derive(Debug)]
 pub struct Confirm {
-    /// The question.
     pub title: String,
-    /// What it means.
     pub lines: Vec<String>,
     /// The word beside `y`.
     pub yes: &'static str,
@@ -128,11 +125,9 @@ pub struct Confirm {
 /// Something requested by id, shown when it arrives.
 #[derive(Debug)]
 pub struct Lookup<T> {
-    /// The request.
     pub id: String,
     /// The answer, once it has arrived.
     pub answer: Option<Result<Box<T>, Failure>>,
-    /// First line shown.
     pub scroll: usize,
 }
 
@@ -170,7 +165,6 @@ pub(super) fn tell<T>(
 /// What each key does, narrowed by what is typed.
 #[derive(Debug, Default)]
 pub struct Help {
-    /// First line shown.
     pub scroll: usize,
     /// What is typed after `/`.
     pub filter: Field,
@@ -183,9 +177,7 @@ pub struct Help {
 /// Every command by name, narrowed by what is typed.
 #[derive(Debug, Default)]
 pub struct Palette {
-    /// What is typed.
     pub field: Field,
-    /// The selected match.
     pub selected: usize,
     /// Which of the commands before is in the field, counted from the newest.
     pub recalled: Option<usize>,
@@ -210,14 +202,11 @@ impl Palette {
 /// A word that must be typed for a grave act.
 #[derive(Debug)]
 pub struct Typed {
-    /// The word.
     pub wanted: String,
-    /// What is typed.
     pub field: Field,
 }
 
 impl Typed {
-    /// Nothing typed yet.
     pub fn new(wanted: &str) -> Self {
         Self { wanted: wanted.to_owned(), field: Field::default() }
     }

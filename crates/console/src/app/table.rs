@@ -21,7 +21,6 @@ pub struct Table {
     pub filter: Field,
     /// Whether the filter is being typed.
     pub filtering: bool,
-    /// Which column sorts.
     pub sort: usize,
     /// Whether the order is reversed.
     pub reversed: bool,
@@ -180,7 +179,6 @@ impl State {
         }
     }
 
-    /// The same, mutable.
     pub fn table_of_mut(&mut self, screen: Screen) -> Option<&mut Table> {
         match screen {
             Screen::Topics => Some(&mut self.topics.table),

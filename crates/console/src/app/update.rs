@@ -22,7 +22,6 @@ pub fn start(state: &mut State) -> Vec<Effect> {
     effects
 }
 
-/// Handles one action.
 pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     if matches!(action, Action::Key(_) | Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
         state.touched = state.now;
@@ -523,7 +522,6 @@ impl Default for Feeds {
 }
 
 impl Feeds {
-    /// One feed's slot.
     pub fn slot(&self, feed: Feed) -> &Slot {
         &self.0[feed as usize]
     }

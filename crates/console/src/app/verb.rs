@@ -20,9 +20,7 @@ pub enum Verb {
     Go(Screen),
     NextScreen,
     PreviousScreen,
-    /// Cursor up.
     Up,
-    /// Cursor down.
     Down,
     PageUp,
     PageDown,
@@ -30,18 +28,15 @@ pub enum Verb {
     First,
     /// To the last row.
     Last,
-    /// Mark the row.
     Mark,
     /// Mark every row shown, or none.
     MarkAll,
-    /// Type a filter.
     Filter,
     /// To the next row that matches the filter.
     NextMatch,
     PreviousMatch,
     /// Sort by the next column.
     Sort,
-    /// Reverse the order.
     Reverse,
     /// Choose the columns of the list.
     Columns,
@@ -56,7 +51,6 @@ pub enum Verb {
     /// Export the record's files for third parties to check.
     Export,
     CreateIdentity,
-    /// Open the keyring.
     Unlock,
     /// Register the identity on the chain.
     Register,
@@ -66,11 +60,8 @@ pub enum Verb {
     ExportKey,
     /// Begin a new epoch.
     Rotate,
-    /// Share.
     Grant,
-    /// Extend a grant.
     Extend,
-    /// Stop sharing.
     Revoke,
     /// Publishers of the topic, pinned and suspect.
     Publishers,
@@ -78,19 +69,15 @@ pub enum Verb {
     Pin,
     /// No longer accept a publisher.
     Unpin,
-    /// Release quarantined messages.
     Release,
-    /// Delete quarantined messages.
     Discard,
     /// Who can read this now.
     Readers,
-    /// The address book.
     Contacts,
     /// The robot under the cursor, in full.
     Inspect,
     /// Set a robot's policy, or clear it.
     SetPolicy,
-    /// A new incident.
     Incident,
     Incidents,
     /// Speak for another profile.
@@ -105,7 +92,6 @@ pub enum Verb {
     BackUp,
     /// Wipe the keys from memory.
     Lock,
-    /// Running commands.
     Tasks,
     /// Undo the last act.
     Undo,
@@ -137,7 +123,6 @@ pub enum Verb {
     Palette,
     /// The meaning of the keys.
     Help,
-    /// Dismiss the message.
     Dismiss,
     ChooseTheme,
     /// ASCII characters only, or all.
@@ -147,7 +132,6 @@ pub enum Verb {
     Redraw,
     /// Suspend, back to the shell.
     Suspend,
-    /// Leave.
     Quit,
 }
 
@@ -345,14 +329,17 @@ pub enum Action {
     Do(Verb),
     /// A key was pressed.
     Key(Key),
-    /// Text was pasted.
     Paste(Zeroizing<String>),
     /// The terminal has a new size, in cells.
-    Resize { columns: u16, rows: u16 },
-    /// The current time.
+    Resize {
+        columns: u16,
+        rows: u16,
+    },
     Tick(Timestamp),
-    /// The site answered.
-    Answered { tag: Tag, result: Box<Result<Reply, Failure>> },
+    Answered {
+        tag: Tag,
+        result: Box<Result<Reply, Failure>>,
+    },
     /// The site sent an event.
     Told(Event),
     /// Events were missed; everything is requested again.
@@ -366,9 +353,14 @@ pub enum Action {
     /// The theme is now this one.
     ThemeIs(String),
     /// The wheel was turned: up or down.
-    Wheel { up: bool },
+    Wheel {
+        up: bool,
+    },
     /// The left button was pressed on a cell, from 0.
-    Click { column: u16, row: u16 },
+    Click {
+        column: u16,
+        row: u16,
+    },
     /// The process was suspended and is running again.
     Resumed,
     /// A background task of this process failed.
@@ -381,7 +373,6 @@ pub enum Action {
 pub enum Effect {
     /// Send a command; its answer comes back under the tag.
     Send(Command, Tag),
-    /// Leave the console.
     Quit,
     /// Leave the console, and a site running in its place.
     LeaveSite,
@@ -389,7 +380,6 @@ pub enum Effect {
     Leave(Failure),
     /// Stop the process as Ctrl-Z does.
     Suspend,
-    /// Redraw everything.
     Redraw,
     /// Show the theme with this name.
     ShowTheme(String),
@@ -466,7 +456,6 @@ pub enum Tag {
     Revoke(Address),
     LoadKey(KeyKind),
     ExportKey(KeyKind),
-    /// A new epoch.
     Rotate,
     /// Pausing the capture before leaving, or resuming it.
     HoldCapture,

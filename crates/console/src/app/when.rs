@@ -31,7 +31,6 @@ fn date(text: &str) -> Option<Timestamp> {
 pub struct Zone(Option<TimeZone>);
 
 impl Zone {
-    /// This zone.
     pub fn new(zone: TimeZone) -> Self {
         Self(Some(zone))
     }

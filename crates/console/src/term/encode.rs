@@ -14,7 +14,6 @@ use unicode_width::UnicodeWidthStr;
 
 /// Opens a frame that the terminal shows all at once.
 pub const BEGIN_FRAME: &str = "\x1b[?2026h";
-/// Closes it.
 pub const END_FRAME: &str = "\x1b[?2026l";
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -60,7 +59,6 @@ impl Encoder {
         self.pen = narrow.then_some(Position { x: x + 1, y });
     }
 
-    /// Clears the screen.
     pub fn clear(&mut self) {
         self.begin();
         self.set_look(Look::default());
@@ -209,9 +207,7 @@ impl Encoder {
 /// How many colours the terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Depth {
-    /// 24 bit.
     True,
-    /// The xterm palette.
     Indexed,
     /// The sixteen ANSI colours.
     Sixteen,

@@ -40,9 +40,6 @@ pub fn write_all(base: &Path, directory: Option<&str>, files: &[Contents]) -> Re
 }
 
 /// The names in a folder that begin as wanted, by name; a bounded part of a large folder.
-///
-/// # Errors
-/// A sentence that says which folder cannot be read, and why.
 pub fn find(sought: &Sought) -> Result<Found, String> {
     let cannot = |error: io::Error| format!("{} cannot be read: {error}", clean(&sought.folder.to_string_lossy(), 200));
     let mut entries = std::fs::read_dir(&sought.folder).map_err(cannot)?;
@@ -71,9 +68,6 @@ pub fn find(sought: &Sought) -> Result<Found, String> {
 }
 
 /// The text of a file, read no further than a robot's policy may be long.
-///
-/// # Errors
-/// A sentence that says which file cannot be taken, and why.
 pub fn read_text(path: &Path) -> Result<String, String> {
     let shown = clean(&path.to_string_lossy(), 200);
     let cannot = |error: io::Error| format!("{shown} cannot be read: {error}");

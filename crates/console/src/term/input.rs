@@ -111,7 +111,6 @@ pub fn ends(signal: i32) -> bool {
     ENDING.contains(&signal)
 }
 
-/// Listens until dropped.
 #[derive(Debug)]
 pub struct Listener {
     handle: Handle,

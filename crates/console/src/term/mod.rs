@@ -46,7 +46,6 @@ pub struct ConsoleOptions {
     pub settings: Settings,
     /// A theme's name; `None` = chosen by the terminal's colours.
     pub theme: Option<String>,
-    /// The available themes.
     pub themes: Themes,
     /// Draw with ASCII characters only.
     pub ascii: bool,
@@ -63,7 +62,6 @@ pub struct ConsoleOptions {
 /// Why the console ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ExitReason {
-    /// The operator quit.
     Quit,
     /// The operator quit; a site continues without the console.
     LeaveSite,
@@ -437,7 +435,6 @@ pub enum Message {
 pub struct Host {
     /// Talks to the site.
     pub client: Client,
-    /// Runs what waits.
     pub handle: Handle,
     /// To the updating thread.
     pub messages: Sender<Message>,

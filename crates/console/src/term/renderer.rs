@@ -155,7 +155,6 @@ fn is_given_away(stage: &Stage) -> bool {
 /// How urgently a frame is wanted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Wish {
-    /// Not at all.
     #[default]
     None,
     /// Data changed: within the byte budget.
@@ -164,12 +163,10 @@ pub enum Wish {
     Now,
 }
 
-/// The current scene.
 #[derive(Debug)]
 pub struct Scene {
     /// Everything the console knows.
     pub state: State,
-    /// Its appearance.
     pub theme: Theme,
     /// Whether and how urgently a frame is wanted.
     pub wish: Wish,

@@ -21,7 +21,6 @@ const ADDRESS_FROM: u16 = 100;
 /// Columns that one short badge takes.
 const BADGE: u16 = 12;
 
-/// Draws both lines.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_first(canvas, row(area, 0), state);
     draw_screens(canvas, row(area, 1), state);

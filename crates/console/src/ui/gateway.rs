@@ -51,7 +51,6 @@ const OF_OWNER: &[Column] = &[
     Column::text("Last UTC", 8),
 ];
 
-/// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(view) = &state.gateway.view else {
         canvas.put(area, "Gateway", Role::Title);

@@ -19,7 +19,6 @@ use crate::service::reply::{
 };
 use ratatui::layout::Rect;
 
-/// Draws the screen.
 pub fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.put(area, "Chain", Role::Title);
     let area = below(area, 1);
@@ -142,7 +141,6 @@ const GRANT_COLUMNS: &[Column] = &[
     Column::number("Block", 8).from(100),
 ];
 
-/// Draws the screen.
 pub fn draw_grants(canvas: &mut Canvas, area: Rect, state: &State) {
     let (grants, table) = (&state.grants, &state.grants.table);
     let rows = grants.visible();
@@ -202,7 +200,6 @@ pub fn draw_facts(canvas: &mut Canvas, area: Rect, facts: &[Fact]) -> u16 {
     super::rows(facts.len())
 }
 
-/// Draws the screen.
 pub fn draw_keys(canvas: &mut Canvas, area: Rect, state: &State) {
     canvas.put(area, "Keys", Role::Title);
     let area = below(area, 1);
@@ -265,7 +262,6 @@ fn locked(state: &State) -> &'static str {
 const LOG_COLUMNS: &[Column] =
     &[Column::text("UTC", 8), Column::text("Level", 7), Column::text("From", 11), Column::wide("What")];
 
-/// Draws the screen.
 pub fn draw_log(canvas: &mut Canvas, area: Rect, state: &State) {
     let log = &state.log;
     let lines = log.visible();
@@ -322,7 +318,6 @@ const TOPIC_COLUMNS: &[Column] = &[
 /// Terminal width from which all topic columns fit.
 const ALL_FROM: u16 = 170;
 
-/// Draws the screen.
 pub fn draw_topics(canvas: &mut Canvas, area: Rect, state: &State) {
     let topics = &state.topics;
     let rows = topics.visible();

@@ -152,7 +152,6 @@ impl<'a> Canvas<'a> {
         self.theme.draws_pixels()
     }
 
-    /// The whole area.
     pub fn screen(&self) -> Rect {
         *self.buffer.area()
     }

@@ -30,7 +30,6 @@ const COLUMNS: &[Column] = &[
     Column::text("", 9).from(100),
 ];
 
-/// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let roomy = area.height >= ROOMY_FROM;
     let gap = u16::from(roomy);
@@ -197,7 +196,6 @@ const KEPT: u16 = 5;
 /// Graphs, and their heading.
 const ROWS: u16 = 5;
 
-/// One graph.
 struct Panel {
     name: &'static str,
     text: String,

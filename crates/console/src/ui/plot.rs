@@ -166,7 +166,6 @@ pub const BAYER: [[u8; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [
 pub struct Placement {
     /// The cells it fills, all of them empty.
     pub area: Rect,
-    /// Its pixels.
     pub raster: Raster,
 }
 

@@ -15,13 +15,11 @@ const LEAST_NAME: u16 = 12;
 
 #[derive(Debug, Clone, Copy)]
 pub struct Column {
-    /// Its head.
     pub title: &'static str,
     /// Its name in `:columns`; empty = it cannot be chosen.
     pub name: &'static str,
     /// Its width; 0 = what is left (one column of a table).
     pub width: u16,
-    /// Its greatest width.
     pub most: u16,
     /// Whether it is right-aligned.
     pub right: bool,
@@ -147,7 +145,6 @@ pub fn order(screen: Screen, table: &Table) -> String {
     if table.reversed { format!("{name} ↑") } else { format!("{name} ↓") }
 }
 
-/// What to draw.
 pub struct Sheet<'a> {
     /// Left part of the title line.
     pub title: &'a str,
@@ -158,7 +155,6 @@ pub struct Sheet<'a> {
     pub keys: &'a [String],
     /// The cells of a row; called only for rows on screen.
     pub cells: &'a dyn Fn(usize) -> Vec<(String, Role)>,
-    /// Cursor, marks, filter.
     pub table: &'a Table,
     /// Shown if there are no rows.
     pub empty: &'a str,
@@ -166,7 +162,6 @@ pub struct Sheet<'a> {
     pub old: bool,
 }
 
-/// Draws a table.
 pub fn draw(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
     draw_title(canvas, row(area, 0), sheet);
     let widths = widths(sheet.columns, area.width);

@@ -22,19 +22,13 @@ pub enum Role {
     Body,
     /// Titles and column heads.
     Title,
-    /// Less important text.
     Dim,
     /// What stands out: names, important numbers.
     Accent,
-    /// Well.
     Good,
-    /// Waiting or counted.
     Warning,
-    /// Wrong.
     Bad,
-    /// Under the cursor.
     Selection,
-    /// Lines around popups.
     Border,
     /// FROZEN, SIMULATED, the screen in view.
     Badge,
@@ -65,7 +59,6 @@ pub enum ThemeError {
     File(#[from] FileError),
 }
 
-/// The embedded themes.
 const EMBEDDED: [(&str, &str); 4] = [
     ("night", include_str!("../../../../themes/night.toml")),
     ("day", include_str!("../../../../themes/day.toml")),
@@ -85,7 +78,6 @@ pub enum Shades {
     #[default]
     All,
     Sixteen,
-    /// None: characters instead.
     None,
 }
 
@@ -181,7 +173,6 @@ fn unknown(name: &str, known: String) -> ThemeError {
     ThemeError::Unknown { name: clean(name, 40), known }
 }
 
-/// Red, green, blue.
 pub type Rgb = (u8, u8, u8);
 
 /// The sixteen, in the order of their codes.

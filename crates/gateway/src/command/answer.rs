@@ -19,11 +19,9 @@ const LONGEST_LIST: usize = 1024;
 pub struct Fetched {
     /// The signer's key; the reader compares it with the chain.
     pub signer: PublicKey,
-    /// (r, s).
     pub signature: Signature,
     /// Proof of the anchor, as written by the chain crate; empty until there is one.
     pub proof: Vec<u8>,
-    /// CT1.
     pub blob: Vec<u8>,
 }
 
@@ -52,7 +50,6 @@ pub enum Found {
     Missing(Code),
     /// It is there; its bytes were not asked for.
     Here,
-    /// The record.
     Held(Fetched),
     /// What is left of one that its owner had erased.
     Erased(ErasedRecord),
@@ -81,7 +78,6 @@ impl Wire for Found {
     }
 }
 
-/// A gateway's message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
     /// The list, as its gateway encoded it.
@@ -90,7 +86,6 @@ pub enum Answer {
     Receipt(Command, Receipt),
     /// The gateway's time (8).
     Time(Timestamp),
-    /// The chain's answer.
     Relayed(Relayed),
     /// What becomes of each erasure in the request, in order: count (2), a byte each.
     Erasures(Vec<ErasureOutcome>),
@@ -103,7 +98,6 @@ pub enum Answer {
 }
 
 impl Answer {
-    /// Its Command.
     pub fn command(&self) -> Command {
         match self {
             Self::SystemKeys(_) => Command::SystemKeys,
@@ -122,7 +116,6 @@ impl Answer {
         if let Self::Relayed(relayed) = self { relayed.length() } else { 0 }
     }
 
-    /// The body.
     pub fn encode(&self) -> Vec<u8> {
         match self {
             Self::SystemKeys(list) => list.clone(),
@@ -137,9 +130,6 @@ impl Answer {
     }
 
     /// From a Command and its body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the body does not match the Command.
     pub fn parse(command: Command, body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let answer = match command {

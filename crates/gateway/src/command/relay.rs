@@ -23,9 +23,7 @@ const FAULT: u8 = 1;
 /// One request: length of the method (1) || method || parameters, a JSON array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RelayCall {
-    /// The JSON-RPC method.
     pub method: String,
-    /// JSON.
     pub parameters: String,
 }
 
@@ -55,9 +53,7 @@ impl RelayCall {
 pub enum Relayed {
     /// The node's result, JSON.
     Result(String),
-    /// The node's error.
     Fault {
-        /// JSON-RPC's code.
         code: i64,
         /// The node's words, cleaned.
         words: String,

@@ -33,33 +33,26 @@ impl From<&SealedRecord> for Upload {
 /// A grant being sent to the chain: grantee (20) || epoch (8) || expiry (8) || transaction (32).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GrantNotice {
-    /// The grantee.
     pub grantee: Address,
-    /// The epoch granted.
     pub epoch: u64,
     /// Its expiry, seconds since the Unix epoch; 0 for never.
     pub expiry: u64,
-    /// The transaction.
     pub transaction: Hash,
 }
 
 /// A revoke being sent to the chain: grantee (20) || new epoch (8) || new token (32) || transaction (32).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RevokeNotice {
-    /// The grantee.
     pub grantee: Address,
     /// The epoch that begins.
     pub epoch: u64,
-    /// Its token.
     pub token: Token,
-    /// The transaction.
     pub transaction: Hash,
 }
 
 /// The device that the session's name belongs to from now on: P of a lent device (64) || the topic id of its notices (16).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeviceNotice {
-    /// Its public key.
     pub key: PublicKey,
     /// Where its owner's notices to it are filed.
     pub notices: TopicId,
@@ -68,7 +61,6 @@ pub struct DeviceNotice {
 /// What an owner tells her gateway, signed by d_C.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Notice {
-    /// She shares.
     Grant(GrantNotice),
     /// She shares no longer.
     Revoke(RevokeNotice),
@@ -76,12 +68,10 @@ pub enum Notice {
     Device(DeviceNotice),
 }
 
-/// A client's message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Request {
     /// The list of system keys.
     SystemKeys,
-    /// Key allocation.
     KeyAllocation(AllocationRequest),
     /// One record: signature (64) || blob.
     Upload(Upload),
@@ -89,7 +79,6 @@ pub enum Request {
     UploadMany(Vec<Upload>),
     /// What its owner tells.
     Notice(Notice),
-    /// Nothing.
     Ping,
     /// A request to the chain.
     Relay(RelayCall),
@@ -102,7 +91,6 @@ pub enum Request {
 }
 
 impl Request {
-    /// Its Command.
     pub fn command(&self) -> Command {
         match self {
             Self::SystemKeys => Command::SystemKeys,

@@ -17,7 +17,6 @@ const CHARGED: usize = 16 * 1024;
 /// How often a frame waiting for memory is tried again.
 const ROOM: Duration = Duration::from_millis(50);
 
-/// The next input.
 pub(super) enum Next {
     Frame(FrameKind, Vec<u8>),
     /// A request for the feed may have an answer.
@@ -86,9 +85,6 @@ impl Connection {
     }
 
     /// Counts what a peer without a transport key sends to the chain.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `Quota`.
     pub(super) fn count_newcomer<C>(&self, message: &Message<C>) -> Result<(), Refusal> {
         let sends = message.command == Command::Relay
             && matches!(

@@ -244,7 +244,6 @@ struct SignedCase<'a> {
     signature: Option<Signature>,
 }
 
-/// Unchanged.
 fn good<'a>(sent: &'a Request, signer: &'a SmKeyPair) -> SignedCase<'a> {
     let (signed, domain) = (sent.command(), context().domain);
     SignedCase { sent, signed, signer, domain, gateway: None, counter: 0, signature: None }

@@ -43,7 +43,6 @@ const NO_TCPROS: &str = "it offers no TCPROS";
 /// A publisher whose name the master does not tell.
 const UNNAMED: &str = "a publisher";
 
-/// Starts the thread.
 pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Publisher>) -> io::Result<()> {
     let mut reader = Reader {
         shared: Arc::clone(shared),
@@ -70,7 +69,6 @@ struct Description {
     has_header: bool,
 }
 
-/// An open connection.
 struct Link {
     frames: FrameReader<TcpStream>,
     from: Description,
@@ -98,7 +96,6 @@ struct Reader {
     told: bool,
     /// Its node's name, once the master was asked because it cannot be read.
     node: Option<String>,
-    /// Inconsistencies already reported.
     contradicted: BTreeSet<String>,
 }
 

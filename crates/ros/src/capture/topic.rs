@@ -52,7 +52,6 @@ struct State {
     lineage: Lineage,
     /// URIs that somebody announced as publishers, until the master has answered.
     claims: BTreeSet<String>,
-    /// Claims already reported.
     refuted: HashSet<String>,
     /// When the master last listed each.
     lately: HashMap<Endpoint, Instant>,
@@ -61,7 +60,6 @@ struct State {
     kicks: u64,
 }
 
-/// A watched topic.
 pub(super) struct Topic {
     pub name: TopicName,
     /// The name, shared with every message.

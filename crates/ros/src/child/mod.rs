@@ -26,22 +26,16 @@ pub const UNCONFINED: &str = "this kernel does not confine the program that spea
 pub(crate) const LEAVING: Duration = Duration::from_millis(1500);
 
 /// The path of the program called `name`: from the settings, or else beside this one.
-///
-/// # Errors
-/// Where it was looked for, if it is not there.
 pub fn find(name: &str, given: Option<&Path>) -> Result<PathBuf, PathBuf> {
     let beside = || std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(name)));
     let path = given.map(Path::to_owned).or_else(beside).unwrap_or_else(|| PathBuf::from(name));
     if path.is_file() { Ok(path) } else { Err(path) }
 }
 
-/// What is started.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Errand {
-    /// The program's path.
     pub program: PathBuf,
     pub arguments: Vec<String>,
-    /// Its whole environment.
     pub environment: Vec<(&'static str, String)>,
 }
 
@@ -158,7 +152,6 @@ const MOST_ANSWERS: usize = 4096;
 /// Why a topic is not published.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Declined {
-    /// In words.
     pub reason: String,
     /// Whether it is that somebody else publishes it.
     pub occupied: bool,
@@ -188,10 +181,6 @@ pub struct State {
 }
 
 impl State {
-    /// Takes a report.
-    ///
-    /// # Errors
-    /// Why the program must be ended, in words.
     pub fn take(&mut self, report: Report, domain: u16) -> Result<(), String> {
         self.reports += 1;
         match report {
@@ -323,9 +312,6 @@ pub struct Run {
 
 impl Run {
     /// Starts the program, which is to say that it has joined `domain`.
-    ///
-    /// # Errors
-    /// [`RosError::System`] if it, or a thread for it, does not start.
     pub fn start(errand: &Errand, domain: u16) -> Result<Self, RosError> {
         let (child, to, from) = start(errand)?;
         let shared = Arc::new(Shared::default());
@@ -406,17 +392,11 @@ impl Run {
     }
 
     /// Waits until it is in its domain or graph.
-    ///
-    /// # Errors
-    /// Why it is not, in words.
     pub fn joined(&self) -> Result<(), String> {
         self.wait(JOINING, |state| state.joined.then_some(()))?.ok_or_else(|| SILENT.to_owned())
     }
 
     /// Orders that a topic is announced, and waits for the answer; a program that gives none is ended.
-    ///
-    /// # Errors
-    /// Why there is no answer, in words.
     pub fn announce<T: Serialize>(
         &self,
         writer: u32,

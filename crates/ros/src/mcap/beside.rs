@@ -35,7 +35,6 @@ pub struct AttachedFile<'a> {
     pub name: Arc<str>,
     /// Its media type, as written.
     pub media_type: Arc<str>,
-    /// Its content.
     pub data: &'a [u8],
     /// CRC-32 of all before it; 0 if nobody computed one.
     pub checksum: u32,
@@ -44,7 +43,6 @@ pub struct AttachedFile<'a> {
 /// What is read of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BesideContent<'a> {
-    /// An attachment.
     File(AttachedFile<'a>),
     Metadata {
         /// Its name, as written.

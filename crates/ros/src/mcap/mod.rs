@@ -183,7 +183,6 @@ impl ChannelRecord {
         others.map(|(key, value)| (key.as_str().into(), Arc::clone(value)))
     }
 
-    /// The channel's topic.
     pub fn topic(&self) -> &Arc<str> {
         &self.topic
     }
@@ -407,9 +406,6 @@ impl<W: Write + Seek> McapWriter<W> {
     }
 
     /// Writes one message, with its recording time as its publishing time.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written or is too large.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
         let sequence = self.sequence.wrapping_add(1);
         self.write_sent(channel, time, Sent { time, sequence }, body)

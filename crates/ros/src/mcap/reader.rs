@@ -129,9 +129,6 @@ impl<R: BufRead + Seek> RecordingReader for McapReader<R> {
 
 impl<R: BufRead + Seek> McapReader<R> {
     /// Starts reading a file.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read or is not MCAP.
     pub fn open(file: R) -> Result<Self, RosError> {
         let mut reader = Self::begin(file)?;
         reader.read_summary().map_err(|error| RosError::unreadable(&error))?;

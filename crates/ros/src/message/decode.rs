@@ -520,14 +520,10 @@ impl<'a> Cursor<'a> {
 /// The longest text shown, characters.
 const WIDEST: usize = 4096;
 
-/// A decoded value.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
-    /// A truth value.
     Bool(bool),
-    /// A signed number.
     Integer(i64),
-    /// An unsigned number.
     Unsigned(u64),
     /// A floating-point number (a float32 widened).
     Float(f64),
@@ -540,7 +536,6 @@ pub enum Value {
     Array(Vec<Value>),
     /// An array too large to expand.
     Large {
-        /// The element type.
         element: String,
         /// The number of elements.
         count: usize,

@@ -273,7 +273,6 @@ pub(super) enum Arity {
     Variable,
 }
 
-/// A meaningful line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Line<'a> {
     Field { written: &'a str, base: &'a str, arity: Arity, name: &'a str },

@@ -35,9 +35,6 @@ impl Definition {
 }
 
 /// The hash of a type as ROS 2 computes it, `RIHS01_` and 64 hex characters.
-///
-/// # Errors
-/// [`RosError::Definition`] if the text is not a definition of `type_name`.
 pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
     Definition::parse_ros2(type_name, text).map(|definition| of(&definition.layouts))
 }
@@ -320,9 +317,6 @@ impl Folders {
 
     /// The text of a type with all the types it consists of, as in MCAP, and where the type itself was found. What no
     /// folder has is taken from the common interfaces.
-    ///
-    /// # Errors
-    /// [`RosError::NoFields`] if a definition is missing, cannot be read or is broken.
     pub fn text_of(&self, type_name: &str) -> Result<(String, Source), RosError> {
         let root = full_name(type_name, None)
             .ok_or_else(|| RosError::no_fields(type_name, "its type is not package/msg/Type"))?;

@@ -35,7 +35,6 @@ const FAREWELL: Duration = Duration::from_secs(5);
 /// A topic as published.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Advertised {
-    /// Its name.
     pub topic: String,
     /// Type, `package/Type`.
     pub type_name: String,
@@ -118,7 +117,6 @@ struct Identity {
     port: OnceLock<u16>,
     master: Endpoint,
     outlets: Mutex<Vec<Arc<Outlet>>>,
-    /// Of withdrawn topics.
     overflowed: AtomicU64,
     /// Threads that tell a master, perhaps a slow one, what is no longer published.
     telling: Mutex<Vec<JoinHandle<()>>>,
@@ -161,9 +159,6 @@ impl Publisher {
     }
 
     /// Announces a topic; returns how many subscribers the master knows for it. A topic already announced is unchanged.
-    ///
-    /// # Errors
-    /// If the master does not answer or refuses.
     pub fn advertise(&self, topic: &Advertised) -> Result<usize, RosError> {
         let outlet = self.identity.outlet_of(&topic.topic).unwrap_or_else(|| {
             let outlet = Arc::new(Outlet::new(topic.clone()));
@@ -376,7 +371,6 @@ fn welcome(identity: &Identity, stream: TcpStream) -> io::Result<()> {
 /// The program in which rosrust runs.
 const PROGRAM: &str = "authros-rosrust";
 
-/// An announced topic.
 struct Announced {
     writer: u32,
     about: Advertised,

@@ -14,7 +14,6 @@ use crate::ros::tcpros::{BusLink, ConnectionHeader};
 /// The most sources whose last message a latching topic keeps.
 const MOST_LATCHED: usize = 64;
 
-/// A published topic.
 pub(crate) struct Outlet {
     about: Advertised,
     overflowed: AtomicU64,
@@ -93,7 +92,6 @@ impl Outlet {
         (!fits("type", type_name)).then(|| format!("{topic} is of type {type_name}"))
     }
 
-    /// Our connection header.
     pub fn header(&self, node_name: &str) -> ConnectionHeader {
         let Advertised { topic, type_name, md5sum, definition, latching } = &self.about;
         ConnectionHeader::new([

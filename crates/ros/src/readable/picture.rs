@@ -29,7 +29,6 @@ pub enum PictureError {
     /// It is larger than the decoder allows.
     #[error("the picture has {0} x {1} pixels, more than the limit of {most}; write it as .bin", most = MOST_PIXELS)]
     Large(u32, u32),
-    /// It is damaged.
     #[error("the picture is damaged: {0}; write the message as .bin")]
     Broken(String),
     /// The message does not match its definition.
@@ -77,9 +76,6 @@ pub fn file_of(name: &str) -> Option<Exported> {
 }
 
 /// The message as a file of that format.
-///
-/// # Errors
-/// [`PictureError`] if it is not such a picture, or cannot be decoded.
 pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Vec<u8>, PictureError> {
     match kind {
         Exported::Bin => return Ok(body.to_vec()),
@@ -238,11 +234,8 @@ const PNG_MAGIC: &[u8] = b"\x89PNG";
 /// A picture, three bytes a pixel.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rgb {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
-    /// Row by row.
     pub pixels: Vec<u8>,
 }
 
@@ -353,12 +346,9 @@ pub const LARGEST: (usize, usize) = (240, 160);
 /// The most source pixels averaged into one, in each direction.
 const AVERAGED: usize = 4;
 
-/// A thumbnail.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Raster {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Red, green, blue of each pixel, row by row.
     #[serde(with = "base64_text")]

@@ -136,19 +136,16 @@ impl Channel {
 pub struct Sent {
     /// When it was published.
     pub time: Timestamp,
-    /// Its sequence number.
     pub sequence: u32,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordedMessage {
-    /// Topic, type, publisher.
     pub channel: Arc<Channel>,
     /// When it was recorded.
     pub time: Timestamp,
     /// When and with which number it was published, if the recording says so.
     pub sent: Option<Sent>,
-    /// The serialised message.
     pub body: Vec<u8>,
 }
 
@@ -172,9 +169,7 @@ pub struct Damage {
 pub struct Unusable {
     /// Their topic, cleaned; empty if the file does not name it.
     pub topic: String,
-    /// Why, cleaned.
     pub why: String,
-    /// How many.
     pub messages: u64,
 }
 
@@ -267,14 +262,11 @@ impl Findings {
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case", parse_err_ty = String, parse_err_fn = not_a_compression)]
 pub enum ChunkCompression {
-    /// No compression.
     #[default]
     None,
-    /// bzip2 (bags).
     Bz2,
     /// LZ4 frames (bags, MCAP).
     Lz4,
-    /// Zstandard (MCAP).
     Zstd,
 }
 
@@ -405,14 +397,12 @@ pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> std::io::Resul
     file.seek_relative(step.unwrap_or(i64::MAX))
 }
 
-/// Bytes read ahead.
 const BUFFER: usize = 256 * 1024;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum RecordingFormat {
-    /// rosbag 2.0.
     Bag,
     Mcap,
     /// A folder of rosbag2 with one MCAP file.
@@ -488,9 +478,6 @@ pub fn content_of(path: &Path) -> Result<File, RosError> {
 pub trait RecordingReader {
     /// The next readable message, or what is beside the messages; `None` at the end. Damage is not an error: see
     /// [`Self::findings`].
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if the file itself cannot be read.
     fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError>;
 
     /// What has been skipped so far; of the files of a folder that are still read, later.
@@ -511,9 +498,6 @@ pub type Recording = dyn RecordingReader + Send;
 
 impl Recording {
     /// Opens a file of any format, or a folder of rosbag2.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read or is not a recording.
     pub fn open(path: &Path) -> Result<Box<Self>, RosError> {
         if path.is_dir() { Ok(Box::new(FolderReader::open(path)?)) } else { Self::open_file(path) }
     }
@@ -564,9 +548,6 @@ impl RecordingWriter {
     }
 
     /// Writes one message. A bag has no room for data about its publishing.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be written, or the format cannot hold it.
     pub fn write(
         &mut self,
         channel: &Arc<Channel>,

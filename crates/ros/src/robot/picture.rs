@@ -22,7 +22,6 @@ const NEAR: f64 = 330.0;
 /// The distance between two markers and the farthest one visible, metres.
 const MARKERS: (f64, i32) = (1.7, 5);
 
-/// A robot's camera.
 pub(super) struct Camera {
     robot: u16,
     track: Track,
@@ -130,10 +129,8 @@ impl Camera {
     }
 }
 
-/// Picture width, pixels.
 const WIDTH: i32 = 640;
 
-/// Picture height, pixels.
 const HEIGHT: i32 = 480;
 
 type Colour = [u8; 3];
@@ -154,7 +151,6 @@ fn shade(level: i32) -> u8 {
     u8::try_from(level.clamp(0, 255)).unwrap_or(255)
 }
 
-/// Repeatable noise, 0..=255.
 fn grain(x: i32, y: i32) -> i32 {
     let mut mixed = x.wrapping_mul(0x1f12_3bb5) ^ y.wrapping_mul(0x5f35_6495);
     mixed = (mixed ^ (mixed >> 13)).wrapping_mul(0x2c1b_3c6d);
@@ -224,7 +220,6 @@ impl Canvas {
         }
     }
 
-    /// A filled rectangle.
     pub fn rectangle(&mut self, left: i32, top: i32, width: i32, height: i32, colour: Colour) {
         for y in top.max(0)..(top + height).min(HEIGHT) {
             for x in left.max(0)..(left + width).min(WIDTH) {
@@ -233,7 +228,6 @@ impl Canvas {
         }
     }
 
-    /// A filled circle.
     pub fn disc(&mut self, x: i32, y: i32, radius: i32, colour: Colour) {
         for down in -radius..=radius {
             for right in -radius..=radius {

@@ -31,7 +31,6 @@ const PARTICIPANT: usize = 24;
 pub struct Held {
     /// The publisher's number for it, and when it was published.
     pub sent: (i64, Option<u64>),
-    /// When it arrived.
     pub at: Timestamp,
     /// Its bytes.
     pub body: Vec<u8>,
@@ -65,7 +64,6 @@ impl Pulse {
 /// The place of a publisher among those of its name.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Place {
-    /// Not known yet.
     Open,
     /// It is the only one, or the successor of one that ended.
     Alone,
@@ -184,9 +182,6 @@ impl Descriptions {
     }
 
     /// Takes a node's answer, of which the first text that has the hash counts; whether one is known now that was not before.
-    ///
-    /// # Errors
-    /// What is wrong with the texts, in words.
     pub fn take(
         &mut self,
         node: &str,

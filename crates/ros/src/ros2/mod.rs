@@ -115,7 +115,6 @@ impl Ros2Capture {
         }
     }
 
-    /// Stops capturing it.
     pub fn unwatch(&self, topic: &TopicName) {
         let mut outcome = Outcome::default();
         if self.shared.state().unwatch(topic, Instant::now(), &mut outcome) {
@@ -140,7 +139,6 @@ impl Ros2Capture {
         self.shared.state().topics()
     }
 
-    /// Where it stands.
     pub fn standing(&self) -> Standing {
         let state = self.shared.state();
         Standing {
@@ -171,10 +169,11 @@ pub enum Reading {
     /// It was started and has not reported yet, or has not had time for discovery.
     #[default]
     Looking,
-    /// It reads.
     Up,
     /// It does not; it is restarted.
-    Down { reason: String },
+    Down {
+        reason: String,
+    },
 }
 
 /// The state of reading.
@@ -182,7 +181,6 @@ pub enum Reading {
 pub struct Standing {
     pub domain: u16,
     pub reading: Reading,
-    /// The participants.
     pub counts: Counts,
     /// How often the program was restarted.
     pub restarts: u64,
@@ -200,7 +198,6 @@ const HIDDEN: &str = "they are hidden by Fast DDS with FASTDDS_BUILTIN_TRANSPORT
                       SROS2; `authros bag follow DIR` seals what such a robot records";
 
 impl Standing {
-    /// In one line.
     pub fn text(&self) -> String {
         let Counts { participants, writers, foreign } = self.counts;
         let place = format!("ROS 2 domain {}", self.domain);
@@ -396,7 +393,6 @@ pub struct Delivery {
     pub unconfirmed: u64,
 }
 
-/// An announced topic.
 struct Announced {
     topic: Offered,
     size: u32,

@@ -17,11 +17,9 @@ pub const QUALITY: &str = "offered_qos_profiles";
 pub const WRITER: &str = "writer_id";
 
 pub struct Publisher {
-    /// What it announced.
     pub writer: Writer,
     /// Its identity, as far as visible.
     pub origin: Arc<Origin>,
-    /// Its messages' numbers.
     pub numbers: Numbers,
     /// Whether it is present; messages that were in flight may still come when it is not.
     pub gone: Option<Instant>,

@@ -33,7 +33,6 @@ const LONGEST_REASON: usize = 400;
 /// Items for the sink, in this order and without the state locked.
 #[derive(Debug, Default)]
 pub struct Outcome {
-    /// News.
     pub notices: Vec<CaptureNotice>,
     /// Questions for the program that reads.
     pub wishes: Vec<Wish>,
@@ -42,14 +41,11 @@ pub struct Outcome {
     pub definitions: Vec<Message>,
 }
 
-/// What is known.
 #[derive(Default)]
 pub struct State {
     /// Topics to be captured.
     pub watched: BTreeSet<TopicName>,
-    /// Where reading stands.
     pub reading: Reading,
-    /// The participants.
     pub counts: Counts,
     /// How often the program was restarted.
     pub restarts: u64,
@@ -75,10 +71,6 @@ impl State {
         Self { domain, ..Self::default() }
     }
 
-    /// Handles a frame.
-    ///
-    /// # Errors
-    /// Why the program must be ended, in words.
     pub fn take(&mut self, told: Told, payload: Vec<u8>, now: Instant) -> Result<Outcome, String> {
         let mut outcome = Outcome::default();
         match told {

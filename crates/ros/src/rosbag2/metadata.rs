@@ -112,7 +112,6 @@ struct Row {
 }
 
 impl Tally {
-    /// Counts one message.
     pub fn count(&mut self, channel: &Channel, time: Timestamp) {
         if matches!(channel.encoding, Encoding::Beside(_)) {
             return;
@@ -204,7 +203,6 @@ const MOST: usize = 400_000;
 pub(super) enum Value {
     /// Any scalar as text; nothing is empty.
     Text(String),
-    /// A sequence.
     List(Vec<Value>),
     /// A mapping, in its order.
     Map(Vec<(String, Value)>),
@@ -217,12 +215,10 @@ impl Value {
         entries.iter().find(|(known, _)| known == key).map(|(_, value)| value)
     }
 
-    /// A scalar.
     pub fn text(&self) -> Option<&str> {
         if let Self::Text(text) = self { Some(text) } else { None }
     }
 
-    /// A whole number.
     pub fn number(&self) -> Option<u64> {
         self.text()?.parse().ok()
     }
@@ -233,7 +229,6 @@ impl Value {
     }
 }
 
-/// Reads a document.
 pub(super) fn parse(text: &str) -> Result<Value, String> {
     if text.len() > LONGEST {
         return Err(format!("it is longer than {LONGEST} bytes"));

@@ -85,9 +85,6 @@ fn described(folder: &Path) -> Result<(String, Metadata), RosError> {
 
 /// The files of a recording, by whose content it is known: a file itself; of a folder its `metadata.yaml`, and the files
 /// that it names, as far as they are there.
-///
-/// # Errors
-/// [`RosError::Recording`] if a folder is not one of rosbag2.
 pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, RosError> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
@@ -143,9 +140,6 @@ impl RecordingReader for FolderReader {
 
 impl FolderReader {
     /// Opens a folder whose recorder has ended.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it has no `metadata.yaml` that can be read.
     pub fn open(folder: &Path) -> Result<Self, RosError> {
         let (text, metadata) = described(folder)?;
         let (name, media_type, data) = (METADATA.into(), "application/yaml".into(), text.as_bytes());

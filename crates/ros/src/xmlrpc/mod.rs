@@ -36,7 +36,6 @@ pub(crate) enum CallError {
     /// The response is not valid.
     #[error("{0}")]
     Protocol(String),
-    /// The peer refused.
     #[error("{0}")]
     Refused(String),
 }
@@ -104,7 +103,6 @@ pub(crate) const OF_A_NODE: usize = 32;
 /// The longest a connection may take.
 const LONGEST_CONNECTION: Duration = Duration::from_secs(5);
 
-/// Answers the calls.
 pub(crate) trait Answer: Send + Sync + 'static {
     /// The answer to a call; `None` if there is no such method. Must not block.
     fn answer(&self, method: &str, params: &[Value]) -> Option<Value>;
@@ -115,7 +113,6 @@ pub(crate) trait Answer: Send + Sync + 'static {
     }
 }
 
-/// A running server.
 pub(crate) struct Server {
     address: SocketAddr,
     stopping: Arc<AtomicBool>,

@@ -370,7 +370,6 @@ fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, Ros
 /// The most subscribers and participants remembered.
 const MOST: usize = 20_000;
 
-/// Who is there.
 pub struct Audience {
     own: [u8; 12],
     /// The others, and whether each has told anything that it reads or writes: a node of ROS 2 has something from its start.
@@ -429,7 +428,6 @@ impl Audience {
         }
     }
 
-    /// The other participants.
     pub fn present(&self) -> impl Iterator<Item = Prefix> {
         self.participants.keys().copied()
     }

@@ -63,7 +63,6 @@ pub struct Queue {
 }
 
 impl Queue {
-    /// Whether nothing waits.
     pub fn is_empty(&self) -> bool {
         self.waiting.is_empty()
     }
@@ -73,7 +72,6 @@ impl Queue {
         self.last
     }
 
-    /// Adds a message.
     pub fn push(&mut self, writer: u32, message: Vec<u8>) {
         self.waiting.push_back((writer, Bytes::from(message)));
     }

@@ -124,7 +124,6 @@ struct Pending {
     again: Option<Ahead>,
 }
 
-/// A writer.
 pub struct Writing {
     /// The topic's DDS name.
     pub dds_topic: String,
@@ -411,7 +410,6 @@ impl Rate {
         self.0 = (self.0 / 2.0).max(RATES.0);
     }
 
-    /// It was not.
     pub fn faster(&mut self) {
         self.0 = (self.0 * 1.1).min(RATES.1);
     }

@@ -23,9 +23,7 @@ use crate::service::reply::{AlertView, Failure};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum News {
-    /// It begins.
     Begun,
-    /// It is over.
     Resolved,
     /// Nothing: somebody is testing whether deliveries arrive.
     Test,
@@ -38,9 +36,7 @@ pub struct Delivery {
     pub number: u64,
     /// What happened to the alert.
     pub state: News,
-    /// The alert.
     pub alert: AlertView,
-    /// When it ended.
     pub ended: Option<Timestamp>,
 }
 
@@ -62,7 +58,6 @@ impl Delivery {
 
 /// Delivers to the destination in the settings.
 pub enum Carrier {
-    /// To a server.
     Webhook(Webhook),
     /// To a program and its arguments.
     Command(Vec<String>),
@@ -71,7 +66,6 @@ pub enum Carrier {
 /// Why a delivery was not accepted.
 #[derive(Debug)]
 pub struct Undelivered {
-    /// In words.
     pub failure: Failure,
     /// Whether the answer was about this delivery itself: it will be the same the next time.
     pub is_judged: bool,
@@ -93,10 +87,6 @@ impl Drop for Waiting {
 }
 
 impl Carrier {
-    /// For this destination.
-    ///
-    /// # Errors
-    /// An address or a secret that cannot be used.
     pub fn of(place: &AlertPlace) -> Result<Self, Failure> {
         Ok(match place {
             AlertPlace::Webhook { url, form, secret, roots } => {
@@ -107,9 +97,6 @@ impl Carrier {
     }
 
     /// Delivers it and returns the reply. `dropped` = earlier deliveries for which there was no room.
-    ///
-    /// # Errors
-    /// Why it was not accepted; it may have arrived all the same.
     pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
         let words = match self {
             Self::Webhook(webhook) => return webhook.carry(delivery, dropped).await,

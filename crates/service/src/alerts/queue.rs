@@ -28,12 +28,14 @@ const LONGEST: u64 = 16 << 20;
 enum Line {
     /// The last number assigned.
     Numbered(u64),
-    /// All active alerts.
     Stand(Vec<AlertView>),
     /// A waiting delivery; its alert is active from then on, or no longer.
     Waits(Delivery),
     /// This delivery is done, and it reported this many dropped ones.
-    Done { number: u64, told: u64 },
+    Done {
+        number: u64,
+        told: u64,
+    },
     /// This one was dropped: there was no room.
     GivenUp(u64),
     /// This many were dropped before.
@@ -114,7 +116,6 @@ impl Queue {
         Self { path: path.to_owned(), kept, lines, torn }
     }
 
-    /// Active alerts.
     pub fn standing(&self) -> Vec<AlertView> {
         self.kept.standing.values().cloned().collect()
     }
@@ -129,7 +130,6 @@ impl Queue {
         Some((self.kept.waiting.front()?.clone(), self.kept.dropped))
     }
 
-    /// Adds deliveries.
     pub fn add(&mut self, change: Change) {
         let (state, alert, ended) = match change {
             Change::Begun(alert) => (News::Begun, alert, None),
@@ -225,7 +225,6 @@ struct Stands {
 /// What a look changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Change {
-    /// It begins.
     Begun(AlertView),
     /// It ended at that time.
     Resolved(AlertView, Timestamp),

@@ -46,18 +46,15 @@ pub enum Level {
     Firing,
     /// Too close to the limit to begin or to end an alert, or unknown at present.
     Between,
-    /// All is well.
     Clear,
 }
 
-/// A rule's finding.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Judged {
     /// The rule and its subject.
     pub key: String,
     /// The severity if it is an alert.
     pub severity: Severity,
-    /// The result.
     pub level: Level,
     /// What happened and what to do.
     pub text: String,
@@ -89,7 +86,6 @@ struct Losses {
 }
 
 impl Judge {
-    /// With these limits.
     pub fn new(limits: AlertLimits) -> Self {
         Self { limits, since: None, losses: None, grants: None }
     }

@@ -57,7 +57,6 @@ fn life(set: impl Fn(&mut LifeLine)) -> impl Fn(&mut Figures) {
     move |figures| figures.owners.iter_mut().for_each(|owner| set(&mut owner.life))
 }
 
-/// Makes figures bad.
 pub type Trouble = Box<dyn Fn(&mut Figures)>;
 
 /// Each alert's key, and what begins it.

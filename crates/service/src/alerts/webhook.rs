@@ -40,9 +40,6 @@ pub struct Webhook {
 
 impl Webhook {
     /// At this URL; `secret` is the file with the signing secret.
-    ///
-    /// # Errors
-    /// A URL or a secret that cannot be used.
     pub fn new(url: &str, form: AlertForm, secret: Option<&Path>, roots: Option<&Path>) -> Result<Self, Failure> {
         let unusable = || input("alerts.webhook is not a server address; use http:// or https://HOST:PORT/PATH");
         let mut url = reqwest::Url::parse(url).map_err(|_| unusable())?;
@@ -193,7 +190,6 @@ pub struct Wanted(Mutex<State>);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum State {
-    /// Not started.
     #[default]
     Waits,
     /// Running, in a process group of its own.

@@ -6,7 +6,6 @@ use crate::service::reply::{Answer, Failure, Reply};
 
 /// A request with the type of its answer.
 pub trait Ask: Into<Command> {
-    /// Its answer.
     type Answer: Answer;
 
     /// Its answer as it goes over the wire.

@@ -16,23 +16,17 @@ const RIGHT_ENDED: &str = "right-ended";
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Term {
-    /// The records' owner.
     Owner,
-    /// Of one topic.
     Topic,
     /// Of one message type.
     Type,
     /// With a tag; if there are several, all must be present.
     Tag,
-    /// In one state.
     State,
-    /// Of one kind.
     Kind,
     /// Captured at or after.
     Since,
-    /// Captured before.
     Until,
-    /// In one incident.
     Incident,
 }
 
@@ -42,7 +36,6 @@ impl Term {
         self.into()
     }
 
-    /// By its word.
     pub fn named(word: &str) -> Option<Self> {
         word.parse().ok()
     }
@@ -50,9 +43,6 @@ impl Term {
 
 impl UploadQuery {
     /// Adds a term. Durations are counted back from `now`.
-    ///
-    /// # Errors
-    /// Kind `Input`: what the text should be. The query is then unchanged.
     pub fn take(&mut self, term: Term, text: &str, now: Timestamp) -> Result<(), Failure> {
         match term {
             Term::Owner => self.owner = Some(parsed(text)?),
@@ -97,9 +87,6 @@ fn one_of<T: Copy>(
 }
 
 /// A tag, `key=value`.
-///
-/// # Errors
-/// Kind `Input`: how to write it.
 pub fn tag(text: &str) -> Result<(String, String), Failure> {
     let usable = |key: &str| {
         !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
@@ -114,18 +101,12 @@ pub fn tag(text: &str) -> Result<(String, String), Failure> {
 }
 
 /// A moment in RFC 3339.
-///
-/// # Errors
-/// Kind `Input`: how to write it.
 pub fn moment(text: &str) -> Result<Timestamp, Failure> {
     serde_json::from_value(serde_json::Value::String(text.to_owned()))
         .map_err(|_| input(format!("'{}' is not a time; use the form 2026-11-21T08:30:00Z", clean(text, 40))))
 }
 
 /// A moment in the past: a time, the beginning of a day (UTC), or a duration before `now`.
-///
-/// # Errors
-/// Kind `Input`: how to write it.
 pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
     if let Ok(moment) = moment(text).or_else(|_| moment(&format!("{text}T00:00:00Z"))) {
         return Ok(moment);

@@ -12,7 +12,6 @@ use crate::model::OperatorRight;
 pub enum Needed {
     /// An operator with this right, and the owner.
     Right(OperatorRight),
-    /// The owner alone.
     Owner,
     /// The owner alone, for it carries a passphrase.
     Passphrase,

@@ -54,7 +54,6 @@ pub struct UploadQuery {
     pub state: Option<RecordState>,
     /// Captured at or after.
     pub since: Option<Timestamp>,
-    /// Captured before.
     pub until: Option<Timestamp>,
     /// Continue after this cursor (`next` of the previous page).
     pub after: Option<String>,
@@ -77,9 +76,7 @@ pub struct Held {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PairKind {
-    /// (d_C, P_C).
     Signing,
-    /// (d_E, P_E).
     Envelope,
 }
 
@@ -116,7 +113,6 @@ pub struct FollowWishes {
 pub struct ExportWishes {
     /// The file, absolute, which must not exist; written by the site, which runs as the same user.
     pub path: PathBuf,
-    /// The format.
     pub format: RecordingFormat,
     /// The compression of chunks.
     pub compression: ChunkCompression,
@@ -126,7 +122,6 @@ pub struct ExportWishes {
     pub topics: Vec<TopicPattern>,
     /// Captured at or after.
     pub since: Option<Timestamp>,
-    /// Captured before.
     pub until: Option<Timestamp>,
     /// Also records that are not confirmed on the chain.
     pub unanchored: bool,
@@ -152,13 +147,9 @@ pub enum Pace {
 }
 
 impl Pace {
-    /// As captured.
     pub const AS_CAPTURED: Self = Self::Rated { thousandths: 1000 };
 
     /// At this multiple of the pace of the capture.
-    ///
-    /// # Errors
-    /// What to write instead.
     pub fn times(factor: f64) -> Result<Self, String> {
         if !RATES.contains(&factor) {
             let (slowest, fastest) = (RATES.start(), RATES.end());
@@ -198,9 +189,7 @@ pub struct PlayWishes {
     pub topics: Vec<TopicPattern>,
     /// Captured at or after.
     pub since: Option<Timestamp>,
-    /// Captured before.
     pub until: Option<Timestamp>,
-    /// When.
     pub pace: Pace,
     /// Also the captured time, as `/clock`.
     pub clock: bool,
@@ -220,22 +209,17 @@ pub struct PlayWishes {
 pub enum Administration {
     /// Lets an account register while registration is closed.
     Admit {
-        /// The account.
         account: Party,
     },
-    /// Withdraws an admission.
     Dismiss {
-        /// The account.
         account: Party,
     },
     /// Blocks all changes by an account except those that take rights away.
     Suspend {
-        /// The account.
         account: Party,
     },
     /// Frees a suspended account.
     Restore {
-        /// The account.
         account: Party,
     },
     /// Opens registration to all, or closes it.
@@ -254,22 +238,18 @@ pub enum Administration {
     Propose {
         /// The account whose key is lost.
         lost: Party,
-        /// The successor.
         successor: Party,
     },
     /// Stops a pending succession; the recovery account may do so, too.
     Cancel {
-        /// The lost account.
         lost: Party,
     },
     /// Completes a succession whose delay is over; anybody may.
     Complete {
-        /// The lost account.
         lost: Party,
     },
     /// Names the next administrator.
     HandOver {
-        /// The account.
         account: Party,
     },
     /// Takes over, as the account that was named.

@@ -53,7 +53,6 @@ fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
-/// The whole text.
 pub fn text(figures: &Figures) -> String {
     let mut text = Text::default();
     text.begin("authros_build_info", "gauge", "The program's version; always 1.");

@@ -23,11 +23,9 @@ pub struct Figures {
     pub robots: Vec<RobotFigures>,
     /// The parts of this run and their health.
     pub parts: Vec<PartHealth>,
-    /// Background tasks.
     pub tasks: Vec<TaskView>,
     /// The ring in front of the sealer.
     pub queue: QueueView,
-    /// Lanes of transactions.
     pub lanes: Vec<LaneFigures>,
     /// The newest block: its height and its own time.
     pub block: Option<(u64, Timestamp)>,
@@ -76,17 +74,13 @@ pub struct OwnerFigures {
 /// The records of one topic.
 #[derive(Debug, Clone, Default)]
 pub struct TopicFigures {
-    /// Its name.
     pub topic: String,
-    /// Messages captured.
     pub captured: u64,
-    /// Of these, verified.
     pub verified: u64,
     /// Not captured: lost in transport.
     pub missed: u64,
 }
 
-/// A robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RobotFigures {
     /// The beginning of its fingerprint.
@@ -104,14 +98,11 @@ pub struct GrantFigures {
     pub reader: String,
     /// Whether an account of this home shares by it; otherwise one of its contacts does.
     pub given: bool,
-    /// When it ends.
     pub ends: Timestamp,
 }
 
-/// A running gateway.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GatewayFigures {
-    /// Open connections.
     pub connections: u64,
     /// Refusals since it was started, by the protocol's code.
     pub refused: Vec<(u16, u64)>,
@@ -178,7 +169,6 @@ pub const MOST: usize = 16;
 /// The answer to a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asked {
-    /// The figures.
     Figures,
     /// None, for this reason: the status and what to do.
     Refused(&'static str, &'static str),

@@ -16,11 +16,9 @@ pub struct ChainView {
     pub kind: String,
     /// `poa`, `pow`, `unknown`.
     pub consensus: String,
-    /// EIP-155 chain id.
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
-    /// Newest block.
     pub block: u64,
     /// The contract, once deployed or configured.
     pub contract: Option<Address>,
@@ -56,7 +54,6 @@ pub struct ChainView {
 /// A transaction that waits for a block.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WaitingView {
-    /// The account.
     pub account: Address,
     /// Its nonce, for `chain cancel`.
     pub nonce: u64,
@@ -82,7 +79,6 @@ pub struct PricesView {
 pub struct GasView {
     /// Transactions counted, at most 100.
     pub transactions: u64,
-    /// Their gas.
     pub gas: u64,
     /// The records that they anchored.
     pub records: u64,
@@ -101,15 +97,12 @@ pub struct DeployedView {
 /// A chain served to other tools.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ServedView {
-    /// The address.
     pub url: String,
-    /// EIP-155 chain id.
     pub chain_id: u64,
     /// The contract, if there is one.
     pub contract: Option<Address>,
 }
 
-/// A running gateway.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GatewayView {
     /// The address it listens on.
@@ -120,14 +113,12 @@ pub struct GatewayView {
     pub fingerprint: String,
     /// The account that anchors.
     pub account: Address,
-    /// Its network.
     pub domain: Domain,
 }
 
 /// The content of a backup, or of what was restored from one.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BackupView {
-    /// The file.
     pub file: String,
     /// Files of the home in it.
     pub files: u64,
@@ -147,16 +138,13 @@ pub enum CheckStatus {
     Ok,
     /// Works, but something should be done.
     Warn,
-    /// Does not work.
     Fail,
 }
 
 /// One thing checked by the doctor.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DoctorCheck {
-    /// Its name.
     pub name: String,
-    /// Its state.
     pub status: CheckStatus,
     /// What was found, cleaned.
     pub detail: String,
@@ -167,9 +155,7 @@ pub struct DoctorCheck {
 /// All that the doctor checked.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DoctorView {
-    /// Whether nothing fails.
     pub ok: bool,
-    /// The findings.
     pub checks: Vec<DoctorCheck>,
 }
 
@@ -180,7 +166,6 @@ pub struct ErasureView {
     pub records: u64,
     /// Their bytes.
     pub bytes: u64,
-    /// Their topics. Cleaned.
     pub topics: Vec<String>,
     /// Chosen, but not verified yet: they stay for now.
     pub waiting: u64,
@@ -200,12 +185,9 @@ pub struct ErasureView {
     pub stays: Vec<String>,
 }
 
-/// A pinned publisher.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PinView {
-    /// The topic, cleaned.
     pub topic: String,
-    /// The publisher, cleaned.
     #[serde(flatten)]
     pub publisher: Publisher,
     /// `first` (seen first), `operator`, or `settings`.
@@ -219,21 +201,16 @@ pub struct PinView {
 pub struct PinsView {
     /// How topics get their pins.
     pub mode: PinMode,
-    /// Pinned publishers.
     pub pins: Vec<PinView>,
-    /// Alarms about others.
     pub alarms: Vec<AlarmView>,
 }
 
-/// A quarantined message.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldView {
-    /// The record.
     #[serde(flatten)]
     pub record: RecordView,
     /// The reason, in one word.
     pub reason: String,
-    /// Its sender, cleaned.
     pub publisher: String,
     /// The quarantine record that counts it.
     pub report: Option<Digest>,
@@ -253,11 +230,9 @@ pub struct QuarantineView {
 pub struct DecidedView {
     /// `released` or `discarded`.
     pub decision: String,
-    /// Messages decided about.
     pub messages: u64,
     /// Quarantine records that count the discarded messages; they are on the chain.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub reports: Vec<Digest>,
-    /// In words.
     pub text: String,
 }

@@ -18,25 +18,21 @@ pub struct IdentityView {
     pub unlocked: bool,
     /// Whether it is registered on the chain in use.
     pub registered: bool,
-    /// Its EOA.
     pub address: Option<Address>,
     /// Current epoch on the chain.
     pub epoch: Option<u64>,
     /// What is sealed in that epoch already, as far as this home has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub epoch_records: Option<EpochRecords>,
-    /// P_C.
     pub signing_key: Option<PublicKey>,
     /// P_C's fingerprint, for people.
     pub fingerprint: Option<String>,
-    /// P_E.
     pub envelope_key: Option<PublicKey>,
 }
 
 /// The messages sealed in an epoch so far: a grant of the epoch opens them too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EpochRecords {
-    /// How many.
     pub records: u64,
     /// When the first of them was captured.
     pub since: Option<Timestamp>,
@@ -57,7 +53,6 @@ impl EpochRecords {
 /// One epoch of a profile's keys.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EpochView {
-    /// Its number.
     pub epoch: u64,
     /// Its token on the chain.
     pub token: Token,
@@ -68,13 +63,10 @@ pub struct EpochView {
 /// A profile's keys, without any secret.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeysView {
-    /// EOA.
     pub address: Address,
-    /// P_C.
     pub signing_key: PublicKey,
     /// P_C's fingerprint, for people.
     pub signing_fingerprint: String,
-    /// P_E.
     pub envelope_key: PublicKey,
     /// P_E's fingerprint, for people.
     pub envelope_fingerprint: String,
@@ -106,7 +98,6 @@ pub struct EnrolledView {
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
-    /// Its gateway.
     pub gateway: RobotGatewayView,
     /// The enrolment file, sealed.
     pub file: SecretBytes,
@@ -128,7 +119,6 @@ pub struct DeviceAddressesView {
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
-    /// Its gateway.
     pub gateway: RobotGatewayView,
 }
 
@@ -141,7 +131,6 @@ pub struct DeviceTopicsView {
     pub device: SignerId,
     /// Topics that were added.
     pub added: Vec<String>,
-    /// All its topics.
     pub topics: Vec<String>,
 }
 
@@ -150,7 +139,6 @@ pub struct DeviceTopicsView {
 pub struct TransactionView {
     /// Its hash; `None` = nothing had to be sent.
     pub transaction: Option<Hash>,
-    /// Its block.
     pub block: Option<u64>,
     /// The profile's epoch after it.
     pub epoch: u64,
@@ -161,9 +149,7 @@ pub struct TransactionView {
 /// One account of the address book.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ContactRow {
-    /// Its name here.
     pub name: ContactName,
-    /// Its address.
     pub address: Address,
     /// The fingerprint of its SM2 key, as noted.
     pub fingerprint: Option<String>,
@@ -178,7 +164,6 @@ pub struct ContactRow {
 /// Two fingerprints side by side.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CompareView {
-    /// The account.
     pub account: Address,
     /// Its name in the address book.
     pub name: Option<String>,
@@ -193,19 +178,15 @@ pub struct CompareView {
 /// A lost account and its successor.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SuccessionView {
-    /// The lost account.
     pub lost: Address,
     /// Its name in the address book.
     pub lost_name: Option<String>,
-    /// The successor.
     pub successor: Address,
     /// Its name in the address book.
     pub successor_name: Option<String>,
-    /// Since which block.
     pub block: u64,
 }
 
-/// A pending succession.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProposalView {
     /// The account reported lost.
@@ -238,7 +219,6 @@ pub struct RecoveryView {
 /// The contract administrator's decisions.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdministrationView {
-    /// The administrator.
     pub administrator: Option<Address>,
     /// The next administrator, once it accepts.
     pub nominee: Option<Address>,
@@ -250,11 +230,9 @@ pub struct AdministrationView {
     pub paused_until: Option<Timestamp>,
     /// The delay of a succession, seconds.
     pub delay: u64,
-    /// Pending successions.
     pub proposals: Vec<ProposalView>,
     /// Who may stop a succession of the profile's account.
     pub recovery: RecoveryView,
-    /// Suspended accounts.
     pub suspended: Vec<Address>,
     /// Lost accounts with their successors.
     pub successions: Vec<SuccessionView>,
@@ -265,9 +243,7 @@ pub struct AdministrationView {
 #[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
-    /// By this profile.
     Given,
-    /// To this profile.
     Received,
 }
 
@@ -281,25 +257,19 @@ impl Direction {
 /// One grant, given or received.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GrantRow {
-    /// Given or received.
     pub direction: Direction,
-    /// The owner.
     pub owner: Address,
-    /// The reader.
     pub grantee: Address,
     /// The first epoch it opens (or the only ones, once revoked).
     pub epoch: u64,
     /// Whether it opens epochs before that one too; `None` = not known here.
     pub earlier: Option<bool>,
-    /// When it ends.
     pub expires: Option<Timestamp>,
     /// Topic names if known, otherwise ids; empty = all topics.
     pub topics: Vec<String>,
-    /// Its state.
     pub state: GrantState,
     /// Block of the grant.
     pub block: u64,
-    /// Its transaction.
     pub transaction: Hash,
     /// The other side's name in the address book.
     pub name: Option<String>,
@@ -307,7 +277,6 @@ pub struct GrantRow {
     pub fingerprint: Option<String>,
 }
 
-/// One lent device.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceRow {
     /// SM3 of its public key.

@@ -19,12 +19,9 @@ pub struct RecordView {
     pub owner_name: Option<String>,
     /// Per recorder and topic, from 1.
     pub seq: u64,
-    /// Topic name, cleaned.
     pub topic: String,
-    /// Message type, cleaned.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Kind of record.
     pub kind: RecordKind,
     /// State; `unread` for a verified one whose bytes are not here for comparison, `verified, names unchecked` if only
     /// the ledger vouches for the sealed names, for want of a key; `false name` if its signer wrote a name into it that
@@ -40,9 +37,7 @@ pub struct RecordView {
     pub epoch: u64,
     /// Sent by a simulated robot.
     pub simulated: bool,
-    /// The anchoring transaction.
     pub transaction: Option<Hash>,
-    /// Its block.
     pub block: Option<u64>,
     /// The result of comparing the ledger's row with the record.
     pub compared: Compared,
@@ -57,7 +52,6 @@ pub struct RecordView {
 /// A page of records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordPage {
-    /// The records.
     pub records: Vec<RecordView>,
     /// Cursor of the next page.
     pub next: Option<String>,
@@ -69,7 +63,6 @@ pub struct RecordPage {
 /// One record with its provenance and its state.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
-    /// The record.
     #[serde(flatten)]
     pub record: RecordView,
     /// Steps from message to verified, each with a word and its evidence.
@@ -88,11 +81,8 @@ pub struct ExportedFile {
 /// A bundle of evidence that was written.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EvidenceView {
-    /// The file.
     pub file: String,
-    /// Its length.
     pub bytes: u64,
-    /// Records in it.
     pub records: u64,
     /// How many of them are disclosed.
     pub revealed: u64,
@@ -105,11 +95,9 @@ pub struct EvidenceView {
 pub struct StampView {
     /// Batches newly covered by a stamp.
     pub roots: u64,
-    /// The stamps obtained.
     pub tokens: Vec<StampedView>,
     /// Stamps that no authority has given yet.
     pub waiting: u64,
-    /// The first failure.
     pub problem: Option<String>,
 }
 
@@ -127,7 +115,6 @@ pub struct StampedView {
 /// The result of opening a record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OpenedView {
-    /// The record.
     #[serde(flatten)]
     pub record: RecordView,
     /// The result of the checks; nothing below is filled unless it is `verified`, `not_checked` or `unanchored`.
@@ -137,7 +124,6 @@ pub struct OpenedView {
     pub reason: Option<String>,
     /// The publisher's node name, cleaned.
     pub caller_id: String,
-    /// Tags, cleaned.
     pub tags: Vec<(String, String)>,
     /// How it was compressed before it was sealed: `none`, `lz4`, `matrix`.
     pub compression: String,
@@ -162,7 +148,6 @@ pub struct OpenedView {
     /// A picture's own bytes (JPEG, PNG) if the message is one, unless it is long.
     #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
     pub picture: Option<Vec<u8>>,
-    /// The requested file.
     #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
     pub file: Option<Vec<u8>>,
 }
@@ -170,18 +155,14 @@ pub struct OpenedView {
 /// The result of a check of one record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CheckView {
-    /// The record's id.
     pub id: String,
-    /// The finding.
     pub verdict: Verdict,
     /// Why the chain was not asked, if it was not.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub reason: Option<String>,
     /// SM3 of the stored bytes.
     pub digest: Digest,
-    /// The anchoring transaction.
     pub transaction: Option<Hash>,
-    /// Its block.
     pub block: Option<u64>,
     /// What the contract answers about the right to read it; `None` if the token of its epoch is not on the chain.
     pub contract: Option<ContractAnswer>,
@@ -192,7 +173,6 @@ pub struct CheckView {
 pub struct ContractAnswer {
     /// Whose right was asked about.
     pub reader: Address,
-    /// Whose records.
     pub owner: Address,
     /// Whether the reader may read them.
     pub authorised: bool,

@@ -9,7 +9,6 @@ use crate::store::CacheState;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HealthLevel {
-    /// Working.
     Ok,
     /// Starting, or trying again.
     Waiting,
@@ -24,7 +23,6 @@ pub enum HealthLevel {
 pub struct PartHealth {
     /// `ros`, `chain`, `store`, `cache` or `gateway`.
     pub part: String,
-    /// Its state.
     pub level: HealthLevel,
     /// In words: `embedded master http://127.0.0.1:4711`, `retry in 4 s: …`.
     pub text: String,
@@ -44,17 +42,12 @@ pub struct LifeLine {
     pub captured: u64,
     /// Sealed and fsynced, row and ciphertext in one commit.
     pub stored: u64,
-    /// In a block.
     pub anchored: u64,
-    /// Deep enough.
     pub confirmed: u64,
-    /// Re-read and checked.
     pub verified: u64,
-    /// Not yet verified.
     pub pending: u64,
     /// Their signer may not sign for their owner now; anchored when that right returns.
     pub right_ended: u64,
-    /// Quarantined.
     pub quarantined: u64,
     /// Dropped before acknowledgement, counted, or discarded from quarantine.
     pub dropped: u64,
@@ -79,13 +72,10 @@ pub struct LifeLine {
 pub struct SiteView {
     /// The parts and their state.
     pub health: Vec<PartHealth>,
-    /// This profile's records.
     pub life: LifeLine,
-    /// Simulated robots running.
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
-    /// The site's process.
     pub process: u32,
     /// Background tasks and their state.
     pub tasks: Vec<super::TaskView>,
@@ -106,7 +96,6 @@ pub struct SiteView {
 /// The ring between capture and sealer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct QueueView {
-    /// Messages in it.
     pub messages: u64,
     /// Their bytes.
     pub bytes: u64,

@@ -20,7 +20,6 @@ pub enum HeldUp {
 /// One topic of the graph.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct TopicRow {
-    /// Its name, cleaned.
     pub topic: String,
     /// Its type, cleaned, if known.
     #[serde(rename = "type")]
@@ -31,7 +30,6 @@ pub struct TopicRow {
     pub type_hash: Option<String>,
     /// What all ROS 2 publishers offer, such as `reliable volatile`; `None` in ROS 1.
     pub qos: Option<String>,
-    /// Node names, cleaned.
     pub publishers: Vec<String>,
     /// Of the publishers of a captured topic, those that cannot be read.
     pub unreached: Vec<UnreachedView>,
@@ -68,7 +66,6 @@ pub struct TopicRow {
 /// When there are records of a topic.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoverageView {
-    /// The topic.
     pub topic: TopicName,
     /// The robot whose records alone are shown, if one was asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -79,7 +76,6 @@ pub struct CoverageView {
     pub robots: Vec<String>,
     /// Beginning of the span.
     pub since: Timestamp,
-    /// Its end.
     pub until: Timestamp,
     /// Capture of the first record ever.
     pub first: Option<Timestamp>,
@@ -108,14 +104,11 @@ impl CoverageView {
 /// Figures of one topic in a capture's summary.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TopicSummary {
-    /// Topic.
     pub topic: String,
     /// Type, if a message was seen.
     #[serde(rename = "type")]
     pub type_name: Option<String>,
-    /// Messages captured.
     pub captured: u64,
-    /// Of these, verified.
     pub verified: u64,
     /// Of these, quarantined: their publisher is not a pinned one.
     pub quarantined: u64,
@@ -128,7 +121,6 @@ pub struct TopicSummary {
 /// The result of a capture.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CaptureSummary {
-    /// Messages captured.
     pub captured: u64,
     /// Of these, verified: re-read from the store, digest equal to the chain, signature valid.
     pub verified: u64,
@@ -138,20 +130,15 @@ pub struct CaptureSummary {
     pub lost: u64,
     /// Left out on purpose (bag import).
     pub skipped: u64,
-    /// Per topic.
     pub topics: Vec<TopicSummary>,
 }
 
 /// Figures of one topic of an import.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ImportedTopic {
-    /// Topic, cleaned.
     pub topic: String,
-    /// Messages sealed now.
     pub imported: u64,
-    /// Of these, verified.
     pub verified: u64,
-    /// Messages imported earlier.
     pub already: u64,
 }
 
@@ -164,7 +151,6 @@ pub struct ImportView {
     pub digest: Option<Digest>,
     /// Messages, attachments and metadata records that the file or home holds, wanted or not.
     pub found: u64,
-    /// Messages sealed now.
     pub imported: u64,
     /// Of these, verified: re-read from the store, digest equal to the chain, signature valid.
     pub verified: u64,
@@ -188,7 +174,6 @@ pub struct ImportView {
     pub more_damages: u64,
     /// Whether it ended before the end of the file.
     pub ended_early: bool,
-    /// Per topic.
     pub topics: Vec<ImportedTopic>,
 }
 
@@ -207,7 +192,6 @@ pub struct FollowedFile {
     pub already: u64,
     /// Given up because their profile has no keys in force.
     pub lost: u64,
-    /// Unusable messages.
     pub skipped: u64,
     /// These by topic, with the reason.
     pub left_out: Vec<LeftOut>,
@@ -236,7 +220,6 @@ pub struct FollowedFile {
 /// The result of following a folder.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct FollowView {
-    /// The folder, cleaned.
     pub folder: String,
     /// Whether the folder was gone at the end.
     pub is_gone: bool,
@@ -249,12 +232,9 @@ pub struct FollowView {
 /// Figures of one topic of an export.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ExportedTopic {
-    /// Topic, cleaned.
     pub topic: String,
-    /// Type, cleaned.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Messages written.
     pub messages: u64,
 }
 
@@ -286,22 +266,18 @@ pub struct Refused {
 pub struct ExportView {
     /// The file, cleaned; `None` if there was nothing to write.
     pub file: Option<String>,
-    /// Its format.
     pub format: RecordingFormat,
-    /// Messages written.
     pub messages: u64,
     /// Attachments and metadata records written.
     pub attachments: u64,
     /// Bytes of their bodies.
     pub bytes: u64,
-    /// Records not written.
     pub refused: Refused,
     /// Ids of those tampered with, missing, or with false names; the first 100.
     pub suspicious: Vec<String>,
     /// Topics whose definitions their publishing nodes of ROS 2 gave: a type hash proves names and types of fields, not
     /// comments, constants or default values. Cleaned.
     pub given: Vec<String>,
-    /// Per topic.
     pub topics: Vec<ExportedTopic>,
 }
 
@@ -325,7 +301,6 @@ pub struct ProgressView {
 /// The rule of one topic, and the topic's rates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PolicyRow {
-    /// Topic, cleaned.
     pub topic: String,
     /// Its type, cleaned, if known.
     #[serde(rename = "type")]
@@ -355,7 +330,6 @@ pub struct PolicyView {
     pub learned: bool,
 }
 
-/// Why playing ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
@@ -370,7 +344,6 @@ pub enum PlayEnd {
     Expired,
     /// The keyring was locked.
     Locked,
-    /// The site ended.
     Site,
 }
 
@@ -412,7 +385,6 @@ pub struct PlayedView {
     pub unconfirmed: u64,
     /// The time it took.
     pub seconds: f64,
-    /// Why it ended.
     pub ended_by: PlayEnd,
     /// The reasons for refusing records, with counts; the first 20.
     pub reasons: Vec<(String, u64)>,

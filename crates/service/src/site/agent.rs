@@ -43,7 +43,6 @@ pub struct AgentWishes {
     pub tags: Vec<(String, String)>,
     /// This many messages of each topic.
     pub count: Option<u64>,
-    /// For this long.
     pub length: Option<Duration>,
 }
 
@@ -137,7 +136,7 @@ impl Agent {
         let notices = notices.with_ring_while(site.plant.ledger.notes.clone(), &policy.has_ring);
         let named = notices.gateway();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(named);
-        let before = block_in_place(|| site.plant.ledger.counts.by_state(None))?.acknowledged;
+        let before = site.plant.ledger.counts.by_state(None)?.acknowledged;
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
         for topic in &topics {
             site.recorder.join(topic, &author, None, &session);
@@ -172,9 +171,6 @@ impl Agent {
 
     /// Works until everything requested is verified, or until `told`. `progress` gets the figures when they have
     /// changed, once a second.
-    ///
-    /// # Errors
-    /// Errors of the outbox.
     pub async fn run(
         &mut self,
         told: impl Future,
@@ -198,7 +194,7 @@ impl Agent {
                 }
                 () = tokio::time::sleep(LOOK) => {}
             }
-            let counts = block_in_place(|| self.site.plant.ledger.counts.by_state(None))?;
+            let counts = self.site.plant.ledger.counts.by_state(None)?;
             let figures = self.figures_of(&counts);
             if looks.is_multiple_of(5) && shown.as_ref() != Some(&figures) {
                 progress(&figures);
@@ -274,12 +270,8 @@ impl Agent {
         matches!(&*self.link.borrow(), Link::Refused(_)).then_some(AgentEnd::Refused)
     }
 
-    /// Its present state.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn figures(&self) -> Result<AgentFigures, Failure> {
-        Ok(self.figures_of(&block_in_place(|| self.site.plant.ledger.counts.by_state(None))?))
+        Ok(self.figures_of(&self.site.plant.ledger.counts.by_state(None)?))
     }
 
     fn figures_of(&self, counts: &StateCounts) -> AgentFigures {
@@ -307,12 +299,8 @@ impl Agent {
         self.sessions.iter().flat_map(|session| session.figures())
     }
 
-    /// Figures by topic.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn topics(&self) -> Result<Vec<TopicCounts>, Failure> {
-        Ok(block_in_place(|| self.site.plant.ledger.counts.by_state(None))?.topics)
+        Ok(self.site.plant.ledger.counts.by_state(None)?.topics)
     }
 
     /// Ends: capture stops, everything captured is fsynced. Its figures can still be read.
@@ -410,9 +398,6 @@ struct AgentRing {
 
 impl AgentRing {
     /// Opens the ring of this home; from now on the sealer fills it.
-    ///
-    /// # Errors
-    /// If its folder cannot be used.
     pub fn begin(site: &Site, author: &Author, settings: RingSettings) -> Result<Self, Failure> {
         let RingSettings { limits, topics } = settings;
         let recorder = RecorderPrefix::ring(random_bytes()?);
@@ -424,9 +409,6 @@ impl AgentRing {
     }
 
     /// From now on it keeps this, or nothing more.
-    ///
-    /// # Errors
-    /// If what is too much cannot be removed.
     pub fn change(&mut self, site: &Site, author: &Arc<Author>, settings: Option<RingSettings>) -> Result<(), Failure> {
         let (limits, patterns) = settings.map(|settings| (settings.limits, settings.topics)).unzip();
         self.patterns = patterns;
@@ -504,7 +486,6 @@ impl AgentRing {
         moved
     }
 
-    /// What it holds.
     pub fn figures(&self) -> RingFigures {
         self.ring.lock().unwrap_or_else(PoisonError::into_inner).figures()
     }

@@ -51,7 +51,6 @@ pub(super) struct Alerts {
 #[derive(Default)]
 struct Shown {
     alerts: Vec<AlertView>,
-    /// Newest first.
     over: VecDeque<EndedAlert>,
     /// Deliveries that wait, and those dropped for want of room.
     deliveries: (u64, u64),
@@ -275,7 +274,6 @@ impl Site {
         Ok(blocking(self, done).await?)
     }
 
-    /// The active alerts.
     pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {
         blocking(self, |site| Ok(site.alerts.view())).await
     }

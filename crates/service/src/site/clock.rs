@@ -11,7 +11,6 @@ use crate::model::steady_clock::{Reading, SETTLING, look};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
-/// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
 /// Seconds; less is not a jump.
 const SHORTEST: i64 = 5;
@@ -34,7 +33,6 @@ fn span(seconds: i64) -> String {
     format!("{} s {way}", seconds.unsigned_abs())
 }
 
-/// The machine's clock.
 pub struct Clock {
     pub parts: Parts,
 }

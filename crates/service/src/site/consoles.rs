@@ -21,7 +21,6 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 /// A connection: who asks through it, and what it holds as long as it lasts.
 #[derive(Default)]
 pub struct Connected {
-    /// Who asks.
     pub(crate) asker: Asker,
     held: Mutex<Held>,
 }
@@ -70,9 +69,6 @@ pub(super) fn until_released(claims: &Claims) -> oneshot::Receiver<()> {
 
 impl Site {
     /// Claims a profile for the console of a connection.
-    ///
-    /// # Errors
-    /// That another console has it.
     pub(super) fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<(), Failure> {
         let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
         let own = held(claims).consoles.contains(&profile);

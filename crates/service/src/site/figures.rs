@@ -121,9 +121,6 @@ impl Site {
     }
 
     /// The figures of this moment.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub(super) fn figures(&self) -> Result<Figures, Failure> {
         let (audit_lines, audit_unanchored) = self.audit_figures()?;
         let ledger = &self.plant.ledger;

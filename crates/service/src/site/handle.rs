@@ -17,9 +17,6 @@ use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
-    ///
-    /// # Errors
-    /// Errors of the command's part.
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;

@@ -116,7 +116,6 @@ const FLUSHING: Duration = Duration::from_secs(4);
 pub struct Needs {
     /// ROS master, robots, capture.
     pub ros: bool,
-    /// Chain, anchoring, verification.
     pub chain: bool,
 }
 
@@ -344,33 +343,21 @@ impl Site {
     }
 
     /// The chain, as soon as the first attempt has ended.
-    ///
-    /// # Errors
-    /// Why the link is down.
     pub async fn chain(&self) -> Result<crate::chain::Chain, Failure> {
         self.parts.link.chain().await
     }
 
     /// The network with its contract.
-    ///
-    /// # Errors
-    /// Why the link is down, or that no contract is known yet.
     pub async fn network(&self) -> Result<crate::pipeline::Network, Failure> {
         self.parts.link.network().await
     }
 
     /// The owner behind a profile that is unlocked here.
-    ///
-    /// # Errors
-    /// It is locked or does not exist.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         self.parts.owners.unlocked(profile)
     }
 
     /// The master's URI, as soon as it is reached.
-    ///
-    /// # Errors
-    /// Why the master cannot be reached.
     pub async fn ros_uri(&self) -> Result<String, Failure> {
         self.ros.uri().await
     }

@@ -25,7 +25,6 @@ use crate::store::{CacheSettings, Ciphertext, Ledger};
 pub(super) struct Parts {
     pub home: Home,
     pub config: Arc<Config>,
-    /// Store and provider.
     pub plant: Plant,
     pub hub: Arc<Hub>,
     pub log: Arc<Log>,
@@ -33,7 +32,6 @@ pub(super) struct Parts {
     pub link: Arc<Link>,
     pub life: Arc<Lifetime>,
     pub supervisor: Arc<Supervisor>,
-    /// Sends transactions.
     pub sender: Arc<Sender>,
     /// Work that takes long.
     pub runs: Runs,

@@ -114,7 +114,6 @@ impl Runs {
 /// Takes a run off the list when it ends, however it ends.
 pub(super) struct Running {
     runs: Runs,
-    /// What runs.
     pub run: Arc<Run>,
 }
 

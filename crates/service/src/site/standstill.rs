@@ -13,7 +13,6 @@ use crate::pipeline::Network;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
-/// Interval between looks.
 const LOOK: Duration = Duration::from_secs(10);
 /// The part of the health that reports it.
 pub(super) const PART: &str = "stages";
@@ -23,9 +22,7 @@ pub(super) const PART: &str = "stages";
 enum Stage {
     /// Closes batches and sends them.
     Anchorer,
-    /// Reads new blocks.
     Watcher,
-    /// Checks confirmed records.
     Verifier,
 }
 
@@ -82,7 +79,6 @@ enum Found {
     Going,
     /// It stands, and its task is to be restarted.
     Restart,
-    /// It still stands.
     Standing,
 }
 

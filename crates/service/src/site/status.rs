@@ -220,7 +220,7 @@ impl Site {
             (_, _, None) => Vec::new(),
         };
         // What is in a block already but not looked at yet does not wait any more.
-        let open = address.map(|address| block_in_place(|| self.plant.ledger.lanes.open_lane(address))).transpose()?;
+        let open = address.map(|address| self.plant.ledger.lanes.open_lane(address)).transpose()?;
         let names = self.contacts.names()?;
         let next = status.nonce.unwrap_or(0);
         let pending = open.iter().flatten().filter(|row| row.nonce >= next).count() as u64;

@@ -167,9 +167,6 @@ impl Supervisor {
     }
 
     /// Keeps the work of a thread running until it ends by itself: only a panic restarts it.
-    ///
-    /// # Errors
-    /// If the thread cannot be started.
     pub fn keep_thread(
         self: &Arc<Self>,
         name: &'static str,

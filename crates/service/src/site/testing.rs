@@ -20,7 +20,6 @@ pub const PASSPHRASE: &str = "correct horse battery";
 /// The shared parts of a home in a temporary folder.
 pub struct Ground {
     pub parts: Parts,
-    /// Receives opened owners.
     _opened: Opened,
     pub folder: tempfile::TempDir,
 }
@@ -63,7 +62,6 @@ impl Ground {
     }
 }
 
-/// A profile's name.
 pub fn profile(name: &str) -> ProfileName {
     name.parse().expect("a name")
 }

@@ -89,9 +89,6 @@ fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
 }
 
 /// Listens at a path with this mode; a socket that nobody answers any more is replaced.
-///
-/// # Errors
-/// If something else is there, or its folder cannot be written.
 pub(crate) fn bind(path: &Path, mode: u32) -> std::io::Result<UnixListener> {
     let (short, _directory) = reachable(path)?;
     let is_socket = std::fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket());

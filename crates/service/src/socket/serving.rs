@@ -29,9 +29,6 @@ const MOST_CONNECTIONS: usize = 16;
 const FAREWELL: Duration = Duration::from_secs(5);
 
 /// Accepts joiners at the home's own socket until the site ends.
-///
-/// # Errors
-/// If the socket cannot be made.
 pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     let path = site.home().socket();
     let unusable = |error: std::io::Error| {
@@ -54,7 +51,6 @@ pub(crate) async fn accept_operators(site: &Arc<Site>, listener: &UnixListener) 
     accept(site, listener, &Door::Operators(Arc::default())).await;
 }
 
-/// Where somebody joins.
 #[derive(Clone)]
 enum Door {
     /// At the home's own socket: its owner alone.
@@ -173,7 +169,6 @@ struct Outline {
     command: Kind,
 }
 
-/// One connection.
 struct Joiner {
     site: Arc<Site>,
     asker: Asker,

@@ -20,7 +20,6 @@ const DEVICE: usize = 8;
 /// The gateway of this site, and the robots of the profile.
 #[derive(Debug, Default)]
 pub struct Gateway {
-    /// The site's report.
     pub view: Option<GatewayStatusView>,
     /// The enrolled robots of the profile; none while the keyring is locked.
     pub robots: Vec<RobotRow>,
@@ -30,7 +29,6 @@ pub struct Gateway {
     pub robots_told: bool,
     /// The account of the profile, whose robots these are.
     owner: Option<Address>,
-    /// Cursor, filter, order.
     pub table: Table,
 }
 
@@ -206,7 +204,6 @@ const MOST_GRANTS: usize = 2_000;
 pub struct Grants {
     /// All rows, as they came.
     pub rows: Vec<GrantRow>,
-    /// Cursor, filter, order.
     pub table: Table,
 }
 
@@ -341,9 +338,7 @@ const WIDEST: usize = 400;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogLine {
-    /// When.
     pub at: Timestamp,
-    /// How urgent.
     pub level: NoticeLevel,
     pub key: String,
     pub source: Source,
@@ -366,9 +361,7 @@ impl LogLine {
 pub enum Source {
     /// This console: the operator's commands and how they ended.
     Console,
-    /// The site, unasked.
     Site,
-    /// The audit log.
     Audit,
 }
 
@@ -390,7 +383,6 @@ impl Source {
 pub struct Log {
     notices: VecDeque<LogLine>,
     audit: Vec<LogLine>,
-    /// Cursor and filter.
     pub table: Table,
     /// The least urgent level shown.
     pub least: NoticeLevel,

@@ -19,7 +19,6 @@ use authros_gateway::Code;
 
 pub mod robots;
 
-/// The frozen clock.
 pub const NOW: Timestamp = Timestamp(1_700_000_000_000_000_000);
 /// The address of the profile.
 pub const OWN: Address = Address([0x11; 20]);
@@ -50,12 +49,10 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
     }
 }
 
-/// A failure.
 pub fn failure(kind: ErrorKind, message: &str) -> Failure {
     Failure::new(kind, message)
 }
 
-/// The profile.
 pub fn identity(exists: bool, unlocked: bool, registered: bool) -> IdentityView {
     IdentityView {
         profile: ProfileName::default(),
@@ -84,7 +81,6 @@ fn keys() -> KeysView {
     }
 }
 
-/// The whole site.
 pub fn site() -> SiteView {
     let part = |part: &str, level, text: &str| PartHealth {
         part: part.to_owned(),
@@ -132,7 +128,6 @@ pub fn site_alert() -> AlertView {
     }
 }
 
-/// A topic.
 pub fn topic(name: &str, hz: f64) -> TopicRow {
     let camera = name.contains("camera");
     TopicRow {
@@ -261,7 +256,6 @@ pub fn incident(name: &str, open: bool) -> IncidentView {
     }
 }
 
-/// A grant.
 pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> GrantRow {
     let given = direction == "given";
     GrantRow {

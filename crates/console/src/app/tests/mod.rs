@@ -39,7 +39,6 @@ use crate::service::{Command, Event, Failure, Part, Reply};
 
 /// Someone at the keyboard, with a site that answers when told to.
 pub struct Robot {
-    /// The console.
     pub state: State,
     /// Commands sent and not yet answered.
     pub sent: Vec<(Command, Tag)>,
@@ -95,7 +94,6 @@ impl Robot {
         }
     }
 
-    /// Something happens.
     pub fn act(&mut self, action: Action) {
         let effects = update(&mut self.state, action);
         self.note(effects);
@@ -115,17 +113,14 @@ impl Robot {
         text.chars().for_each(|character| self.presses(Key::Char(character)));
     }
 
-    /// Presses one key.
     pub fn presses(&mut self, key: Key) {
         self.act(Action::Key(key));
     }
 
-    /// Pastes.
     pub fn pastes(&mut self, text: &str) {
         self.act(Action::Paste(Zeroizing::new(text.to_owned())));
     }
 
-    /// Time passes.
     pub fn waits(&mut self, seconds: u64) {
         self.act(Action::Tick(Timestamp(self.state.now.0 + seconds * 1_000_000_000)));
     }
@@ -148,7 +143,6 @@ impl Robot {
         tags.filter(|tag| !matches!(tag, Tag::Feed(..) | Tag::OpenConsole)).collect()
     }
 
-    /// The message shown.
     pub fn message(&self) -> &str {
         self.state.toasts.shown().map_or("", |toast| &toast.text)
     }

@@ -19,7 +19,6 @@ pub struct Cast {
     pub reader: ProfileName,
 }
 
-/// Its progress.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tour {
     cast: Cast,
@@ -27,7 +26,6 @@ pub struct Tour {
 }
 
 impl Tour {
-    /// At its beginning.
     pub fn new(cast: Cast) -> Self {
         Self { cast, place: 0 }
     }
@@ -123,7 +121,6 @@ pub enum Step {
     Open,
     /// No grant is active any more.
     Revoke,
-    /// Nothing more.
     End,
 }
 
@@ -133,7 +130,6 @@ pub struct StepText {
     /// What it waits for.
     pub step: Step,
     pub name: &'static str,
-    /// What to do.
     pub act: &'static str,
     pub why: &'static str,
 }

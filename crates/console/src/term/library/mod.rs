@@ -178,7 +178,6 @@ fn without_colours_no_colour_is_sent() {
     }
 }
 
-/// Columns and rows.
 type Size = (u16, u16);
 /// A situation: its name, and how it comes about.
 type Situation = (&'static str, fn(Size) -> Robot);

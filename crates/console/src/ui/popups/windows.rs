@@ -24,7 +24,6 @@ use crate::ui::{self, Canvas, bars, below, columns, count, plot, right_of, row, 
 use ratatui::layout::Rect;
 use strum::IntoEnumIterator as _;
 
-/// Its greatest width.
 const WIDEST: u16 = 120;
 
 /// Columns of the labels of values.

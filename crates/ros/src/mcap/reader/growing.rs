@@ -30,9 +30,6 @@ impl Growing {
 impl<R: BufRead + Seek> McapReader<R> {
     /// Starts reading a file that may still grow. [`McapReader::next_message`] then returns `None` also where the next
     /// record is not whole yet.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read or is not MCAP.
     pub fn follow(file: R) -> Result<Self, RosError> {
         let mut reader = Self::begin(file)?;
         reader.growing = Growing { open: true, told: true, chunks: Vec::new() };

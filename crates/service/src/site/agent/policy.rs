@@ -58,9 +58,6 @@ pub(super) struct AgentPolicy {
 
 impl AgentPolicy {
     /// What was taken up in earlier runs.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
         Self::by(notes, PolicyKeeper::open(notes, enrolment)?)
     }
@@ -254,7 +251,6 @@ impl Agent {
         self.site.ros.wishes_changed();
     }
 
-    /// Watches further topics.
     pub(super) fn watch(&mut self, topics: &[String]) {
         if topics.is_empty() {
             return;
@@ -286,7 +282,7 @@ impl Agent {
         if block_in_place(|| statement::state_to_be_found(plant, self.author.address, &keys, statement))?.is_some() {
             self.site.parts.hub.stored.notify_waiters();
         }
-        block_in_place(|| plant.ledger.notes.write(&self.policy.keeper.told(), &told))?;
+        plant.ledger.notes.write(&self.policy.keeper.told(), &told)?;
         self.policy.told = Some(told);
         Ok(())
     }
@@ -319,9 +315,6 @@ pub(super) struct PolicyKeeper {
 
 impl PolicyKeeper {
     /// For the robot of an enrolment; what it took up before is in force.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn open(notes: &Notes, enrolment: &Enrolment) -> Result<Self, Failure> {
         Self::of(notes, enrolment.domain, enrolment.owner, enrolment.device_id())
     }

@@ -235,9 +235,7 @@ pub type Refusal = (u64, String, String);
 /// A query repeated within its minute.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Repeated {
-    /// The asking profile.
     pub profile: String,
-    /// The query.
     pub query: String,
     /// The number of repetitions.
     pub times: u64,

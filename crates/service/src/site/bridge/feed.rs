@@ -34,7 +34,6 @@ pub(super) struct Item {
     pub only_latched: bool,
 }
 
-/// The next step.
 pub(super) struct Round {
     pub items: Vec<Item>,
     /// Nothing comes after it.
@@ -43,7 +42,6 @@ pub(super) struct Round {
 
 /// The source of records.
 pub(super) enum Feed {
-    /// Stored records.
     Past(Box<RecordQuery>),
     /// Records verified from now on.
     Live(Live),

@@ -15,10 +15,6 @@ pub(super) struct Names {
 }
 
 impl Names {
-    /// As requested.
-    ///
-    /// # Errors
-    /// If a name is remapped twice.
     pub fn of(wishes: &PlayWishes) -> Result<Self, Failure> {
         let mut remaps = HashMap::new();
         for remap in &wishes.remaps {
@@ -45,9 +41,6 @@ impl Names {
     }
 
     /// Whether every name is under a prefix, so that the graph from which this site captures can accept them.
-    ///
-    /// # Errors
-    /// What to do instead.
     pub fn keep_apart(&self) -> Result<(), String> {
         let why = "the graph that this site captures from; anything played there would be captured again as new:";
         let Some(prefix) = &self.prefix else {

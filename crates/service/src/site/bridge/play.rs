@@ -70,7 +70,6 @@ struct Tally {
     topics: BTreeMap<String, u64>,
 }
 
-/// A running playback.
 struct Play<'a> {
     bridge: &'a Bridge,
     network: Network,

@@ -19,7 +19,6 @@ const MOST_LATCHED: usize = 64;
 /// The clock's type, and its offer, as `ros2 bag play --clock` makes it.
 const CLOCK: &str = "rosgraph_msgs/msg/Clock";
 const CLOCK_OFFER: Offer = Offer { reliable: false, latched: false, depth: 1 };
-/// CDR, little-endian.
 const LITTLE: u16 = 1;
 
 /// How messages of one kind leave. A latched topic keeps the last messages of each source.
@@ -32,7 +31,6 @@ struct Way {
     offer: Offer,
 }
 
-/// The publishing end.
 pub(super) struct Domain {
     topics: Topics,
     publisher: Ros2Publisher,

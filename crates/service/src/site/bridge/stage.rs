@@ -16,7 +16,6 @@ use crate::service::reply::Failure;
 /// The name prefix of the nodes that capture.
 const CAPTURING: &str = "/authros_";
 
-/// The publishing end.
 pub(super) struct Stage {
     topics: Topics,
     graph: Graph,
@@ -49,7 +48,6 @@ impl Stage {
 }
 
 impl Target for Stage {
-    /// The master's address.
     fn name(&self) -> &str {
         &self.topics.place
     }

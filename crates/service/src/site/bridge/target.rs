@@ -75,7 +75,6 @@ impl From<Failure> for Stop {
     }
 }
 
-/// The publishing end.
 pub(super) trait Target: Send + Sync {
     /// Its name for people.
     fn name(&self) -> &str;
@@ -167,7 +166,6 @@ impl Topics {
         Ok(done)
     }
 
-    /// It is published.
     pub fn publish(&mut self, topic: &str, (type_name, md5sum): (&str, &str)) {
         self.types.insert(topic.to_owned(), (type_name.to_owned(), md5sum.to_owned()));
     }

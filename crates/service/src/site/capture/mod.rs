@@ -133,7 +133,6 @@ impl Capture {
         running.push((profile.clone(), Arc::clone(session)));
     }
 
-    /// It has ended.
     pub fn forget(&self, session: &Arc<CaptureSession>) {
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.retain(|(_, other)| !Arc::ptr_eq(other, session));

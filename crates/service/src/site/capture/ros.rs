@@ -33,13 +33,10 @@ const CALM: u32 = 10;
 pub enum RosState {
     /// This run needs no ROS, or is ending.
     Off,
-    /// First attempt.
     Starting,
-    /// Working.
     Up(Arc<RosLink>),
     /// The master does not answer; the next look may find it.
     Down {
-        /// Why.
         failure: Failure,
         /// The link, if there was one: its capture recovers on its own.
         link: Option<Arc<RosLink>>,
@@ -57,14 +54,11 @@ fn start_robots(config: &Config, uri: &str) -> Result<Fleet, RosError> {
 
 /// A working connection to a master.
 pub struct RosLink {
-    /// The master.
     pub uri: String,
     /// Whether it belongs to this process.
     pub embedded: bool,
-    /// The monitoring node.
     pub capture: Capture,
     _fleet: Option<Fleet>,
-    /// Simulated robots, counted.
     pub robots: u16,
     graph: Graph,
     last_look: std::sync::Mutex<LastLook>,
@@ -128,7 +122,6 @@ impl RosSide {
         }
     }
 
-    /// Its present state.
     pub fn state(&self) -> watch::Ref<'_, RosState> {
         self.state.borrow()
     }
@@ -351,9 +344,6 @@ impl RosSide {
     }
 
     /// Like [`Self::any`], without that time.
-    ///
-    /// # Errors
-    /// The same.
     pub async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         match self.link().await {
             Ok(link) => Ok(Some(link)),
@@ -363,17 +353,11 @@ impl RosSide {
     }
 
     /// The master's URI, as soon as it is reached.
-    ///
-    /// # Errors
-    /// Why the master cannot be reached.
     pub async fn uri(&self) -> Result<String, Failure> {
         Ok(self.link().await?.uri.clone())
     }
 
     /// The ROS link, as soon as the first attempt has ended.
-    ///
-    /// # Errors
-    /// Why the master cannot be reached.
     pub async fn link(&self) -> Result<Arc<RosLink>, Failure> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;

@@ -36,9 +36,6 @@ impl SealerThread {
     }
 
     /// Starts if it has not started yet: a run that captures nothing may still import.
-    ///
-    /// # Errors
-    /// If the thread cannot be started.
     pub fn begin(&self) -> Result<(), Failure> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if thread.is_none() && !self.rings.is_closed() {

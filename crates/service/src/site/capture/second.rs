@@ -23,9 +23,7 @@ const LATCHED: Duration = Duration::from_secs(4);
 /// The graph from which a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::site) enum GraphOf {
-    /// ROS 1.
     One,
-    /// ROS 2.
     Two,
     /// Nobody publishes it yet: both are waited for.
     Open,

@@ -37,7 +37,7 @@ impl Watches {
             change(watches);
             Ok(())
         };
-        block_in_place(|| self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, changed))
+        self.parts.plant.ledger.notes.change(&Watched { profile: profile.clone() }, changed)
     }
 
     /// The recorder stops watching for the owner, until it is restored.

@@ -18,7 +18,6 @@ use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryV
 /// How long a pause lasts by default, seconds.
 const PAUSE: u64 = 86_400;
 
-/// The administrator's acts.
 pub struct Administering {
     pub parts: Parts,
     pub contacts: Arc<Contacts>,

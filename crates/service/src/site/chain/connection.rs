@@ -196,7 +196,6 @@ async fn is_new_here(chain: &Chain, owner: &Owner) -> Result<(), Failure> {
 pub enum Lost {
     /// Another chain answers, or the embedded one has no file any more.
     Swapped(Failure),
-    /// Anything else.
     Other(Failure),
 }
 

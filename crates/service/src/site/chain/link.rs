@@ -21,18 +21,15 @@ use crate::reply::Failure;
 pub enum NetworkState {
     /// This run needs no chain, or is ending.
     Off,
-    /// First attempt.
     Connecting,
     /// Connected, but no contract is known yet: the first registration deploys one.
     Bare(Chain),
-    /// Working.
     Up(Box<Network>),
     /// Another chain answers than the pinned one, or the same one wiped: anchoring stands still until the pinned one is
     /// back.
     Swapped(Failure),
     /// The last attempt failed; another follows.
     Down {
-        /// Why.
         failure: Failure,
         /// When the next attempt is made.
         next: Instant,
@@ -65,7 +62,6 @@ impl Link {
         }
     }
 
-    /// Its present state.
     pub fn state(&self) -> watch::Ref<'_, NetworkState> {
         self.state.borrow()
     }
@@ -79,7 +75,6 @@ impl Link {
         }
     }
 
-    /// Follows the state.
     pub fn follow(&self) -> watch::Receiver<NetworkState> {
         self.state.subscribe()
     }
@@ -111,9 +106,6 @@ impl Link {
     }
 
     /// The chain, as soon as the first attempt has ended.
-    ///
-    /// # Errors
-    /// Why the link is down.
     pub async fn chain(&self) -> Result<Chain, Failure> {
         match self.settled().await? {
             NetworkState::Bare(chain) => Ok(chain),
@@ -123,9 +115,6 @@ impl Link {
     }
 
     /// The state, as soon as the first attempt has ended.
-    ///
-    /// # Errors
-    /// Why the link is down.
     pub async fn settled(&self) -> Result<NetworkState, Failure> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, NetworkState::Connecting)).await;
@@ -137,9 +126,6 @@ impl Link {
     }
 
     /// The network with its contract.
-    ///
-    /// # Errors
-    /// Why the link is down, or that no contract is known yet.
     pub async fn network(&self) -> Result<Network, Failure> {
         match self.settled().await? {
             NetworkState::Up(network) => Ok(*network),
@@ -169,9 +155,6 @@ impl Link {
     }
 
     /// The newest block, if everything up to it was read and it is known now that it is the newest.
-    ///
-    /// # Errors
-    /// [`NotFresh`]: nobody's right is known.
     pub fn view(&self) -> Result<BlockRef, NotFresh> {
         self.freshness().judge(Instant::now())
     }
@@ -348,9 +331,6 @@ impl Freshness {
     }
 
     /// The newest block, if it is known now that it is the newest.
-    ///
-    /// # Errors
-    /// [`NotFresh`].
     pub fn judge(&self, now: Instant) -> Result<BlockRef, NotFresh> {
         let seen = self.seen.ok_or(NotFresh::Unread)?;
         let block = seen.head.number;

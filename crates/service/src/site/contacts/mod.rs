@@ -24,7 +24,6 @@ fn read(text: &str) -> Result<Fingerprint, Failure> {
     text.parse().map_err(|error| input(format!("{error}")))
 }
 
-/// The address book.
 pub struct Contacts {
     parts: Parts,
     /// Changes of the book are made one at a time.
@@ -38,11 +37,11 @@ impl Contacts {
     }
 
     fn book(&self) -> Result<Vec<Contact>, Failure> {
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&AddressBook {}))?.unwrap_or_default())
+        Ok(self.parts.plant.ledger.notes.read(&AddressBook {})?.unwrap_or_default())
     }
 
     fn write_book(&self, book: &Vec<Contact>) -> Result<(), Failure> {
-        block_in_place(|| self.parts.plant.ledger.notes.write(&AddressBook {}, book))?;
+        self.parts.plant.ledger.notes.write(&AddressBook {}, book)?;
         self.parts.hub.changed(Part::Grants);
         Ok(())
     }
@@ -135,7 +134,6 @@ impl Contacts {
         self.rows().await
     }
 
-    /// Removes an account.
     pub async fn remove(&self, profile: &ProfileName, name: &ContactName) -> Result<Vec<ContactRow>, Failure> {
         {
             let _one_at_a_time = self.changing.lock().await;
@@ -215,9 +213,6 @@ impl Contacts {
 
     /// Whether keys may be wrapped for this account: one in the address book only with the key noted there. If it had
     /// none when it was added, it is noted now.
-    ///
-    /// # Errors
-    /// `Refused`, until the contact is confirmed.
     pub async fn check_contact(&self, network: &Network, account: Address) -> Result<(), Failure> {
         let _one_at_a_time = self.changing.lock().await;
         let mut book = self.book()?;
@@ -241,20 +236,17 @@ impl Contacts {
     /// Whether the keys of a further epoch may be wrapped for a reader who had them before: not for a key that has
     /// changed since, if the chain is known from a gateway's word, unless that key was compared. Notes the key the
     /// first time.
-    ///
-    /// # Errors
-    /// `Refused`, until the contact is confirmed.
     pub async fn check_reader(&self, network: &Network, owner: Address, reader: Address) -> Result<(), Failure> {
         let Some(found) = Self::registered_fingerprint(network, reader).filter(|_| self.parts.is_joined()) else {
             return Ok(());
         };
         let note = WrappedFor { owner, reader };
-        match block_in_place(|| self.parts.plant.ledger.notes.read(&note))? {
+        match self.parts.plant.ledger.notes.read(&note)? {
             Some(noted) if noted == found => return Ok(()),
             Some(_) => self.check_contact(network, reader).await?,
             None => {}
         }
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.write(&note, &found))?)
+        Ok(self.parts.plant.ledger.notes.write(&note, &found)?)
     }
 
     /// Compares a fingerprint with that of an account's registered key, or of this profile's own.

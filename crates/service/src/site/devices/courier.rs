@@ -112,9 +112,6 @@ impl Devices {
     }
 
     /// Brings a robot's notices to its gateway, oldest first.
-    ///
-    /// # Errors
-    /// Why it does not have all of them.
     async fn carry(
         &self,
         owner: &Arc<Owner>,
@@ -132,7 +129,7 @@ impl Devices {
                 client.upload(uploads).await?;
                 for row in window {
                     let note = carried(owner, enrolled, gateway, row.recorder);
-                    block_in_place(|| self.parts.plant.ledger.notes.write(&note, &row.seq))?;
+                    self.parts.plant.ledger.notes.write(&note, &row.seq)?;
                 }
             }
             Ok::<_, Failure>(())
@@ -244,9 +241,6 @@ impl Enrolments {
 
     /// Seals a notice for each lent robot that is to know its owner by `new` from now on: signed by the current key,
     /// and within it by the account. Called again, it does what is left.
-    ///
-    /// # Errors
-    /// Errors of the store.
     pub fn tell_owner_key(&self, owner: &Owner, network: &Network, new: &PublicKey) -> Result<(), Failure> {
         let old = owner.signing().public;
         let change = OwnerKeyChange::sign(&network.domain, &owner.eoa(), old, *new)?;
@@ -264,9 +258,6 @@ impl Enrolments {
     }
 
     /// Seals a notice that asks a robot for a span of its ring.
-    ///
-    /// # Errors
-    /// Errors of the store.
     pub fn ask_for_ring(
         &self,
         owner: &Owner,

@@ -56,9 +56,7 @@ pub enum Step {
 /// A robot that a notice cannot reach.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Untold {
-    /// N.
     pub name: ProfileName,
-    /// Why.
     pub why: String,
 }
 
@@ -109,7 +107,6 @@ impl Enrolments {
         Ok(self.of(owner)?.into_iter().filter(|robot| is_lent(owner, network, robot)).collect())
     }
 
-    /// Notes another device.
     pub fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
         self.change_all(owner, |all| all.push(enrolled))
     }
@@ -149,7 +146,7 @@ impl Enrolments {
             change(all);
             Ok(())
         };
-        block_in_place(|| self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, changed))
+        self.parts.plant.ledger.notes.change(&EnrolledRobots { owner: owner.address }, changed)
     }
 }
 
@@ -167,9 +164,6 @@ pub fn words(untold: &[Untold]) -> String {
 }
 
 /// The robots enrolled by an account, oldest first. Waits for the disk.
-///
-/// # Errors
-/// Errors of the ledger.
 pub fn of_account(notes: &Notes, owner: Address) -> Result<Vec<Enrolled>, Failure> {
     Ok(notes.read(&EnrolledRobots { owner })?.unwrap_or_default())
 }
@@ -185,15 +179,12 @@ pub struct EnrolWishes {
     pub addresses: Vec<String>,
     /// SM3 of its identity key; `None` to trust whatever answers.
     pub fingerprint: Option<SignerId>,
-    /// N.
     pub name: ProfileName,
-    /// Only these topics.
     pub topics: Vec<TopicName>,
     /// All topics, including future ones: then no topic is named.
     pub all_topics: bool,
     /// When the loan ends.
     pub until: Option<Timestamp>,
-    /// Protects the file.
     pub passphrase: SecretText,
 }
 

@@ -18,7 +18,6 @@ use crate::store::notes::Enrolled;
 const BOUND: Duration = Duration::from_secs(12);
 /// How long a robot that was at work until now may be silent before nobody waits for it.
 const SILENCE: Duration = Duration::from_secs(3);
-/// Between two looks.
 const LOOK: Duration = Duration::from_millis(200);
 /// A robot whose newest record was captured and came this long ago, nanoseconds, is not at work.
 const AT_WORK: u64 = 10_000_000_000;

@@ -216,15 +216,11 @@ struct Seat {
     endpoint: Endpoint,
     trust: Trust,
     gateway: SignerId,
-    /// K_T.
     transport: TransportKey,
 }
 
 impl Seat {
     /// Allocates K_T for a name of the owner's, at the first address that answers.
-    ///
-    /// # Errors
-    /// Errors of the gateway.
     pub async fn allocate(
         owner: &Owner,
         context: Context,
@@ -241,18 +237,12 @@ impl Seat {
     }
 
     /// A session under that name.
-    ///
-    /// # Errors
-    /// Errors of the gateway.
     pub async fn connect(&mut self, name: &ProfileName, token: Token) -> Result<Client, Failure> {
         let credentials = Credentials { name: name.clone(), key: self.transport.clone(), token };
         Ok(Client::connect(&self.endpoint, &mut self.trust, &credentials).await?)
     }
 
     /// Tells the gateway whose the name is.
-    ///
-    /// # Errors
-    /// Errors of the gateway.
     pub async fn tell(
         &mut self,
         owner: &Owner,

@@ -99,12 +99,12 @@ impl Devices {
 
     fn wanted(&self, owner: &Owner, device: SignerId) -> Result<PolicyWanted, Failure> {
         let note = WantedPolicy { owner: owner.address, device };
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&note))?.unwrap_or_default())
+        Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
     }
 
     fn note_wanted(&self, owner: &Owner, device: SignerId, wanted: &PolicyWanted) -> Result<(), Failure> {
         let note = WantedPolicy { owner: owner.address, device };
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.write(&note, wanted))?)
+        Ok(self.parts.plant.ledger.notes.write(&note, wanted)?)
     }
 
     fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {
@@ -182,9 +182,6 @@ impl Devices {
 
 impl super::enrolled::Enrolments {
     /// Seals the notice that sets a robot's policy.
-    ///
-    /// # Errors
-    /// Errors of the store.
     fn send_policy(
         &self,
         owner: &Owner,

@@ -55,9 +55,6 @@ impl Devices {
     }
 
     /// The robots of these names, before anything is done for any of them.
-    ///
-    /// # Errors
-    /// One of them is not known here, or its loan has ended.
     pub async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<(), Failure> {
         let network = self.parts.link.network().await?;
         names.iter().try_for_each(|name| self.robot(&network, owner, name).map(drop))
@@ -76,9 +73,6 @@ impl Devices {
 }
 
 /// A span that has been: what is to come is not in a ring yet.
-///
-/// # Errors
-/// It ends before it begins, or names too many topics.
 pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan, Failure> {
     let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
     if since >= until {

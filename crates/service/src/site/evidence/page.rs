@@ -99,7 +99,6 @@ fn facts(out: &mut String, rows: &[Vec<String>]) {
     table(out, "facts", &[], rows);
 }
 
-/// The page.
 pub(super) fn page(bundle: &Bundle, report: &Report, about: Option<&IncidentView>) -> String {
     let mut out = format!("{HEAD}<h1>Evidence report</h1>\n{MARK}");
     summary(&mut out, bundle, report);

@@ -133,7 +133,7 @@ impl TimeStamps {
         let now = Moment::now();
         let roots = block_in_place(|| self.begin(true, now.wall))?;
         let (tokens, problem) = self.ask_all(now).await;
-        let waiting = block_in_place(|| self.parts.plant.ledger.proofs.stamp_counts())?.waiting;
+        let waiting = self.parts.plant.ledger.proofs.stamp_counts()?.waiting;
         match problem {
             Some(failure) if tokens.is_empty() => Err(failure),
             problem => Ok(StampView { roots, tokens, waiting, problem: problem.map(|failure| failure.message) }),

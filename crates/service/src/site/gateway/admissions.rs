@@ -39,11 +39,11 @@ impl Admissions {
     }
 
     fn list(&self) -> Result<Vec<AdmittedOwner>, Failure> {
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&AdmittedOwners {}))?.unwrap_or_default())
+        Ok(self.parts.plant.ledger.notes.read(&AdmittedOwners {})?.unwrap_or_default())
     }
 
     fn write(&self, list: &Vec<AdmittedOwner>) -> Result<(), Failure> {
-        block_in_place(|| self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list))?;
+        self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list)?;
         let owners = list.iter().map(|admitted| admitted.owner).collect();
         *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = Some(owners);
         self.parts.hub.changed(Part::Health);
@@ -143,9 +143,6 @@ pub enum Standing {
 
 impl GatewayDesk {
     /// Why an account may use this gateway.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `NotAuthorised`, whose detail says what the keeper may do.
     pub fn standing_of(&self, network: &Network, account: &Address) -> Result<Standing, Refusal> {
         let gateway = &self.gateway;
         let own = || gateway.parts.owners.all().iter().any(|owner| owner.address == *account);
@@ -164,9 +161,6 @@ impl GatewayDesk {
     }
 
     /// Whether an account may have one more name here.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `NameBound`, `NotAuthorised` or `Quota`.
     pub fn check_name(&self, network: &Network, account: &Address, name: &ProfileName) -> Result<(), Refusal> {
         desk::check(name, account)?;
         if self.standing_of(network, account)? == Standing::Admitted {
@@ -188,9 +182,6 @@ impl GatewayDesk {
     }
 
     /// Whether these records of a guest fit its quotas. The caller holds off other records of guests meanwhile.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `NotAuthorised` or `Quota`.
     pub fn check_quota(&self, account: &Address, records: &[Received]) -> Result<(), Refusal> {
         let (ledger, rules) = (&self.gateway.parts.plant.ledger, &self.gateway.parts.config.gateway);
         let usage = ledger.counts.usage(*account).map_err(Refusal::internal)?;

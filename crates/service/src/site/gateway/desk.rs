@@ -93,9 +93,6 @@ impl GatewayDesk {
     }
 
     /// Stores records of an owner.
-    ///
-    /// # Errors
-    /// [`Refusal`]; nothing is acknowledged then.
     fn keep(&self, owner: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
         let guest = self.standing_of(&self.known_network()?, owner)? == Access::Guest;
         // What is counted must not grow before it is stored.
@@ -307,9 +304,6 @@ pub fn is_reserved(name: &ProfileName) -> bool {
 }
 
 /// Whether an account may have this name.
-///
-/// # Errors
-/// [`Refusal`] with `NameBound`.
 pub fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
     if !is_reserved(name) || name.as_str() == courier_of(account) {
         return Ok(());

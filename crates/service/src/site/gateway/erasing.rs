@@ -4,8 +4,6 @@
 use std::fmt;
 use std::time::Duration;
 
-use tokio::task::block_in_place;
-
 use super::GatewayDesk;
 use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
 use crate::event::{NoticeLevel, Part};
@@ -24,7 +22,6 @@ const BEHIND: Duration = Duration::from_secs(3);
 enum Judged {
     /// It is gone here too, or named.
     Taken,
-    /// Nothing is new.
     Known,
     /// It may be taken another time.
     Left,
@@ -78,7 +75,7 @@ impl GatewayDesk {
     /// What can be said of it without a look at any signature.
     fn known(&self, network: &Network, header: &Header, digest: Digest) -> Result<Option<Judged>, Refusal> {
         let ledger = &self.gateway.parts.plant.ledger;
-        let Some(row) = block_in_place(|| ledger.records.find(digest)).map_err(Refusal::internal)? else {
+        let Some(row) = ledger.records.find(digest).map_err(Refusal::internal)? else {
             return Ok(None);
         };
         if let Some(field) = header_difference(&row, header) {
@@ -90,7 +87,7 @@ impl GatewayDesk {
             let current = statement.is_ok_and(|stated| is_owners(network, header.owner, &stated.signer));
             kept.account.is_some() && current
         };
-        let is_known = match block_in_place(|| ledger.erasures.kept(digest)).map_err(Refusal::internal)? {
+        let is_known = match ledger.erasures.kept(digest).map_err(Refusal::internal)? {
             // This home decided about it.
             None => row.deleted_at.is_some(),
             Some(kept) => !kept.taken || stands(&kept),
@@ -135,7 +132,7 @@ impl GatewayDesk {
         let row = NewRecord::foreign(sealed, self.place.keeper.address);
         let row = NewRecord { blob: None, ..row };
         let stated = (taken, account_signature.0.to_vec());
-        match block_in_place(|| plant.ledger.erasures.take_told(row, stated, (inclusion, anchor))) {
+        match plant.ledger.erasures.take_told(row, stated, (inclusion, anchor)) {
             Ok(ToldErased::Listed | ToldErased::Named) => {
                 self.gateway.parts.hub.confirmed.notify_one();
                 self.gateway.parts.hub.changed(Part::Uploads);

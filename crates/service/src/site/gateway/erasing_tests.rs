@@ -108,7 +108,6 @@ impl Ground {
         Caller { name, account, signing, device: None, peer: "127.0.0.1:1".parse().expect("an address") }
     }
 
-    /// Her own session.
     async fn tell(&self, notices: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Code> {
         let told = self.desk.erase_for(&self.caller(&self.alice), notices).await;
         told.map_err(|refusal| refusal.code)

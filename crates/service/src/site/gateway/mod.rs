@@ -237,9 +237,7 @@ impl Gateway {
 
 /// A running gateway: what is reported about it, and its server.
 pub struct Serving {
-    /// The report.
     pub view: GatewayView,
-    /// Its server.
     pub watch: ServerWatch,
     /// The keys that encrypt the transport keys.
     pub under: KeptUnder,
@@ -256,7 +254,7 @@ impl Gateway {
     }
 
     pub fn status(&self) -> Result<GatewayStatusView, Failure> {
-        let bound = block_in_place(|| self.parts.plant.ledger.bindings.bound_names())?;
+        let bound = self.parts.plant.ledger.bindings.bound_names()?;
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(serving) = &*serving else {

@@ -137,9 +137,6 @@ const MOST_BYTES: usize = 4 * 1024 * 1024;
 
 impl GatewayDesk {
     /// Those of the owners asked for whose records the reader may have now.
-    ///
-    /// # Errors
-    /// [`Refusal`] if it is none of them.
     pub fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>, Refusal> {
         let network = self.fresh_network()?;
         let (places, refused) = self.places(&network, reader, asked)?;

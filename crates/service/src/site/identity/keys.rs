@@ -137,8 +137,7 @@ impl Profiles {
                 owner.profile, owner.address
             )));
         }
-        let rows =
-            block_in_place(|| self.parts.plant.ledger.records.in_state(Some(owner.address), RecordState::Stored, 1))?;
+        let rows = self.parts.plant.ledger.records.in_state(Some(owner.address), RecordState::Stored, 1)?;
         if !rows.is_empty() {
             return Err(refused(format!("records of {} are waiting to be anchored; register first", owner.address)));
         }
@@ -149,7 +148,7 @@ impl Profiles {
             accounts.entry(profile).or_default().push(address);
             Ok::<(), StoreError>(())
         };
-        block_in_place(|| self.parts.plant.ledger.notes.change(&ProfileAccounts {}, also))?;
+        self.parts.plant.ledger.notes.change(&ProfileAccounts {}, also)?;
         let loaded = |keys: &mut Keyring| {
             keys.eoa = key;
             keys.networks.clear();
@@ -203,9 +202,7 @@ const PAGE: usize = 1000;
 /// The replacements of the pairs in use.
 #[derive(Default)]
 pub struct NewPairs {
-    /// (d_C, P_C).
     pub signing: Option<SmKeyPair>,
-    /// (d_E, P_E).
     pub envelope: Option<SmKeyPair>,
 }
 

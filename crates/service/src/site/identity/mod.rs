@@ -142,7 +142,7 @@ impl Profiles {
             accounts.insert(owner.profile.clone(), vec![owner.address]);
             Ok::<(), StoreError>(())
         };
-        if let Err(error) = block_in_place(|| self.parts.plant.ledger.notes.change(&ProfileAccounts {}, known)) {
+        if let Err(error) = self.parts.plant.ledger.notes.change(&ProfileAccounts {}, known) {
             self.parts.hub.notice(NoticeLevel::Warning, &error.to_string());
         }
         self.pins.introduce(&owner);
@@ -169,7 +169,7 @@ impl Profiles {
     }
 
     fn known_accounts(&self) -> Result<Accounts, Failure> {
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&ProfileAccounts {}))?.unwrap_or_default())
+        Ok(self.parts.plant.ledger.notes.read(&ProfileAccounts {})?.unwrap_or_default())
     }
 
     /// Seals under the newest epoch of the keyring until the chain's state is known, so that a start loses no message
@@ -453,9 +453,6 @@ impl Owners {
     }
 
     /// The owner behind a profile that is unlocked here.
-    ///
-    /// # Errors
-    /// It is locked or does not exist.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.get(profile).filter(|owner| !owner.is_locked());
         owner.ok_or_else(|| match self.home.keyring(profile).exists() {
@@ -467,9 +464,6 @@ impl Owners {
     }
 
     /// The account of a profile; needs no passphrase.
-    ///
-    /// # Errors
-    /// There is none, or its keyring cannot be read.
     pub fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
         if let Some(owner) = self.get(profile) {
             return Ok(owner.address);

@@ -42,7 +42,6 @@ impl Incidents {
         Self { parts: parts.clone() }
     }
 
-    /// Answers one request.
     pub async fn answer(&self, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
         let owner = self.parts.owners.address_of(profile)?;
         match command {
@@ -208,9 +207,6 @@ pub(super) fn narrowed(
 }
 
 /// One incident of the owner, for the page of a bundle.
-///
-/// # Errors
-/// See [`narrowed`].
 pub(super) fn view(kept: &KeptIncidents, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
     covered(kept, owner, known(kept, owner, name)?)
 }

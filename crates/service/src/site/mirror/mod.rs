@@ -249,9 +249,6 @@ struct Following<'a> {
 
 impl<'a> Following<'a> {
     /// From where it was.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn load(
         joined: &'a Joined,
         (owner, network): (&'a Owner, &'a Network),
@@ -259,7 +256,7 @@ impl<'a> Following<'a> {
     ) -> Result<Self, PipelineError> {
         let note = TakenOfFeed { domain: network.domain, keeper, reader: owner.address };
         let plant = &joined.parts.plant;
-        let saved = block_in_place(|| plant.ledger.notes.read(&note))?.unwrap_or_default();
+        let saved = plant.ledger.notes.read(&note)?.unwrap_or_default();
         Ok(Self {
             joined,
             intake: Intake { plant, network, anchors, keeper, patience: BEHIND },
@@ -273,9 +270,6 @@ impl<'a> Following<'a> {
     }
 
     /// Follows who shares now, and nobody else; again where more can be read than before. Returns whether more may come for that.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
     pub fn adjust(&mut self) -> Result<bool, PipelineError> {
         let each = sources(self.reader.network, self.reader.reader).into_iter().map(|(owner, grant)| {
             let epochs = block_in_place(|| self.reader.epochs_of(owner))?;
@@ -291,9 +285,6 @@ impl<'a> Following<'a> {
     }
 
     /// The next page; nothing if nobody is to be asked about now.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
     pub async fn next(&mut self, client: &mut Client) -> Result<Option<FeedPage>, GatewayError> {
         self.asked = Instant::now();
         let Some(asked) = self.places.asks(self.asked) else {
@@ -304,9 +295,6 @@ impl<'a> Following<'a> {
     }
 
     /// Takes in what a page tells, and what is due of what had to wait. Returns how the reader stands then.
-    ///
-    /// # Errors
-    /// If the connection breaks, or chain or store fail.
     pub async fn take(&mut self, client: &mut Client, page: Option<FeedPage>) -> Result<Standing, Broken> {
         let due = self.still_wanted()?;
         self.intake.patience = Duration::ZERO;
@@ -436,7 +424,7 @@ impl<'a> Following<'a> {
     fn save(&mut self) -> Result<(), PipelineError> {
         let taken = self.places.taken();
         if taken != self.saved {
-            block_in_place(|| self.joined.parts.plant.ledger.notes.write(&self.note, &taken))?;
+            self.joined.parts.plant.ledger.notes.write(&self.note, &taken)?;
             self.saved = taken;
         }
         Ok(())

@@ -90,7 +90,7 @@ impl OwnErasures {
         if let Some(known) = self.known {
             return Ok(known);
         }
-        let known = block_in_place(|| joined.parts.plant.ledger.notes.read(note))?.unwrap_or(0);
+        let known = joined.parts.plant.ledger.notes.read(note)?.unwrap_or(0);
         (self.known, self.after) = (Some(known), known);
         Ok(known)
     }
@@ -114,8 +114,7 @@ impl Joined {
         let mut known = told.load(self, &note)?;
         told.begin(Instant::now());
         for _ in 0..MOST_PAGES {
-            let page = block_in_place(|| self.parts.plant.ledger.erasures.list(told.after, MOST_ERASURES))
-                .map_err(PipelineError::from)?;
+            let page = self.parts.plant.ledger.erasures.list(told.after, MOST_ERASURES).map_err(PipelineError::from)?;
             let records = block_in_place(|| self.own(owner.address, network, &page.erasures))?;
             let Some(outcome) = self.tell_some(client, remote, records, &mut told.will).await? else { return Ok(()) };
             told.left |= outcome.left > 0;
@@ -127,7 +126,7 @@ impl Joined {
                 self.note(remote, owner, &outcome).await;
                 (known, told.known, told.will) = (last, Some(last), Will::Unknown);
                 if !told.left {
-                    let kept = block_in_place(|| self.parts.plant.ledger.notes.write(&note, &last));
+                    let kept = self.parts.plant.ledger.notes.write(&note, &last);
                     kept.map_err(PipelineError::from)?;
                 }
             }

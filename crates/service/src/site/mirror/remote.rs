@@ -84,9 +84,6 @@ pub(crate) struct Remote {
 
 impl Remote {
     /// As named in the settings; nothing is sent yet.
-    ///
-    /// # Errors
-    /// Another gateway was pinned, or the note about it cannot be read.
     pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self, Failure> {
         let trust = KeptTrust::open(home.gateway_trust(), site.gateway_key, site.trust_first)?;
         Ok(Self::trusting(site.addresses.clone(), trust, provider))
@@ -295,9 +292,6 @@ impl Remote {
 
 impl Joined {
     /// Waits until the gateway's records for a profile are here; returns immediately if this site joins none.
-    ///
-    /// # Errors
-    /// Why the last attempt failed, or that not all are here yet.
     pub async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
         match self.settled(profile, FIRST_ROUND).await? {
             Ok(_) => Ok(()),
@@ -315,9 +309,6 @@ impl Joined {
     }
 
     /// The same for a list, which shows what is here: what is missing after this long, in words.
-    ///
-    /// # Errors
-    /// Why the last attempt failed.
     pub async fn arriving(&self, profile: &ProfileName, most: Duration) -> Result<Option<String>, Failure> {
         Ok(match self.settled(profile, most).await? {
             Ok(lacks) => lacks.then(|| {

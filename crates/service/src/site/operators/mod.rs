@@ -105,9 +105,6 @@ impl Operators {
 
 impl Site {
     /// Refuses everybody but the owner of the home, root as well.
-    ///
-    /// # Errors
-    /// If this is another user.
     pub(crate) fn check_owner(&self, uid: u32) -> Result<(), Failure> {
         let root = self.home().root();
         let owner = std::fs::metadata(root).map_err(|error| {
@@ -145,7 +142,6 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// What is sent through a connection.
 pub(crate) enum Heard {
-    /// Something happened.
     Event(Event),
     /// Nothing more is sent, and why.
     Ended(Failure),
@@ -183,9 +179,6 @@ impl Site {
 
 impl Site {
     /// Answers a request of a connection if who asks may make it; an operator is named in each line of what follows.
-    ///
-    /// # Errors
-    /// That the right is missing, or errors of the command's part.
     pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Asker::Operator(operator) = &claims.asker else { return self.handle(request, claims).await };
         self.operators.judge(operator, &request.profile, request.command.needs()).await?;

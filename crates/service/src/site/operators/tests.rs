@@ -41,7 +41,6 @@ fn later() -> Instant {
     Instant::now() + Duration::from_secs(3600)
 }
 
-/// Another process.
 fn joined(site: &Arc<Site>, asker: Asker) -> Client {
     let (calls, receiver) = mpsc::unbounded_channel();
     tokio::spawn(Arc::clone(site).serve(receiver, joiner(asker)));

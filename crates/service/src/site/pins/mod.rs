@@ -33,7 +33,6 @@ fn cleaned(publisher: Publisher) -> Publisher {
 /// Pinned publishers as the operator sees and decides about them.
 pub(in crate::site) struct Pinning {
     parts: Parts,
-    /// Judges publishers.
     pins: Arc<Pins>,
 }
 
@@ -55,14 +54,14 @@ impl Pinning {
             at: None,
         });
         let mut pins: Vec<PinView> = settings.collect();
-        let kept = block_in_place(|| self.parts.plant.ledger.pins.list(owner, topic.as_deref()))?;
+        let kept = self.parts.plant.ledger.pins.list(owner, topic.as_deref())?;
         pins.extend(kept.into_iter().map(|row| PinView {
             topic: clean(&row.topic, 255),
             publisher: cleaned(row.publisher),
             source: row.source,
             at: Some(row.at),
         }));
-        let alarms = block_in_place(|| self.parts.plant.ledger.pins.alarms(owner, topic.as_deref()))?;
+        let alarms = self.parts.plant.ledger.pins.alarms(owner, topic.as_deref())?;
         let alarms = alarms.into_iter().map(|row| AlarmView {
             topic: clean(&row.topic, 255),
             publisher: clean(&row.publisher, WIDEST),
@@ -117,14 +116,14 @@ impl Pinning {
     /// Topics with an open alarm about a publisher.
     pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashSet::new()) };
-        let alarms = block_in_place(|| self.parts.plant.ledger.pins.alarms(owner, None))?;
+        let alarms = self.parts.plant.ledger.pins.alarms(owner, None)?;
         Ok(alarms.into_iter().filter(|alarm| alarm.open).map(|alarm| alarm.topic).collect())
     }
 
     /// Node names pinned to each topic, by the operator, by first sight or by the settings.
     pub fn pinned_names(&self, profile: &ProfileName) -> Result<HashMap<String, HashSet<String>>, Failure> {
         let Ok(owner) = self.parts.owners.address_of(profile) else { return Ok(HashMap::new()) };
-        let kept = block_in_place(|| self.parts.plant.ledger.pins.list(owner, None))?;
+        let kept = self.parts.plant.ledger.pins.list(owner, None)?;
         let kept = kept.into_iter().map(|row| (row.topic, row.publisher.caller_id));
         let listed = self.pins.all_listed().map(|(topic, publisher)| (topic.clone(), publisher.caller_id.clone()));
         let mut names: HashMap<String, HashSet<String>> = HashMap::new();

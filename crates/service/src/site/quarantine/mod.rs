@@ -23,12 +23,10 @@ use crate::store::{HeldQuery, HeldRow, RecordRow};
 
 /// How long a discard waits for the quarantine records to be in a block.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
 /// The most records decided about in one command.
 const MOST: usize = 100_000;
 
-/// The quarantine.
 pub(in crate::site) struct Quarantine {
     parts: Parts,
     reading: Arc<Reading>,
@@ -49,7 +47,7 @@ impl Quarantine {
                 return;
             }
             // It is counted once records are acknowledged again.
-            if block_in_place(|| self.parts.plant.ledger.records.takes_records()).is_err() {
+            if self.parts.plant.ledger.records.takes_records().is_err() {
                 continue;
             }
             for owner in self.parts.owners.all() {
@@ -85,8 +83,8 @@ impl Quarantine {
         let query =
             HeldQuery { topic: name.clone(), messages: true, limit: limit.clamp(1, 1000), ..HeldQuery::default() };
         let ledger = &self.parts.plant.ledger;
-        let rows = block_in_place(|| ledger.quarantine.held(owner, &query))?;
-        let counts = block_in_place(|| ledger.counts.by_state(Some(owner)))?;
+        let rows = ledger.quarantine.held(owner, &query)?;
+        let counts = ledger.counts.by_state(Some(owner))?;
         let wanted = counts.topics.iter().filter(|counts| name.as_ref().is_none_or(|name| *name == counts.topic));
         let keys = self.reading.own_keys();
         let shown = self.reading.compared(rows.iter().map(|row| row.record.clone()).collect(), &keys, &[])?;
@@ -105,7 +103,7 @@ impl Quarantine {
     /// All that is quarantined, or all of a topic.
     fn held(&self, owner: &Owner, topic: Option<String>) -> Result<Vec<HeldRow>, Failure> {
         let query = HeldQuery { topic, limit: MOST, ..HeldQuery::default() };
-        Ok(block_in_place(|| self.parts.plant.ledger.quarantine.held(owner.address, &query))?)
+        Ok(self.parts.plant.ledger.quarantine.held(owner.address, &query)?)
     }
 
     /// The quarantined records named by a person; definitions are among them only by their topic.
@@ -145,7 +143,7 @@ impl Quarantine {
         // The record of the quarantine comes first, so that its count includes everything that was held.
         self.report(&owner.author, u64::MAX).await?;
         let digests: Vec<Digest> = self.with_definitions(owner, rows)?.into_iter().collect();
-        block_in_place(|| self.parts.plant.ledger.quarantine.release(&digests))?;
+        self.parts.plant.ledger.quarantine.release(&digests)?;
         self.decided(owner, held)
     }
 
@@ -197,7 +195,7 @@ impl Quarantine {
         let is_standing = |row: &RecordRow| (RecordState::Mined..=RecordState::Verified).contains(&row.state);
         let deadline = Instant::now() + PATIENCE;
         while counted && !self.parts.life.is_stopping() {
-            let found = block_in_place(|| self.parts.plant.ledger.records.find_all(&reports))?;
+            let found = self.parts.plant.ledger.records.find_all(&reports)?;
             if found.iter().all(|row| row.as_ref().is_some_and(is_standing)) {
                 return Ok(reports);
             }
@@ -241,7 +239,7 @@ impl Quarantine {
     /// Deciding about a whole topic closes its alarms.
     fn decided(&self, owner: &Owner, held: &Held) -> Result<(), Failure> {
         if let Some(topic) = &held.topic {
-            block_in_place(|| self.parts.plant.ledger.pins.close_alarms(owner.address, topic.as_str()))?;
+            self.parts.plant.ledger.pins.close_alarms(owner.address, topic.as_str())?;
         }
         self.parts.hub.changed(Part::Topics);
         self.parts.hub.changed(Part::Uploads);

@@ -99,7 +99,7 @@ impl Reading {
         let enrolled = block_in_place(|| enrolled::of_account(&ledger.notes, owner))?;
         let signers = robot.as_ref().map(|robot| devices_of(&enrolled, robot)).transpose()?;
         let query = CoverageQuery { owner, topic: name, signers, since, until, parts };
-        let found = block_in_place(|| ledger.counts.coverage(&query))?;
+        let found = ledger.counts.coverage(&query)?;
         let robots = names(&enrolled, &found.signers);
         let robot = robot.map(|robot| clean(&robot, 64));
         let Coverage { since, first, last, parts, .. } = found;

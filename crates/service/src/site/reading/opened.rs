@@ -148,7 +148,7 @@ impl Reading {
             newest_first: true,
             ..RecordQuery::default()
         };
-        let mut page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
+        let mut page = self.parts.plant.ledger.records.list(&query)?;
         page.rows.retain(|earlier| earlier.state != RecordState::Dropped);
         Ok(page.rows)
     }

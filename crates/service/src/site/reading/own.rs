@@ -48,7 +48,7 @@ impl Reading {
             return Err(input("an incident belongs to one profile: omit --all, or the incident".to_owned()));
         }
         let query = RecordQuery { owners: Some(self.parts.owners.accounts()), ..record_query(query) };
-        let page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
+        let page = self.parts.plant.ledger.records.list(&query)?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
         self.note_erased(&mut page.records)?;
         let names = self.contacts.names()?;
@@ -76,7 +76,7 @@ impl Reading {
     pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<(), Failure> {
         let gone = ShownState::Verified(Caveat::Deleted);
         for record in records.iter_mut().filter(|record| record.state == gone) {
-            let retained = block_in_place(|| self.parts.plant.ledger.retention.find(record.digest))?;
+            let retained = self.parts.plant.ledger.retention.find(record.digest)?;
             record.erased = retained.and_then(|retained| retained.erased).map(|erasure| erasure.to_string());
         }
         Ok(())
@@ -84,13 +84,13 @@ impl Reading {
 
     /// The topics of which an owner has records here.
     pub fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
-        let counts = block_in_place(|| self.parts.plant.ledger.counts.by_state(Some(owner)))?;
+        let counts = self.parts.plant.ledger.counts.by_state(Some(owner))?;
         Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
     /// A record by its id, regardless of its owner.
     pub fn find_record(&self, id: &str) -> Result<RecordRow, Failure> {
-        let row = block_in_place(|| self.parts.plant.ledger.records.by_id(id))?;
+        let row = self.parts.plant.ledger.records.by_id(id)?;
         Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(id, 64)))?)
     }
 
@@ -123,7 +123,7 @@ impl Reading {
             steps.push(step("store", "ciphertext stored with its row".to_owned()));
         }
         let ledger = &self.parts.plant.ledger;
-        let placed = block_in_place(|| ledger.records.placed(row.digest))?;
+        let placed = ledger.records.placed(row.digest)?;
         let place = placed.and_then(|placed| placed.place);
         if let Some(place) = &place {
             let inclusion = &place.inclusion;
@@ -144,7 +144,7 @@ impl Reading {
             let (deep, wanted) = (head + 1 - block.min(head + 1), self.parts.config.confirmations);
             steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} required"))));
         }
-        if let Some(retained) = block_in_place(|| ledger.retention.find(row.digest))? {
+        if let Some(retained) = ledger.retention.find(row.digest)? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
             steps.extend(retained.erased.map(|erasure| step("erased", erasure.to_string())));
@@ -189,11 +189,11 @@ impl Reading {
     ) -> Result<Vec<ExportedFile>, Failure> {
         let (plant, digest) = (&self.parts.plant, row.digest);
         let blob = block_in_place(|| plant.stored_bytes(row))?;
-        let placed = block_in_place(|| plant.ledger.records.placed(digest))?;
+        let placed = plant.ledger.records.placed(digest)?;
         // Block, transaction and path of one moment, whatever the row was when it was asked for.
         let (row, place) = placed.map_or_else(|| (row.clone(), None), |placed| (placed.row, placed.place));
         let row = &row;
-        let gone = block_in_place(|| plant.ledger.retention.find(digest))?;
+        let gone = plant.ledger.retention.find(digest)?;
         let gone = gone.filter(|gone| gone.anchored || is_stated(plant, Some(network), digest, gone));
         let blob = blob.ok_or_else(|| match gone {
             Some(retained) => PipelineError::gone(&row.id, retained),

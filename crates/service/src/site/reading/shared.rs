@@ -4,8 +4,6 @@ use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use tokio::task::block_in_place;
-
 use super::view::{reason_of, record_page, record_query};
 use crate::crypto::GrantedKeys;
 use crate::model::{Address, Scope, TopicId};
@@ -68,7 +66,7 @@ impl Reading {
         filters: &[FilterChoice],
     ) -> Result<RecordPage, Failure> {
         loop {
-            let mut page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
+            let mut page = self.parts.plant.ledger.records.list(&query)?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
                 let mut page = record_page(&self.compared(page.rows, reader, filters)?, page.next, true);
@@ -113,7 +111,7 @@ impl Reading {
             match scope {
                 Scope::Topics(topics) => ids.extend(topics.iter().copied()),
                 Scope::All => {
-                    let counts = block_in_place(|| self.parts.plant.ledger.counts.by_state(Some(*owner)))?;
+                    let counts = self.parts.plant.ledger.counts.by_state(Some(*owner))?;
                     ids.extend(counts.topics.iter().filter_map(|topic| topic.topic_id));
                     ids.extend(counts.attachments);
                 }

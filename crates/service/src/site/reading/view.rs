@@ -136,7 +136,7 @@ impl Reading {
 
     /// Opens a record of each stream of `owner` that has no name yet, as far as the reader may.
     pub async fn learn_names(&self, reader: &Reader<'_>, owner: Address) -> Result<(), Failure> {
-        let unnamed = block_in_place(|| self.parts.plant.ledger.names.unnamed(owner, TRIES))?;
+        let unnamed = self.parts.plant.ledger.names.unnamed(owner, TRIES)?;
         for stream in unnamed {
             for digest in stream {
                 if self.learn_from(reader, digest).await? {
@@ -157,7 +157,7 @@ impl Reading {
     ) -> Result<(), Failure> {
         let (Some(index), Some(name)) = (index, topic.map(ToString::to_string)) else { return Ok(()) };
         let id = topic_id(&index, &name);
-        Ok(block_in_place(|| self.parts.plant.ledger.names.keep_topic(owner, id, name))?)
+        Ok(self.parts.plant.ledger.names.keep_topic(owner, id, name)?)
     }
 
     /// Learns the names of one record; whether there was something to learn.
@@ -166,7 +166,7 @@ impl Reading {
         if self.nameless.lock().unwrap_or_else(PoisonError::into_inner).contains(&tried) {
             return Ok(false);
         }
-        let row = block_in_place(|| self.parts.plant.ledger.records.find(digest))?;
+        let row = self.parts.plant.ledger.records.find(digest)?;
         let Some(row) = row else { return Ok(false) };
         let opened = match reader.open(&row).await {
             Ok(opened) => opened,

@@ -61,9 +61,6 @@ fn marks(path: &Path) -> Vec<Mark> {
 
 impl Claims {
     /// Takes all of these files, or none.
-    ///
-    /// # Errors
-    /// A file that is being sealed already, and who seals it.
     pub fn take(
         self: &Arc<Self>,
         owner: Address,
@@ -75,9 +72,6 @@ impl Claims {
     }
 
     /// Takes a folder for a follower. Its files are not taken by that.
-    ///
-    /// # Errors
-    /// The folder, if it or one above or below it is taken.
     pub fn take_folder(self: &Arc<Self>, owner: Address, folder: &Path) -> Result<Claim, (PathBuf, Holder)> {
         self.take_marks(owner, vec![(folder, Mark::Folder(folder.to_owned()))], Holder::Follower)
     }

@@ -111,7 +111,7 @@ impl Recordings {
                 ..RecordQuery::default()
             };
             loop {
-                let page = block_in_place(|| self.parts.plant.ledger.records.list(&query))?;
+                let page = self.parts.plant.ledger.records.list(&query)?;
                 for row in &page.rows {
                     export.take(&reader, row).await?;
                     seen += 1;

@@ -49,7 +49,6 @@ struct Part {
     before: Standings,
     /// Whether it was followed, so that any of its messages may be sealed.
     is_followed: bool,
-    /// Topics met now.
     met: BTreeSet<String>,
     /// Topics of which something is sealed now.
     begun: BTreeSet<String>,

@@ -117,7 +117,7 @@ impl Sharing {
         let ledger = self.parts.plant.ledger.clone();
         let account = owner.address;
         for _ in 0..60 {
-            let open = block_in_place(|| ledger.lanes.open_lane(account))?;
+            let open = ledger.lanes.open_lane(account)?;
             if open.iter().all(|row| row.anchors) {
                 return Ok(());
             }
@@ -158,9 +158,6 @@ impl Sharing {
 
     /// Sends every active reader the envelopes that they lack, the oldest epoch first. If one reader cannot be given any,
     /// the others still get theirs.
-    ///
-    /// # Errors
-    /// The last failure; it is tried again.
     pub async fn rewrap(&self, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let mut failed = None;
         for (epoch, grants) in self.lacking(owner, network)? {
@@ -261,7 +258,6 @@ pub(super) struct Missing {
 
 /// What one profile lacks.
 struct Lack {
-    /// The epochs.
     epochs: Vec<u64>,
     /// Whether the current one is among them: nothing is sealed then.
     current: bool,

@@ -106,7 +106,7 @@ impl Sharing {
         let (transaction, receipt) = sent?;
         // The envelope opens for the grantee alone. Without this note the list says nothing of earlier epochs.
         let note = GrantedEarlier { transaction };
-        drop(block_in_place(|| self.parts.plant.ledger.notes.write(&note, &earlier)));
+        drop(self.parts.plant.ledger.notes.write(&note, &earlier));
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
         self.joined.tell_of_grant(owner, &network, notice).await;
         self.parts.link.scanned(receipt.block).await;
@@ -247,7 +247,7 @@ impl Sharing {
     /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere.
     fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
         let note = GrantedEarlier { transaction: grant.transaction };
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&note))?)
+        Ok(self.parts.plant.ledger.notes.read(&note)?)
     }
 
     /// Whether a received grant opens epochs before its own, by the keys in its envelope; `None` = it does not open.

@@ -142,7 +142,7 @@ impl Sharing {
 
     fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
         let note = Revoking { owner: owner.address };
-        Ok(block_in_place(|| self.parts.plant.ledger.notes.read(&note))?.unwrap_or_default())
+        Ok(self.parts.plant.ledger.notes.read(&note)?.unwrap_or_default())
     }
 
     fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<(), Failure> {
@@ -150,7 +150,7 @@ impl Sharing {
             change(owed);
             Ok(())
         };
-        block_in_place(|| self.parts.plant.ledger.notes.change(&Revoking { owner: owner.address }, changed))
+        self.parts.plant.ledger.notes.change(&Revoking { owner: owner.address }, changed)
     }
 }
 

@@ -148,9 +148,6 @@ impl Storage {
     }
 
     /// What is wrong with the store: it refuses records, or began in the place of one that was gone.
-    ///
-    /// # Errors
-    /// If its notes cannot be read.
     pub fn fault(&self) -> Result<Option<String>, Failure> {
         if self.parts.plant.ledger.records.takes_records().is_err() {
             return Ok(Some(self.full_text(free_bytes(self.parts.home.root()).unwrap_or(0))));

@@ -20,7 +20,6 @@ use crate::reply::{ErasureView, Failure};
 use crate::site::recordings::RECORDING;
 use crate::store::{Erasure, IncidentRow, RecordQuery, RecordRow};
 
-/// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
 /// Looks after which names are learned anew: what robots bring arrives without those that rules are about.
 const LEARN: u32 = 10;
@@ -82,7 +81,7 @@ impl Storage {
         }
         let _one_at_a_time = self.naming.lock().await;
         block_in_place(|| retention::delete_told(&self.parts.plant))?;
-        let held = block_in_place(|| self.parts.plant.ledger.erasures.held_although_erased())?;
+        let held = self.parts.plant.ledger.erasures.held_although_erased()?;
         if self.seen.1.swap(held, Ordering::AcqRel) < held {
             let text = format!(
                 "{held} records that their owner had erased elsewhere stay here, because an incident holds them; `authros \
@@ -96,7 +95,7 @@ impl Storage {
     async fn look_for_named(&self) -> Result<(), Failure> {
         if self.has_named.load(Ordering::Acquire) {
             let _one_at_a_time = self.naming.lock().await;
-            let left = block_in_place(|| self.parts.plant.ledger.erasures.has_named())?;
+            let left = self.parts.plant.ledger.erasures.has_named()?;
             self.has_named.store(left, Ordering::Release);
         }
         Ok(())
@@ -143,7 +142,7 @@ impl Storage {
         }
         let (plant, network) = (&self.parts.plant, self.parts.link.network().await?);
         let rows = block_in_place(|| chosen(&Reader { plant, network: &network, reader: owner }, &wishes))?;
-        let incidents = block_in_place(|| plant.ledger.incidents.list(owner.address))?;
+        let incidents = plant.ledger.incidents.list(owner.address)?;
         let (view, erasable) = planned(&rows, &incidents);
         if !wishes.sure || erasable.is_empty() {
             return Ok(view);
@@ -182,7 +181,7 @@ impl Storage {
     async fn wait_for_erasing(&self, mut digests: Vec<Digest>) -> Result<bool, Failure> {
         for _ in 0..ERASING_LOOK.1 {
             while let Some(last) = digests.last() {
-                let retained = block_in_place(|| self.parts.plant.ledger.retention.find(*last))?;
+                let retained = self.parts.plant.ledger.retention.find(*last)?;
                 if retained.is_some_and(|retained| retained.deleted_at.is_none()) {
                     break;
                 }

@@ -32,7 +32,6 @@ fn openssl(folder: &Path, line: &str) {
 enum Mood {
     /// It is too busy.
     Busy,
-    /// It stamps.
     Well,
     /// It says nothing until its line is cut.
     Silent,

@@ -24,7 +24,6 @@ pub(super) enum Look {
     Gone,
     /// It cannot be read now.
     Unreadable(String),
-    /// Its recordings.
     Files(Found),
 }
 
@@ -50,7 +49,6 @@ impl Folder {
         Self { path, seen: None }
     }
 
-    /// Looks for recordings.
     pub fn look(&mut self) -> Look {
         let here = match fs::metadata(&self.path) {
             Ok(metadata) => (metadata.dev(), metadata.ino()),
@@ -171,7 +169,6 @@ fn is_described(path: &Path) -> bool {
 enum Writers {
     /// A process has it open for writing.
     Seen,
-    /// No process has.
     Nobody,
     /// None that may be looked at.
     Unknown,

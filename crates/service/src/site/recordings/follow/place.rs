@@ -136,7 +136,6 @@ impl Hashed {
         self.at
     }
 
-    /// Their SM3.
     pub fn digest(&self) -> Digest {
         Digest(self.whole.clone().finish())
     }

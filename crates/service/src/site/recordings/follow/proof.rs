@@ -46,7 +46,6 @@ pub(super) struct Due {
     attach: bool,
 }
 
-/// What was written.
 #[derive(Debug, Default)]
 pub(super) struct Proven {
     pub record: Option<String>,
@@ -169,7 +168,6 @@ pub(super) fn copy_of(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Makes that copy.
 fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf, Failure> {
     let copy = copy_of(path);
     if copy.exists() {

@@ -13,16 +13,13 @@ use crate::ros::rosbag2::Db3Reader;
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
-/// Bytes read ahead.
 const BUFFER: usize = 256 * 1024;
 
 /// The pieces of a database that have a digest of their own: the least length, bytes, and the most of them.
 const PIECE: u64 = 1 << 20;
 const MOST_PIECES: u64 = 1 << 16;
 
-/// Reads one file.
 pub(super) enum Source {
-    /// MCAP.
     Growing(Box<McapReader<BufReader<File>>>),
     /// A `.db3` that nobody writes.
     Closed {
@@ -38,9 +35,6 @@ pub(super) enum Source {
 
 impl Source {
     /// Opens a file of this length; `is_followed` says whether a later one is there, or the recording was closed.
-    ///
-    /// # Errors
-    /// If it cannot be read, or is no recording.
     pub fn open(path: &Path, length: u64, is_followed: bool) -> Result<Self, Failure> {
         if is_database(path) {
             let reader = Box::new(Db3Reader::open(path)?);
@@ -51,9 +45,6 @@ impl Source {
     }
 
     /// The next message; `None` at the end, or where the next is not whole yet.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read.
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
         match self {
             Self::Growing(reader) => reader.next_message(),
@@ -73,9 +64,6 @@ impl Source {
     }
 
     /// Nobody writes it any more.
-    ///
-    /// # Errors
-    /// [`RosError::Recording`] if it cannot be read.
     pub fn close(&mut self) -> Result<(), RosError> {
         match self {
             Self::Growing(reader) => reader.close(),

@@ -38,7 +38,6 @@ const LAST: Duration = Duration::from_secs(10);
 /// What a look at a file came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Round {
-    /// Nothing was new.
     Idle,
     /// Messages were sealed; there may be more.
     Moved,
