@@ -22,116 +22,56 @@ pub const LONGEST_ENVELOPE: usize = 4096;
 #[strum(serialize_all = "camelCase")]
 pub enum Call {
     /// Registers the sender at epoch 1. The envelope wraps the epoch's key for the sender; empty if it seals nothing.
-    Register {
-        identity: Identity,
-        envelope: Vec<u8>,
-    },
+    Register { identity: Identity, envelope: Vec<u8> },
     /// Replaces the sender's SM2 keys; the epoch continues, so the identity holds its token. The envelope wraps the new
     /// keys for those that they replace.
-    RotateKeys {
-        identity: Identity,
-        envelope: Vec<u8>,
-    },
+    RotateKeys { identity: Identity, envelope: Vec<u8> },
     /// Puts the digest of one record on the chain, with any token that the sender has ever registered and the time of
     /// capture.
-    DataUpload {
-        digest: Digest,
-        token: Token,
-        timestamp: Timestamp,
-    },
+    DataUpload { digest: Digest, token: Token, timestamp: Timestamp },
     /// Lets a grantee read until the expiry, whole seconds, `None` = for ever. The envelope, at most
     /// [`LONGEST_ENVELOPE`], wraps the key of the epoch.
-    AuthorityGrant {
-        grantee: Address,
-        epoch: u64,
-        expiry: Option<Timestamp>,
-        scope: Scope,
-        envelope: Vec<u8>,
-    },
+    AuthorityGrant { grantee: Address, epoch: u64, expiry: Option<Timestamp>, scope: Scope, envelope: Vec<u8> },
     /// Gives grantees the envelopes of another epoch, at most [`MOST_WRAPS`] at once.
-    Wrap {
-        epoch: u64,
-        envelopes: Vec<(Address, Vec<u8>)>,
-    },
+    Wrap { epoch: u64, envelopes: Vec<(Address, Vec<u8>)> },
     /// Ends a grant and the epoch.
-    AuthorityRevoke {
-        grantee: Address,
-        new_token: Token,
-        envelope: Vec<u8>,
-    },
-    Rotate {
-        new_token: Token,
-        envelope: Vec<u8>,
-    },
+    AuthorityRevoke { grantee: Address, new_token: Token, envelope: Vec<u8> },
+    /// Ends the epoch.
+    Rotate { new_token: Token, envelope: Vec<u8> },
     /// Anchors a Merkle root over `count` leaves; `previous` is the sender's last root, zero for the first.
-    Anchor {
-        root: Hash,
-        count: u64,
-        previous: Hash,
-    },
+    Anchor { root: Hash, count: u64, previous: Hash },
     /// Lets a device, named by the SM3 of its public key, sign for the sender until then, whole seconds; `None` = for
     /// ever.
-    Lend {
-        device: SignerId,
-        until: Option<Timestamp>,
-    },
+    Lend { device: SignerId, until: Option<Timestamp> },
     /// Ends the loan of a device, named by the SM3 of its public key.
-    Recall {
-        device: SignerId,
-    },
+    Recall { device: SignerId },
     /// Administrator: lets an account register while registration is closed.
-    Admit {
-        account: Address,
-    },
+    Admit { account: Address },
     /// Administrator: withdraws an admission.
-    Dismiss {
-        account: Address,
-    },
+    Dismiss { account: Address },
     /// Administrator: opens or closes registration.
-    SetOpen {
-        open: bool,
-    },
+    SetOpen { open: bool },
     /// Administrator: suspends an account's changes.
-    Suspend {
-        account: Address,
-    },
+    Suspend { account: Address },
     /// Administrator: lifts an account's suspension.
-    Restore {
-        account: Address,
-    },
+    Restore { account: Address },
     /// Administrator: pauses all changes except those that take rights away, until then, whole
     /// seconds, at most [`super::LONGEST_PAUSE`] ahead.
-    Pause {
-        until: Timestamp,
-    },
+    Pause { until: Timestamp },
     /// Administrator: resumes changes before the pause ends.
     Resume,
     /// Administrator: proposes the successor of a lost account.
-    ProposeSuccession {
-        lost: Address,
-        successor: Address,
-    },
+    ProposeSuccession { lost: Address, successor: Address },
     /// Recovery account or administrator: stops a pending succession.
-    CancelSuccession {
-        lost: Address,
-    },
+    CancelSuccession { lost: Address },
     /// Anyone: completes a succession whose delay is over.
-    CompleteSuccession {
-        lost: Address,
-    },
+    CompleteSuccession { lost: Address },
     /// Names the account that may stop a succession of the sender's account; `None` = nobody.
-    NameRecovery {
-        recovery: Option<Address>,
-    },
+    NameRecovery { recovery: Option<Address> },
     /// Extends a grant to a new end, whole seconds; `None` = for ever.
-    Extend {
-        grantee: Address,
-        expiry: Option<Timestamp>,
-    },
+    Extend { grantee: Address, expiry: Option<Timestamp> },
     /// Administrator: nominates the next administrator; the zero address withdraws the nomination.
-    Nominate {
-        account: Address,
-    },
+    Nominate { account: Address },
     /// The nominee takes over.
     AcceptAdministrator,
 }
@@ -142,6 +82,10 @@ impl Call {
         self.into()
     }
 
+    /// The call data.
+    ///
+    /// # Errors
+    /// [`ChainError::Input`] if a value breaks a limit of the contract.
     pub fn encode(&self) -> Result<Vec<u8>, ChainError> {
         artefact()?.encode(self.name(), &self.arguments()?)
     }
@@ -325,6 +269,7 @@ const ARTEFACT: &str = include_str!("../../../contracts/AuthROS.json");
 /// ABI and code of AuthROS.sol.
 #[derive(Debug)]
 pub struct Artefact {
+    /// Functions and events.
     pub abi: Abi,
     /// Creation code, without the constructor's arguments.
     pub creation: Vec<u8>,
@@ -352,6 +297,10 @@ fn read(json: &str) -> Result<Artefact, String> {
     })
 }
 
+/// The artefact.
+///
+/// # Errors
+/// [`ChainError::Internal`] if the file built into the program is broken.
 pub fn artefact() -> Result<&'static Artefact, ChainError> {
     READ.as_ref().map_err(|error| ChainError::Internal(error.clone()))
 }
@@ -363,6 +312,9 @@ impl Artefact {
     }
 
     /// Call data of a function.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] if name or arguments do not match the ABI.
     pub fn encode(&self, name: &str, arguments: &[AbiToken]) -> Result<Vec<u8>, ChainError> {
         let encoded = self.function(name)?.encode_input(arguments);
         encoded.map_err(|error| ChainError::Internal(format!("{name}: {error}")))
@@ -376,6 +328,9 @@ impl Artefact {
 
     /// Creation code with the constructor's arguments: whether registration is open, and the delay of a succession,
     /// seconds.
+    ///
+    /// # Errors
+    /// [`ChainError::Internal`] if the artefact has no constructor.
     pub fn creation(&self, open: bool, delay: u64) -> Result<Vec<u8>, ChainError> {
         let constructor = self.abi.constructor().ok_or_else(|| ChainError::Internal("no constructor".into()))?;
         let arguments = [AbiToken::Bool(open), AbiToken::Uint(delay.into())];

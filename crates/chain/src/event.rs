@@ -19,135 +19,54 @@ use crate::{BlockRef, Chain, ChainError, EventAt};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Event {
     /// An account registered at epoch 1.
-    Registered {
-        owner: Address,
-        identity: Identity,
-        epoch: u64,
-    },
+    Registered { owner: Address, identity: Identity, epoch: u64 },
     /// An account replaced its SM2 keys; `keys` is their version, from 1.
-    KeysRotated {
-        owner: Address,
-        keys: u64,
-        identity: Identity,
-        envelope: Vec<u8>,
-    },
+    KeysRotated { owner: Address, keys: u64, identity: Identity, envelope: Vec<u8> },
     /// A grant was extended; `None` = no end.
-    Extended {
-        owner: Address,
-        grantee: Address,
-        expiry: Option<Timestamp>,
-    },
+    Extended { owner: Address, grantee: Address, expiry: Option<Timestamp> },
     /// From `from` on `recovery` may stop a succession of the owner's account; `None` = nobody.
-    RecoveryNamed {
-        owner: Address,
-        recovery: Option<Address>,
-        from: Timestamp,
-    },
+    RecoveryNamed { owner: Address, recovery: Option<Address>, from: Timestamp },
     /// A digest, the owner's `number`-th, sealed in `epoch`. The time is what the owner says, `None` if it is not 8
     /// bytes.
-    DataUploaded {
-        owner: Address,
-        digest: Digest,
-        token: Token,
-        epoch: u64,
-        number: u64,
-        timestamp: Option<Timestamp>,
-    },
-    Granted {
-        terms: GrantTerms,
-        envelope: Vec<u8>,
-    },
+    DataUploaded { owner: Address, digest: Digest, token: Token, epoch: u64, number: u64, timestamp: Option<Timestamp> },
+    /// A grant began.
+    Granted { terms: GrantTerms, envelope: Vec<u8> },
     /// A grantee got the envelope of another epoch.
-    Wrapped {
-        owner: Address,
-        grantee: Address,
-        epoch: u64,
-        envelope: Vec<u8>,
-    },
+    Wrapped { owner: Address, grantee: Address, epoch: u64, envelope: Vec<u8> },
     /// A grant ended; `epoch` and `token` are the owner's new ones.
-    Revoked {
-        owner: Address,
-        grantee: Address,
-        epoch: u64,
-        token: Token,
-    },
+    Revoked { owner: Address, grantee: Address, epoch: u64, token: Token },
     /// An epoch ended without a revoke; `epoch` and `token` are the owner's new ones.
-    Rotated {
-        owner: Address,
-        epoch: u64,
-        token: Token,
-    },
+    Rotated { owner: Address, epoch: u64, token: Token },
     /// A root over `count` digests.
-    Anchored {
-        account: Address,
-        root: Hash,
-        count: u64,
-        previous: Hash,
-    },
+    Anchored { account: Address, root: Hash, count: u64, previous: Hash },
     /// A device may sign for the owner.
-    Lent {
-        owner: Address,
-        device: SignerId,
-        until: Option<Timestamp>,
-    },
+    Lent { owner: Address, device: SignerId, until: Option<Timestamp> },
     /// A device may no longer sign for the owner.
-    Recalled {
-        owner: Address,
-        device: SignerId,
-    },
+    Recalled { owner: Address, device: SignerId },
     /// An account may register.
-    Admitted {
-        account: Address,
-    },
+    Admitted { account: Address },
     /// An admission was withdrawn.
-    Dismissed {
-        account: Address,
-    },
+    Dismissed { account: Address },
     /// Registration was opened or closed.
-    OpenChanged {
-        open: bool,
-    },
+    OpenChanged { open: bool },
     /// An account was suspended.
-    Suspended {
-        account: Address,
-    },
+    Suspended { account: Address },
     /// An account's suspension was lifted.
-    Restored {
-        account: Address,
-    },
+    Restored { account: Address },
     /// All changes are paused until then; a time in the past means that they resumed.
-    PausedUntil {
-        until: Timestamp,
-    },
+    PausedUntil { until: Timestamp },
     /// A succession is pending until `due`; `recovery` may stop it.
-    SuccessionProposed {
-        lost: Address,
-        successor: Address,
-        recovery: Option<Address>,
-        due: Timestamp,
-    },
+    SuccessionProposed { lost: Address, successor: Address, recovery: Option<Address>, due: Timestamp },
     /// A pending succession was stopped or withdrawn.
-    SuccessionCancelled {
-        lost: Address,
-        by: Address,
-    },
+    SuccessionCancelled { lost: Address, by: Address },
     /// The delay of successions, seconds.
-    DelayFixed {
-        seconds: u64,
-    },
+    DelayFixed { seconds: u64 },
     /// A lost account has a successor.
-    Succeeded {
-        lost: Address,
-        successor: Address,
-    },
+    Succeeded { lost: Address, successor: Address },
     /// The nominee for administrator.
-    AdministratorNominated {
-        nominee: Address,
-    },
-    AdministratorChanged {
-        previous: Address,
-        administrator: Address,
-    },
+    AdministratorNominated { nominee: Address },
+    /// The administrator changed.
+    AdministratorChanged { previous: Address, administrator: Address },
 }
 
 impl Event {
@@ -178,6 +97,9 @@ impl Event {
     }
 
     /// From the topics and data of a log of the contract.
+    ///
+    /// # Errors
+    /// What is wrong with the log, or with the artefact.
     pub fn decode(topics: &[Hash], data: &[u8]) -> Result<Self, String> {
         let artefact = artefact().map_err(|error| error.to_string())?;
         let first = topics.first().ok_or("an event without a topic")?;
