@@ -177,9 +177,10 @@ fn watch(state: &mut State) -> Vec<Effect> {
 
 fn watch_errand(topic: TopicName, watch: bool) -> Errand {
     let name = topic.to_string();
-    match watch {
-        true => Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) },
-        false => Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) },
+    if watch {
+        Errand { command: Command::WatchTopic { topic, type_name: None }, tag: Tag::Watch(name) }
+    } else {
+        Errand { command: Command::UnwatchTopic { topic }, tag: Tag::Unwatch(name) }
     }
 }
 

@@ -225,10 +225,39 @@ impl<'a> Tags<'a> {
 
 fn text_of<'a>(event: &'a Event<'_>) -> Result<Cow<'a, str>> {
     match event {
-        Event::Text(text) => text.unescape().map_err(|_| ParseError("an entity is unknown, or does not end")),
+        Event::Text(text) => unescaped(&String::from_utf8_lossy(text)).map(Cow::Owned),
         Event::CData(text) => Ok(String::from_utf8_lossy(text)),
         _ => Err(ParseError("a text holds tags")),
     }
+}
+
+/// Nodes name any character by its number, also those that XML does not have, for which the library refuses the text.
+fn unescaped(mut text: &str) -> Result<String> {
+    let mut out = String::new();
+    while let Some((plain, after)) = text.split_once('&') {
+        let (entity, rest) = after.split_once(';').ok_or(ParseError("an entity does not end"))?;
+        let character = match entity {
+            "amp" => Some('&'),
+            "lt" => Some('<'),
+            "gt" => Some('>'),
+            "quot" => Some('"'),
+            "apos" => Some('\''),
+            _ => numeric(entity),
+        };
+        out.push_str(plain);
+        out.push(character.ok_or(ParseError("an entity is unknown"))?);
+        text = rest;
+    }
+    Ok(out + text)
+}
+
+fn numeric(entity: &str) -> Option<char> {
+    let digits = entity.strip_prefix('#')?;
+    let code = match digits.strip_prefix(['x', 'X']) {
+        Some(hex) => u32::from_str_radix(hex, 16).ok()?,
+        None => digits.parse().ok()?,
+    };
+    char::from_u32(code)
 }
 
 /// The value after an opened `<value>`, including the closing tag.
