@@ -387,6 +387,21 @@ mod tests {
     }
 
     #[test]
+    fn a_character_named_by_its_number_is_read_also_where_xml_has_none() {
+        let answer = |text: &str| {
+            let text =
+                format!("<methodResponse><params><param><value>{text}</value></param></params></methodResponse>");
+            parse_response(&text)
+        };
+        for (text, expected) in [("&#0;&#27;&#x1B;&amp;", "\0\u{1b}\u{1b}&"), ("a&#9731;b&lt;", "a\u{2603}b<")] {
+            assert_eq!(answer(text), Ok(Response::Value(Value::Text(expected.to_owned()))), "{text}");
+        }
+        for wrong in ["&nbsp;", "&#xD800;", "&#;", "&amp", "&#1114112;"] {
+            assert!(answer(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
     fn what_real_peers_send() {
         let text = "<?xml version='1.0'?>\n<methodResponse>\n<params>\n<param>\n<value><array><data>\n\
             <value><int>1</int></value>\n<value>plain</value><value><string/></value><value/>\n\
