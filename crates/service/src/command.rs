@@ -43,12 +43,14 @@ requests! {
     enum Command by std::convert::identity;
     /// Create a profile's keys and keyring.
     CreateIdentity {
+        /// Protects the keyring.
         passphrase: SecretText,
     } => IdentityView, PASSPHRASE;
     /// Show the profile's public identity; needs no passphrase.
     ShowIdentity => IdentityView, LOOK;
     /// Open the keyring for this session of the site.
     Unlock {
+        /// The keyring's passphrase.
         passphrase: SecretText,
     } => IdentityView, PASSPHRASE;
     /// Register the identity on the chain.
@@ -57,6 +59,7 @@ requests! {
     ListKeys => KeysView, LOOK;
     /// Replace one key with one from a file.
     LoadKey {
+        /// Which key.
         kind: KeyKind,
         /// The file, absolute; 0600. Read by the site, which runs as the same user.
         path: std::path::PathBuf,
@@ -69,14 +72,19 @@ requests! {
     RotateEnvelope => KeysView, OWNER;
     /// Who is affected by another SM2 pair; changes nothing.
     ForeseeKeyChange {
+        /// Which pair.
         kind: PairKind,
     } => KeyChangeView, LOOK;
     /// Protect the keyring with another passphrase.
     ChangePassphrase {
+        /// The current one.
         old: SecretText,
+        /// The new one.
         new: SecretText,
     } => (), PASSPHRASE;
+    /// Export one key.
     ExportKey {
+        /// Which key.
         kind: KeyKind,
         /// Passphrase for the V3 keystore to be written (EOA only).
         passphrase: Option<SecretText>,
@@ -85,6 +93,7 @@ requests! {
     ListTopics => Vec<TopicRow>, LOOK;
     /// When there are own records of a topic, where some are missing, and what was quarantined; needs no passphrase.
     TopicCoverage {
+        /// The topic.
         topic: TopicName,
         /// What one robot recorded of it: its name, or the beginning of its device's id; `None` = all that there is.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -98,11 +107,14 @@ requests! {
     } => CoverageView, LOOK;
     /// Capture a topic until it is unwatched, across restarts.
     WatchTopic {
+        /// The topic.
         topic: TopicName,
+        /// Refuse other types.
         type_name: Option<TypeName>,
     } => (), CAPTURE;
     /// Stop capturing a topic.
     UnwatchTopic {
+        /// The topic.
         topic: TopicName,
     } => (), CAPTURE;
     /// Pinned publishers, and alarms about others.
@@ -112,13 +124,16 @@ requests! {
     } => PinsView, LOOK;
     /// Accept publishers of a topic.
     PinTopic {
+        /// The topic.
         topic: TopicName,
         /// Their publishers; empty = those being read now.
         publishers: Vec<Publisher>,
     } => PinsView, CAPTURE;
     /// No longer accept a caller id on a topic.
     UnpinTopic {
+        /// The topic.
         topic: TopicName,
+        /// The node name.
         caller_id: String,
     } => PinsView, CAPTURE;
     /// Quarantined messages, oldest first.
@@ -128,15 +143,21 @@ requests! {
         /// At most this many, 1 to 1,000.
         limit: usize,
     } => QuarantineView, LOOK;
+    /// Release quarantined messages.
     ReleaseHeld {
+        /// Which ones.
         held: Held,
     } => DecidedView, OWNER;
+    /// Delete quarantined messages.
     DiscardHeld {
+        /// Which ones.
         held: Held,
     } => DecidedView, OWNER;
     /// Capture topics until a count or time is reached; answered when everything captured is verified.
     Capture {
+        /// The topics.
         topics: Vec<TopicName>,
+        /// Refuse other types.
         type_name: Option<TypeName>,
         /// This many messages of each topic.
         count: Option<u64>,
@@ -168,6 +189,7 @@ requests! {
     ExportRecording(wishes: ExportWishes) => ExportView, OWNER;
     /// How far the profile's imports, exports, audits and back-ups are; needs no keyring.
     RecordingProgress => Vec<ProgressView>, LOOK;
+    /// Own records.
     ListUploads(query: UploadQuery) => RecordPage, LOOK;
     /// One own record with its provenance.
     ShowUpload {
@@ -176,7 +198,9 @@ requests! {
     } => Provenance, LOOK;
     /// One own record's files for third parties to check.
     ExportUpload {
+        /// Its id.
         id: String,
+        /// With full addresses.
         addresses: bool,
     } => Vec<ExportedFile>, OWNER;
     /// Own records with all their proofs, in one file.
@@ -185,15 +209,18 @@ requests! {
     StampEvidence => StampView, OWNER;
     /// Share with another account.
     Grant {
+        /// The reader.
         grantee: Party,
         /// Only these topics; empty = all.
         topics: Vec<TopicName>,
+        /// Which epochs.
         epochs: Epochs,
         /// When the grant ends.
         expires: Option<Timestamp>,
     } => TransactionView, GRANT;
     /// Extend an active grant.
     ExtendGrant {
+        /// The reader.
         grantee: Party,
         /// Its new end; `None` = no end.
         expires: Option<Timestamp>,
@@ -210,10 +237,12 @@ requests! {
     /// The paper's Data_Check of one record: digest against the chain, signature, and the contract's answer about the
     /// right to read it.
     CheckShared {
+        /// Its id.
         id: String,
     } => CheckView, LOOK;
     /// Check, decrypt and decode one record (shared or own).
     OpenShared {
+        /// Its id.
         id: String,
     } => Box<OpenedView>, OWNER;
     /// Publish shared records in a ROS graph, each checked first; ends at the latest with the connection that requested
@@ -228,6 +257,7 @@ requests! {
         /// When the loan ends, whole seconds.
         until: Option<Timestamp>,
     } => TransactionView, OWNER;
+    /// Recall a device.
     RecallDevice {
         /// The device's id, or the beginning of it.
         device: String,
@@ -236,12 +266,14 @@ requests! {
     AddDeviceTopics {
         /// Its name, the device's id, or the beginning of it.
         device: String,
+        /// The topics.
         topics: Vec<TopicName>,
     } => DeviceTopicsView, OWNER;
     /// Give an enrolled robot a further address of its gateway.
     AddDeviceAddress {
         /// Its name, the device's id, or the beginning of it.
         device: String,
+        /// Host:port.
         address: String,
     } => DeviceAddressesView, OWNER;
     /// Make a robot a device of the profile, known to its gateway.
@@ -257,17 +289,23 @@ requests! {
     } => CompareView, LOOK;
     /// The address book of this home.
     ListContacts => Vec<ContactRow>, LOOK;
+    /// Add an account.
     AddContact {
+        /// Its name here.
         name: ContactName,
+        /// Its address.
         address: Address,
         /// Of its SM2 key, as a person passed it on.
         fingerprint: Option<String>,
     } => Vec<ContactRow>, OWNER;
+    /// Remove an account.
     RemoveContact {
+        /// Its name.
         name: ContactName,
     } => Vec<ContactRow>, OWNER;
     /// Accept the key that an account has registered now as the right one.
     ConfirmContact {
+        /// Its name.
         name: ContactName,
         /// Only if it has this fingerprint.
         fingerprint: Option<String>,
@@ -276,6 +314,7 @@ requests! {
     Administer(act: Administration) => TransactionView, OWNER;
     /// Name who may stop a succession of the profile's account; `None` = nobody.
     NameRecovery {
+        /// The account.
         recovery: Option<Party>,
     } => TransactionView, OWNER;
     /// The chain as seen by this profile.
@@ -290,6 +329,7 @@ requests! {
     /// Cancel a transaction of this profile that is in no block: an empty one takes its nonce. Records that it anchored
     /// are anchored again.
     CancelTransaction {
+        /// Its nonce.
         nonce: u64,
         /// The account; `None` = the profile's own.
         account: Option<Address>,
@@ -302,6 +342,7 @@ requests! {
     /// Serve robots and operators that run no chain client, until the connection that requested it ends. The profile's
     /// account anchors what they send.
     ServeGateway {
+        /// The address.
         address: std::net::SocketAddr,
         /// Also for owners who were not admitted, whatever the settings say.
         open: bool,
@@ -317,18 +358,21 @@ requests! {
     } => AuditCheck, LOOK;
     /// The whole audit log as a file for third parties.
     ExportAudit {
+        /// With full addresses.
         addresses: bool,
     } => Vec<ExportedFile>, OWNER;
     /// Claims the profile for a console until the connection ends; refused if one is open already.
     OpenConsole => (), LOOK;
     /// One record, checked and opened, with its message as a file.
     ViewFile {
+        /// Its id.
         id: String,
         /// The format; `None` = a picture's own bytes if it is one, else the message's.
         kind: Option<Exported>,
     } => Box<OpenedView>, OWNER;
     /// The robot's positions, from the records of a topic up to this one.
     ViewPath {
+        /// Its id.
         id: String,
         /// At most this many records, including this one; 2 to [`LONGEST_PATH`].
         records: usize,
@@ -347,6 +391,7 @@ requests! {
     BackUp {
         /// The file, absolute; must not exist.
         file: PathBuf,
+        /// Protects the backup.
         passphrase: SecretText,
     } => BackupView, PASSPHRASE;
     /// Show which records would be erased, or erase them; needs the keyring.
@@ -361,6 +406,7 @@ requests! {
     } => (), CAPTURE;
     /// The profile's keyring as stored on disk, under its passphrase.
     BackUpKeys => SecretBytes, OWNER;
+    /// Active alerts.
     ListAlerts => AlertsView, LOOK;
     /// Send a test alert, marked as such, and return the reply.
     TestAlert => AlertTestView, OWNER;
@@ -368,12 +414,15 @@ requests! {
     GatewayStatus => GatewayStatusView, LOOK;
     /// Let an owner use the gateway of this home.
     Admit {
+        /// The owner.
         owner: Party,
     } => Vec<AdmittedView>, OWNER;
     /// No longer let an owner use it.
     Dismiss {
+        /// The owner.
         owner: Party,
     } => Vec<AdmittedView>, OWNER;
+    /// The admitted owners.
     ListAdmitted => Vec<AdmittedView>, LOOK;
     groups {
         /// Incidents: spans of own records, kept together.
@@ -388,6 +437,7 @@ requests! {
 pub struct Request {
     /// The profile whose keys and records are used.
     pub profile: ProfileName,
+    /// The command.
     pub command: Command,
 }
 
@@ -424,6 +474,7 @@ pub struct EvidenceWishes {
     pub incident: Option<IncidentName>,
     /// Captured at or after.
     pub since: Option<Timestamp>,
+    /// Captured before.
     pub until: Option<Timestamp>,
     /// The ids of records to disclose.
     pub reveal: Vec<String>,
@@ -435,6 +486,7 @@ requests! {
     enum IncidentCommand by Command::OfIncident;
     /// Keep a span together: retention does not delete its records.
     OpenIncident {
+        /// Its name.
         name: IncidentName,
         /// Records captured at this time or later.
         since: Timestamp,
@@ -442,6 +494,7 @@ requests! {
         until: Option<Timestamp>,
         /// Of these topics; empty = of all.
         topics: Vec<TopicName>,
+        /// A description.
         note: Option<String>,
         /// Robots whose rings are asked for it; then the keyring is needed.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -449,19 +502,26 @@ requests! {
     } => IncidentView, OWNER;
     /// All incidents of the profile, each with what it holds.
     ListIncidents => Vec<IncidentView>, LOOK;
+    /// One of them.
     ShowIncident {
+        /// Its name.
         name: IncidentName,
     } => IncidentView, LOOK;
+    /// Add a note.
     NoteIncident {
+        /// Its name.
         name: IncidentName,
+        /// The note.
         text: String,
     } => IncidentView, OWNER;
     /// End its span now; its records stay held.
     CloseIncident {
+        /// Its name.
         name: IncidentName,
     } => IncidentView, OWNER;
     /// Remove it: its records are subject to retention again.
     RemoveIncident {
+        /// Its name.
         name: IncidentName,
     } => Vec<IncidentView>, OWNER;
 }
@@ -512,10 +572,12 @@ pub const LONGEST_PATH: usize = 1_000;
 pub struct SecretText(String);
 
 impl SecretText {
+    /// Wraps the text.
     pub fn new(text: String) -> Self {
         Self(text)
     }
 
+    /// The text itself.
     pub fn expose(&self) -> &str {
         &self.0
     }

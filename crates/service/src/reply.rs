@@ -105,6 +105,7 @@ impl Answer for () {
 }
 
 replies! {
+    /// To identity commands.
     Identity(IdentityView);
     /// To `ListKeys`, `LoadKey` and `RotateEnvelope`.
     Keys(KeysView);
@@ -222,6 +223,7 @@ pub enum Severity {
 }
 
 impl Severity {
+    /// In one word.
     pub fn word(self) -> &'static str {
         self.into()
     }
@@ -232,6 +234,7 @@ impl Severity {
 pub struct AlertView {
     /// The rule, and its subject if there can be several: `disk`, `robot_silent/1f2e3d4c`.
     pub key: String,
+    /// Its severity.
     pub severity: Severity,
     /// What happened and what to do, without topics, names and keys.
     pub text: String,
@@ -244,8 +247,10 @@ pub struct AlertView {
 /// An alert that has ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EndedAlert {
+    /// Its last state.
     #[serde(flatten)]
     pub alert: AlertView,
+    /// When it ended.
     pub ended: Timestamp,
 }
 
@@ -258,6 +263,7 @@ pub struct AlertsView {
     pub over: Vec<EndedAlert>,
     /// The destination of alerts, or that there is none.
     pub told: String,
+    /// Deliveries that wait.
     pub waiting: u64,
     /// Deliveries dropped for want of room; the next one reports how many.
     pub dropped: u64,
@@ -268,20 +274,27 @@ pub struct AlertsView {
 pub struct AlertTestView {
     /// Where it was sent.
     pub place: String,
+    /// The reply, cleaned.
     pub text: String,
 }
 
 /// One line of the audit log.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditView {
+    /// Its number.
     pub line: u64,
+    /// Its time.
     pub at: Timestamp,
+    /// The profile.
     pub profile: String,
     /// The operator who did it, if it was not the profile's owner.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
+    /// The deed.
     pub action: String,
+    /// Its object, cleaned.
     pub subject: String,
+    /// Its outcome.
     pub outcome: String,
 }
 
@@ -310,6 +323,7 @@ pub struct AuditCheck {
     pub covered: u64,
     /// The first line that is wrong.
     pub broken_line: Option<u64>,
+    /// The reason.
     pub text: Option<String>,
     /// Records of heads that fail their own checks, with the reasons.
     pub unusable: Vec<String>,
@@ -318,6 +332,7 @@ pub struct AuditCheck {
 /// An incident and its records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncidentView {
+    /// Its name.
     pub name: IncidentName,
     /// Whether it is still open.
     pub open: bool,
@@ -331,6 +346,7 @@ pub struct IncidentView {
     pub closed_at: Option<Timestamp>,
     /// Its topics; empty = all. Cleaned.
     pub topics: Vec<String>,
+    /// Oldest first.
     pub notes: Vec<IncidentNoteView>,
     /// Its records, of all topics.
     pub records: u64,
@@ -343,9 +359,11 @@ pub struct IncidentView {
 /// A name known to the gateway, and its session if it has one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SenderView {
+    /// N, the name.
     pub name: ProfileName,
     /// The account it belongs to.
     pub account: Address,
+    /// Its current sessions.
     pub sessions: u64,
     /// The remote address of the newest.
     pub peer: Option<String>,
@@ -362,6 +380,7 @@ pub struct SenderView {
 /// One system key (P_S) of the published list.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SystemKeyView {
+    /// SM3 of P_S.
     pub id: SignerId,
     /// In use from this time.
     pub not_before: Timestamp,
@@ -378,12 +397,14 @@ pub struct RefusedView {
     pub code: u16,
     /// The reason in words, and what the peer should do.
     pub text: String,
+    /// How often.
     pub count: u64,
 }
 
 /// An owner who may use the gateway of this home.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdmittedView {
+    /// The owner.
     pub owner: Address,
     /// Its name in the address book.
     pub name: Option<String>,
@@ -406,7 +427,9 @@ pub struct GatewayStatusView {
     pub senders: Vec<SenderView>,
     /// The published list of system keys.
     pub keys: Vec<SystemKeyView>,
+    /// Its version.
     pub list_version: u64,
+    /// When it expires.
     pub list_expires: Option<Timestamp>,
     /// Refusals, the most frequent reason first.
     pub refused: Vec<RefusedView>,
@@ -416,6 +439,7 @@ pub struct GatewayStatusView {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskState {
+    /// At work.
     Running,
     /// It failed, and is restarted after a pause.
     Resting,
@@ -426,6 +450,7 @@ pub enum TaskState {
 pub struct TaskView {
     /// Its name, followed by the profile's if each profile has one: `verifier`, `anchorer default`.
     pub name: String,
+    /// Its state.
     pub state: TaskState,
     /// The number of restarts.
     pub restarts: u64,
@@ -440,6 +465,7 @@ pub struct TaskView {
 pub struct PathView {
     /// The record it leads to.
     pub id: String,
+    /// Its topic, cleaned.
     pub topic: String,
     /// Records that contained a position.
     pub records: usize,
@@ -452,6 +478,7 @@ pub struct PathView {
 /// What a robot was asked for of its ring.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RingPullView {
+    /// N.
     pub robot: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
@@ -463,8 +490,10 @@ pub struct RingPullView {
     pub topics: Vec<String>,
 }
 
+/// An enrolled robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotRow {
+    /// N.
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
@@ -482,14 +511,18 @@ pub struct RobotRow {
     pub standing: String,
     /// Whether it works by another version than the wanted one.
     pub drift: bool,
+    /// Since when.
     pub drift_since: Option<Timestamp>,
 }
 
 /// What a robot recorded of a topic, as far as it is here.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotTopicRow {
+    /// The topic. Cleaned.
     pub topic: String,
+    /// Messages.
     pub records: u64,
+    /// Of these verified.
     pub verified: u64,
     /// Of these not verified yet.
     pub waiting: u64,
@@ -503,6 +536,7 @@ pub struct RobotView {
     /// As in the list.
     #[serde(flatten)]
     pub row: RobotRow,
+    /// Its gateway.
     pub gateway: Option<RobotGatewayView>,
     /// The topics it has keys for; empty = all.
     pub enrolled: Vec<String>,
