@@ -402,7 +402,7 @@ pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> O
         return Some("place in its batch");
     }
     // While blocks are replaced, what is known of them is not of one moment.
-    if place.is_contradicted && row.state == RecordState::Verified {
+    if place.is_contradicted && row.state == RecordState::Verified && row.transaction == place.transaction {
         return Some("block");
     }
     place.block?;

@@ -181,12 +181,12 @@ pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
     Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
 }
 
-/// Whether what else this ledger knows of a batch's block is of another one: the chain's proof, the blocks that the watcher
-/// has read, or the transaction.
-const CONTRADICTED: &str = "(
+/// Whether what else this ledger knows of a batch's block is of another one: the chain's proof, or the transaction. The blocks
+/// that the watcher has read do not say: it forgets some when it reads again.
+pub(super) const CONTRADICTED: &str = "(
     proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
-    OR batches.block_hash <> (SELECT hash FROM trail WHERE trail.block = batches.block)
-    OR batches.block <> (SELECT block FROM transactions WHERE transactions.hash = batches.tx AND state = 1)) IS TRUE";
+    OR (batches.block, batches.block_hash) <> (SELECT block, block_hash FROM transactions
+        WHERE transactions.hash = batches.tx AND transactions.state = 1)) IS TRUE";
 
 /// See [`Records::placed_all`].
 pub(super) fn placed_in(connection: &Connection, digests: &[Digest]) -> Result<Vec<Option<PlacedRecord>>, StoreError> {
@@ -258,6 +258,9 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let Some(key) = found else { return Ok(0) };
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
+    // The sender may have seen it in a block that was replaced since.
+    let sql = "UPDATE transactions SET block = ?2, block_hash = ?3 WHERE hash = ?1 AND state = 1";
+    connection.run(sql, params![sighting.transaction.0, block, sighting.block_hash.0])?;
     let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let [batched, submitted, mined] = [RecordState::Batched, RecordState::Submitted, RecordState::Mined];
@@ -309,21 +312,20 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
     if freed == 0 {
         return Ok(());
     }
-    let sql = "UPDATE records SET state = ?3 WHERE state = ?2 AND tx IS NULL
+    let sql = "UPDATE records SET state = ?3 WHERE +state = ?2 AND tx IS NULL
         AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![key, RecordState::Submitted.code(), RecordState::Batched.code()])?;
     Ok(())
 }
 
-/// Blocks from this one on are gone, and batches lose their block. Whichever account anchored them, one of our open
-/// transactions that does so continues.
-pub(super) fn take_back(connection: &Connection, block: i64) -> Result<(), StoreError> {
+/// Blocks from this one on are gone, and batches lose their block; returns their keys. Whichever account anchored them, one of
+/// our open transactions that does so continues.
+pub(super) fn take_back(connection: &Connection, block: i64) -> Result<Vec<i64>, StoreError> {
     let sql = "UPDATE batches SET block = NULL, block_hash = NULL, (tx, account) =
         (SELECT hash, transactions.account FROM transactions
          WHERE transactions.batch = root AND state = 0 ORDER BY nonce, transactions.key LIMIT 1)
-        WHERE block >= ?1";
-    connection.run(sql, [block])?;
-    Ok(())
+        WHERE block >= ?1 RETURNING key";
+    Ok(connection.list(sql, [block], |row| row.get(0))?)
 }
 
 // Anchors made elsewhere: a record that is here gets the one that another ledger made.

@@ -463,7 +463,7 @@ fn dissolve(connection: &Connection, batch: i64) -> Result<(), StoreError> {
     if !may(By::Right, batched, stored) {
         return Err(StoreError::IllegalEdge { from: batched, to: stored });
     }
-    let sql = "UPDATE records SET state = ?3 WHERE state = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
+    let sql = "UPDATE records SET state = ?3 WHERE +state = ?2 AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     connection.run(sql, params![batch, batched.code(), stored.code()])?;
     connection.run("REPLACE INTO left_places SELECT batch, leaf, record FROM leaves WHERE batch = ?1", [batch])?;
     connection.run("DELETE FROM leaves WHERE batch = ?1", [batch])?;

@@ -6,8 +6,8 @@ use std::collections::HashMap;
 use rusqlite::{Connection, Row, params};
 
 use super::Inspection;
-use super::branches;
 use super::rows::{self, RecordRow, Stream, unsigned};
+use super::{batches, branches};
 use crate::StoreError;
 use crate::crypto::merkle::Inclusion;
 use crate::database::{Statements as _, capped, count, whole};
@@ -25,6 +25,8 @@ pub struct AuditedPlace {
     pub transaction: Option<Hash>,
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
+    /// Whether what else the ledger knows of this block is of another one.
+    pub is_contradicted: bool,
 }
 
 /// A record with everything an audit compares with it.
@@ -100,11 +102,12 @@ impl Inspection {
                 "SELECT {}, n, leaves.batch, leaf, branches.path, root, batches.count, batches.tx, batches.block,
                     batches.block_hash, EXISTS (SELECT 1 FROM ciphertext WHERE record = n),
                     records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
-                    records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
+                    records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n), {}
                     FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
                     {}
                     WHERE n > ?1 AND captured_at >= ?2 ORDER BY n LIMIT ?3",
                 rows::COLUMNS,
+                batches::CONTRADICTED,
                 branches::JOINED
             );
             let (mut page, mut last) = (AuditPage::default(), 0);
@@ -276,6 +279,7 @@ fn place(row: &Row<'_>) -> rusqlite::Result<Option<AuditedPlace>> {
         transaction: row.get::<_, Option<_>>(column(6))?.map(Hash),
         block: row.get::<_, Option<i64>>(column(7))?.map(i64::cast_unsigned),
         block_hash: row.get::<_, Option<_>>(column(8))?.map(Hash),
+        is_contradicted: row.get(column(12))?,
     }))
 }
 

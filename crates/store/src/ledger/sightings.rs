@@ -83,15 +83,20 @@ impl Batches {
             let sql = "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
                 WHERE state = 1 AND block >= ?1";
             connection.run(sql, [block])?;
-            batches::take_back(connection, block)?;
+            let batches = batches::take_back(connection, block)?;
             // In the same commit, so that no anchor in one of them is taken in from elsewhere until the chain is read again.
             connection.run("DELETE FROM trail WHERE block >= ?1", [block])?;
             connection.run("DELETE FROM passed_over WHERE block >= ?1", [block])?;
             let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
             connection.run(sql, params![RecordState::Tampered.code(), block])?;
-            let verified = unplace(connection, RecordState::Verified, block)?;
-            let others = [RecordState::Mined, RecordState::Confirmed].into_iter();
-            let moved = others.map(|state| unplace(connection, state, block)).sum::<Result<u64, _>>()?;
+            let mut unplace = |state| {
+                let anchored = unplace(connection, state, block, None)?;
+                batches
+                    .iter()
+                    .try_fold(anchored, |moved, batch| Ok(moved + unplace(connection, state, block, Some(*batch))?))
+            };
+            let verified: u64 = unplace(RecordState::Verified)?;
+            let moved: u64 = unplace(RecordState::Mined)? + unplace(RecordState::Confirmed)?;
             Ok((moved + verified, verified))
         })
     }
@@ -125,10 +130,10 @@ fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Stand
     Ok(found)
 }
 
-/// Records of one state lose a block that is gone: their own, or the one that their batch has lost. Each goes to the best that
-/// is left for it: its own open transaction, its batch's place on the chain, its batch's open transaction, another open
-/// upload of it.
-fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64, StoreError> {
+/// Records of one state lose a block that is gone: their own, or (`batch`) the one that this batch has lost. Each goes to the
+/// best that is left for it: its batch's place on the chain, its own open transaction, its batch's open transaction, another
+/// open upload of it.
+fn unplace(connection: &Connection, from: RecordState, block: i64, batch: Option<i64>) -> Result<u64, StoreError> {
     const OPEN: &str = "EXISTS (SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
     const LEAF: &str = "EXISTS (SELECT 1 FROM leaves WHERE record = n)";
     const UPLOAD: &str = "(SELECT hash FROM transactions WHERE transactions.state = 0
@@ -136,8 +141,8 @@ fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64
     const BATCH_IN_BLOCK: &str = concat!(of_its_batch!("block"), " IS NOT NULL");
     const BATCH_SENT: &str = concat!(of_its_batch!("tx"), " IS NOT NULL");
     let steps = [
-        (RecordState::Submitted, "tx", OPEN.to_owned()),
         (RecordState::Mined, "NULL", BATCH_IN_BLOCK.to_owned()),
+        (RecordState::Submitted, "tx", OPEN.to_owned()),
         (RecordState::Submitted, "NULL", BATCH_SENT.to_owned()),
         (RecordState::Batched, "NULL", LEAF.to_owned()),
         (RecordState::Submitted, UPLOAD, format!("{UPLOAD} IS NOT NULL")),
@@ -148,11 +153,21 @@ fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64
         if from != to && !may(By::Reorg, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
+        let which = match batch {
+            None => "INDEXED BY records_by_state",
+            Some(_) => "",
+        };
+        let lost = match batch {
+            None => "state = ?1 AND block >= ?2 AND ?4 IS NULL",
+            Some(_) => {
+                "+state = ?1 AND tx IS NULL AND ?2 IS NOT NULL AND n IN (SELECT record FROM leaves WHERE batch = ?4)"
+            }
+        };
         let sql = format!(
-            "UPDATE records INDEXED BY records_by_state SET state = ?3, tx = {transaction}, block = NULL, block_hash = NULL
-                WHERE state = ?1 AND (block >= ?2 OR tx IS NULL AND {LEAF} AND NOT {BATCH_IN_BLOCK}) AND {condition}"
+            "UPDATE records {which} SET state = ?3, tx = {transaction}, block = NULL, block_hash = NULL
+                WHERE {lost} AND {condition}"
         );
-        moved += count(connection.run(&sql, params![from.code(), block, to.code()])?);
+        moved += count(connection.run(&sql, params![from.code(), block, to.code(), batch])?);
     }
     Ok(moved)
 }

@@ -3,7 +3,7 @@
 use rusqlite::{Connection, Row, params};
 use serde::{Deserialize, Serialize};
 
-use super::rows::{self, By, may, out_of_range, unsigned};
+use super::rows::{self, By, may, of_its_batch, out_of_range, unsigned};
 use super::{Anchors, Lanes, batches};
 use crate::StoreError;
 use crate::database::{Statements as _, whole};
@@ -212,7 +212,14 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
     if changed == 0 {
         return Err(transaction_error(hash, "is not in the ledger"));
     }
-    if state == TransactionState::Mined { Ok(()) } else { release(connection, hash) }
+    if state != TransactionState::Mined {
+        return release(connection, hash);
+    }
+    // The watcher, which reads by block, knows better where it is.
+    let sql = "UPDATE transactions SET (block, block_hash) = (SELECT block, block_hash FROM batches WHERE root = batch)
+        WHERE hash = ?1 AND EXISTS (SELECT 1 FROM batches WHERE root = batch AND tx = ?1 AND batches.block IS NOT NULL)";
+    connection.run(sql, [hash.0])?;
+    Ok(())
 }
 
 /// Records of a transaction that will never be mined are stored (or batched) again.
@@ -224,14 +231,17 @@ fn release(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
     if let Some(root) = batch {
         return batches::release(connection, Hash(root), hash);
     }
-    let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state
-            WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
-        WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)";
-    let [submitted, stored, tampered, batched] =
-        [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched]
+    let sql = concat!(
+        "UPDATE records SET tx = NULL, state = CASE WHEN state <> ?3 THEN state WHEN ",
+        of_its_batch!("block"),
+        " IS NOT NULL THEN ?7 WHEN EXISTS (SELECT 1 FROM leaves WHERE record = n) THEN ?6 ELSE ?4 END
+        WHERE digest = ?1 AND tx = ?2 AND block IS NULL AND state IN (?3, ?5)"
+    );
+    let [submitted, stored, tampered, batched, mined] =
+        [RecordState::Submitted, RecordState::Stored, RecordState::Tampered, RecordState::Batched, RecordState::Mined]
             .map(RecordState::code);
     let digests = digests.chunks_exact(Digest::LENGTH);
-    connection.run_each(sql, digests.map(|digest| (digest, hash.0, submitted, stored, tampered, batched)))?;
+    connection.run_each(sql, digests.map(|digest| (digest, hash.0, submitted, stored, tampered, batched, mined)))?;
     Ok(())
 }
 
