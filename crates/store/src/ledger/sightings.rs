@@ -89,11 +89,10 @@ impl Batches {
             connection.run("DELETE FROM passed_over WHERE block >= ?1", [block])?;
             let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
             connection.run(sql, params![RecordState::Tampered.code(), block])?;
-            let mut unplace = |state| {
+            let unplace = |state| -> Result<u64, StoreError> {
                 let anchored = unplace(connection, state, block, None)?;
-                batches
-                    .iter()
-                    .try_fold(anchored, |moved, batch| Ok(moved + unplace(connection, state, block, Some(*batch))?))
+                let with = |moved: u64, batch: &i64| Ok(moved + unplace(connection, state, block, Some(*batch))?);
+                batches.iter().try_fold(anchored, with)
             };
             let verified: u64 = unplace(RecordState::Verified)?;
             let moved: u64 = unplace(RecordState::Mined)? + unplace(RecordState::Confirmed)?;
