@@ -401,8 +401,7 @@ pub(super) fn anchor_difference(PlacedRecord { row, place }: &PlacedRecord) -> O
     if !chain_proofs::is_included(place, row) {
         return Some("place in its batch");
     }
-    // While blocks are replaced, what is known of them is not of one moment.
-    if place.is_contradicted && row.state == RecordState::Verified && row.transaction == place.transaction {
+    if place.is_contradicted {
         return Some("block");
     }
     place.block?;

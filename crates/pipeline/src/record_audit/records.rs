@@ -316,7 +316,7 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
         if row.block.is_some() && row.block == place.block && !same {
             return Some("its row names a different transaction or block than its batch".to_owned());
         }
-        if place.is_contradicted && row.state == RecordState::Verified && row.transaction == place.transaction {
+        if place.is_contradicted {
             return Some("its batch names a different block than its transaction or the chain's proof".to_owned());
         }
     }

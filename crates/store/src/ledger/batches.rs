@@ -58,7 +58,7 @@ pub struct BatchPlace {
     pub block_hash: Option<Hash>,
     /// The transaction that anchored it, or is to.
     pub transaction: Option<Hash>,
-    /// Whether what else the ledger knows of this block is of another one.
+    /// Whether a verified record rests on this block, and what else the ledger knows of it is of another one.
     pub is_contradicted: bool,
 }
 
@@ -181,9 +181,10 @@ pub(super) fn leaf(row: &Row<'_>) -> rusqlite::Result<Leaf> {
     Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
 }
 
-/// Whether what else this ledger knows of a batch's block is of another one: the chain's proof, or the transaction. The blocks
-/// that the watcher has read do not say: it forgets some when it reads again.
-pub(super) const CONTRADICTED: &str = "(
+/// Whether a verified record rests on the block of its batch, and what else this ledger knows of that is of another one: the
+/// chain's proof, or the transaction. Before a record is verified, what is known is not of one moment; and the blocks that
+/// the watcher has read do not say: it forgets some when it reads again.
+pub(super) const CONTRADICTED: &str = "records.state = 6 AND records.tx IS NULL AND (
     proof = 1 AND batches.block_hash IS NOT (SELECT hash FROM chain_proofs WHERE chain_proofs.block = batches.block)
     OR (batches.block, batches.block_hash) <> (SELECT block, block_hash FROM transactions
         WHERE transactions.hash = batches.tx AND transactions.state = 1)) IS TRUE";
@@ -258,14 +259,22 @@ pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u6
     let Some(key) = found else { return Ok(0) };
     let sql = "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1";
     connection.run(sql, params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
-    // The sender may have seen it in a block that was replaced since.
-    let sql = "UPDATE transactions SET block = ?2, block_hash = ?3 WHERE hash = ?1 AND state = 1";
-    connection.run(sql, params![sighting.transaction.0, block, sighting.block_hash.0])?;
+    place_transaction(connection, sighting.transaction)?;
     let sql = "UPDATE records SET tx = NULL, state = CASE WHEN state IN (?2, ?3) THEN ?4 ELSE state END
         WHERE block IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?1)";
     let [batched, submitted, mined] = [RecordState::Batched, RecordState::Submitted, RecordState::Mined];
     let changed = connection.run(sql, params![key, batched.code(), submitted.code(), mined.code()])?;
     Ok(count(changed))
+}
+
+/// A mined transaction is in the block that its batch is in: its sender may have seen it in one that was replaced since, while
+/// the watcher reads block by block.
+pub(super) fn place_transaction(connection: &Connection, hash: Hash) -> Result<(), StoreError> {
+    let sql = "UPDATE transactions SET (block, block_hash) = (SELECT block, block_hash FROM batches WHERE root = batch)
+        WHERE hash = ?1 AND state = 1
+        AND EXISTS (SELECT 1 FROM batches WHERE root = batch AND tx = ?1 AND batches.block IS NOT NULL)";
+    connection.run(sql, [hash.0])?;
+    Ok(())
 }
 
 /// A record joined a batch that is already in a block, or is now through this anchor.

@@ -25,7 +25,7 @@ pub struct AuditedPlace {
     pub transaction: Option<Hash>,
     pub block: Option<u64>,
     pub block_hash: Option<Hash>,
-    /// Whether what else the ledger knows of this block is of another one.
+    /// Whether a verified record rests on this block, and what else the ledger knows of it is of another one.
     pub is_contradicted: bool,
 }
 

@@ -90,9 +90,8 @@ impl Batches {
             let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
             connection.run(sql, params![RecordState::Tampered.code(), block])?;
             let unplace = |state| -> Result<u64, StoreError> {
-                let anchored = unplace(connection, state, block, None)?;
-                let with = |moved: u64, batch: &i64| Ok(moved + unplace(connection, state, block, Some(*batch))?);
-                batches.iter().try_fold(anchored, with)
+                let with = |moved: u64, batch: &i64| Ok(moved + unplace(connection, state, (OF_BATCH, *batch))?);
+                batches.iter().try_fold(unplace(connection, state, (OWN, block))?, with)
             };
             let verified: u64 = unplace(RecordState::Verified)?;
             let moved: u64 = unplace(RecordState::Mined)? + unplace(RecordState::Confirmed)?;
@@ -129,10 +128,15 @@ fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Stand
     Ok(found)
 }
 
-/// Records of one state lose a block that is gone: their own, or (`batch`) the one that this batch has lost. Each goes to the
-/// best that is left for it: its batch's place on the chain, its own open transaction, its batch's open transaction, another
-/// open upload of it.
-fn unplace(connection: &Connection, from: RecordState, block: i64, batch: Option<i64>) -> Result<u64, StoreError> {
+/// Records of a state (?1) with a block of their own from ?2 on.
+const OWN: &str = "records INDEXED BY records_by_state SET {} WHERE state = ?1 AND block >= ?2";
+/// Records of a state (?1) in the batch ?2, without a transaction of their own.
+const OF_BATCH: &str =
+    "records SET {} WHERE +state = ?1 AND tx IS NULL AND n IN (SELECT record FROM leaves WHERE batch = ?2)";
+
+/// Records of one state lose a block that is gone: their own, or that of their batch. Each goes to the best that is left for
+/// it: its batch's place on the chain, its own open transaction, its batch's open transaction, another open upload of it.
+fn unplace(connection: &Connection, from: RecordState, lost: (&str, i64)) -> Result<u64, StoreError> {
     const OPEN: &str = "EXISTS (SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";
     const LEAF: &str = "EXISTS (SELECT 1 FROM leaves WHERE record = n)";
     const UPLOAD: &str = "(SELECT hash FROM transactions WHERE transactions.state = 0
@@ -152,21 +156,9 @@ fn unplace(connection: &Connection, from: RecordState, block: i64, batch: Option
         if from != to && !may(By::Reorg, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
         }
-        let which = match batch {
-            None => "INDEXED BY records_by_state",
-            Some(_) => "",
-        };
-        let lost = match batch {
-            None => "state = ?1 AND block >= ?2 AND ?4 IS NULL",
-            Some(_) => {
-                "+state = ?1 AND tx IS NULL AND ?2 IS NOT NULL AND n IN (SELECT record FROM leaves WHERE batch = ?4)"
-            }
-        };
-        let sql = format!(
-            "UPDATE records {which} SET state = ?3, tx = {transaction}, block = NULL, block_hash = NULL
-                WHERE {lost} AND {condition}"
-        );
-        moved += count(connection.run(&sql, params![from.code(), block, to.code(), batch])?);
+        let values = format!("state = ?3, tx = {transaction}, block = NULL, block_hash = NULL");
+        let sql = format!("UPDATE {} AND {condition}", lost.0.replace("{}", &values));
+        moved += count(connection.run(&sql, params![from.code(), lost.1, to.code()])?);
     }
     Ok(moved)
 }

@@ -212,14 +212,10 @@ pub(super) fn close(connection: &Connection, hash: Hash, outcome: TransactionOut
     if changed == 0 {
         return Err(transaction_error(hash, "is not in the ledger"));
     }
-    if state != TransactionState::Mined {
-        return release(connection, hash);
+    match state {
+        TransactionState::Mined => batches::place_transaction(connection, hash),
+        _ => release(connection, hash),
     }
-    // The watcher, which reads by block, knows better where it is.
-    let sql = "UPDATE transactions SET (block, block_hash) = (SELECT block, block_hash FROM batches WHERE root = batch)
-        WHERE hash = ?1 AND EXISTS (SELECT 1 FROM batches WHERE root = batch AND tx = ?1 AND batches.block IS NOT NULL)";
-    connection.run(sql, [hash.0])?;
-    Ok(())
 }
 
 /// Records of a transaction that will never be mined are stored (or batched) again.
