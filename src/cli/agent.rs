@@ -124,9 +124,9 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
     let lock = lock.ok_or_else(|| Failure::new(ErrorKind::Home, format!("{root} is in use by another process")))?;
     let site = Site::start(context.home, context.config, lock, Needs { ros: true, chain: false })?;
     site.oversee();
-    let (events, beside) = (site.events(), *output);
+    let (mut events, beside) = (site.events(), *output);
     // What the site tells goes to stderr.
-    let notes = tokio::spawn(async move { serve::follow(events, NoticeLevel::Info, &beside, pending()).await });
+    let notes = tokio::spawn(async move { serve::follow(&mut events, NoticeLevel::Info, &beside, pending()).await });
     let mut agent = match Agent::start(&site, sealed, wishes).await {
         Ok(agent) => agent,
         Err(failure) => {

@@ -22,6 +22,8 @@ use authros_output::{Output, table};
 
 /// Between two lines about how far it is: it may go on for days.
 const TELLING: Duration = Duration::from_secs(30);
+/// How long after the answer something that was said before it may still arrive.
+const LAST_WORDS: Duration = Duration::from_millis(100);
 
 /// `bag follow …`
 #[derive(Debug, Args)]
@@ -66,8 +68,12 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
         "stopped early; sealed records are stored, repeat the command to go on",
     );
     let follow = async |client: &Client| {
-        let telling = tell(client, client.events(), output);
-        until_done(client, FollowFolder(wishes), StopCapture, words, output, telling).await
+        let mut events = client.events();
+        let telling = tell(client, &mut events, output);
+        let answer = until_done(client, FollowFolder(wishes), StopCapture, words, output, telling).await;
+        let rest = serve::follow(&mut events, NoticeLevel::Info, output, pending());
+        drop(tokio::time::timeout(LAST_WORDS, rest).await);
+        answer
     };
     let view = context.with(CHAIN, ProfileNeed::Made, output, follow).await?;
     output.result(&view, || followed(&view));
@@ -75,7 +81,7 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
 }
 
 /// What the site tells, and how far it is; never ends.
-async fn tell(client: &Client, events: Receiver<Event>, output: &Output) -> Infallible {
+async fn tell(client: &Client, events: &mut Receiver<Event>, output: &Output) -> Infallible {
     let told = serve::follow(events, NoticeLevel::Info, output, pending());
     // After the site's end there is only the answer to wait for.
     let (never, ()) = tokio::join!(printed::tell_on(client, TELLING, output), told);

@@ -152,7 +152,7 @@ fn not_started(failure: Failure) -> Failure {
 /// Shows what the site tells from level `least` on, and all that lasts, until `end`, or the site's end, including what
 /// came since `events` were subscribed to.
 pub async fn follow(
-    mut events: broadcast::Receiver<Event>,
+    events: &mut broadcast::Receiver<Event>,
     least: NoticeLevel,
     output: &Output,
     end: impl Future<Output = Ending>,
@@ -184,7 +184,7 @@ pub async fn until_signal<T>(
     tell: impl FnOnce(T, bool),
 ) -> Result<u8, Failure> {
     // Problems during startup are shown too, and no signal is missed in between.
-    let (joined, events, end) = (connection.site.is_none(), connection.client.events(), asked_to_end());
+    let (joined, mut events, end) = (connection.site.is_none(), connection.client.events(), asked_to_end());
     tokio::pin!(end);
     let begun = tokio::select! {
         begun = begin(&connection.client) => begun,
@@ -202,7 +202,7 @@ pub async fn until_signal<T>(
     }
     let ready = ready();
     let ended = tokio::select! {
-        () = follow(events, NoticeLevel::Warning, output, end) => Ok(0),
+        () = follow(&mut events, NoticeLevel::Warning, output, end) => Ok(0),
         failure = lost(&connection.client), if joined => Err(failure),
     };
     drop(ready);
@@ -222,9 +222,6 @@ async fn lost(client: &Client) -> Failure {
     }
 }
 
-/// How long after an answer something that was said before it may still arrive.
-const LAST_WORDS: Duration = Duration::from_millis(100);
-
 /// Waits for an answer that takes its time, while `meanwhile` goes on for ever. The first Ctrl-C sends `stop` and says what
 /// is still done; a second one, or an order to end, leaves at once, with the other words.
 ///
@@ -242,10 +239,7 @@ pub async fn until_done<A: Ask>(
     tokio::pin!(answer, meanwhile);
     loop {
         tokio::select! {
-            answer = &mut answer => {
-                drop(tokio::time::timeout(LAST_WORDS, meanwhile).await);
-                return answer;
-            }
+            answer = &mut answer => return answer,
             never = &mut meanwhile => match never {},
             ending = asked_to_end() => match stop.take().filter(|_| ending == Ending::Asked) {
                 Some(stop) => {
