@@ -146,7 +146,7 @@ impl Live {
         givers: &HashMap<Address, Scope>,
         ready: &mut Vec<RecordRow>,
     ) -> Result<(), Failure> {
-        let passed: HashSet<Digest> = self.passed.iter().copied().collect();
+        let mut passed: Option<HashSet<Digest>> = None;
         loop {
             let (id, after) = self.place.unwrap_or_default();
             let places = givers.keys().map(|owner| FeedPlace { owner: *owner, after, topics: None }).collect();
@@ -156,7 +156,7 @@ impl Live {
                 let stream = self.streams.get_mut(&(row.owner, row.topic_id));
                 let is_late = |one: &&mut Stream| row.captured_at >= one.floor && row.captured_at < one.low;
                 if let Some(stream) = stream.filter(is_late)
-                    && !passed.contains(&row.digest)
+                    && !passed.get_or_insert_with(|| self.passed.iter().copied().collect()).contains(&row.digest)
                     && stream.done.insert(row.digest, row.captured_at).is_none()
                 {
                     ready.push(row);
