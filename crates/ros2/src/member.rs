@@ -197,7 +197,8 @@ impl Member {
         Ok(())
     }
 
-    /// Gives one turn to a reader, where all of this program keep so many bytes; what it reads, if what it takes counts.
+    /// Gives one turn to a reader; `kept` is what all readers of this program keep, bytes. Returns what it reads, if what it takes
+    /// counts.
     pub fn take(&mut self, key: usize, kept: usize, into: &mut Vec<Taken>) -> Option<Subject> {
         let reading = self.readings.get_mut(&key)?;
         let others = kept.saturating_sub(reading.kept());

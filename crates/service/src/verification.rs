@@ -316,7 +316,7 @@ fn warnings(
     if !folders_word.is_empty() {
         let given: Vec<String> = folders_word.iter().map(|word| format!("--{word}")).collect();
         warnings.push(format!(
-            "relying on the folder's own claim for {}: whoever made the folder could have made a chain for it; pass {}",
+            "relying on the folder's own claim for {}: its maker could have made a chain for it, too; pass {}",
             folders_word.join(" and "),
             given.join(" or ")
         ));
