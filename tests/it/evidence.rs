@@ -98,6 +98,22 @@ pub(crate) fn by_the_second(bundle: &Path, trust: Option<&Path>, options: &[&str
     Running::start(command).wait(120)
 }
 
+/// The library's example says of each record what the program says.
+fn expect_the_example_agrees(bundle: &Path, trust: &Path, report: &Value) {
+    let programs = Path::new(env!("CARGO_BIN_EXE_authros")).parent().expect("a folder");
+    let mut command = Command::new(programs.join("examples/verify_bundle"));
+    command.env_clear().arg(bundle).arg(trust);
+    let said = Running::start(command).wait(60).expect_code(8).stdout;
+    for record in list(report, "records") {
+        assert!(said.contains(&text(&record, "digest")), "{record} in {said}");
+        for (letter, level) in [('a', "bytes"), ('b', "key"), ('c', "anchor"), ('d', "time"), ('e', "opened")] {
+            let standing = text(&record[level], "standing").replace("unproven", "not proven").replace('_', " ");
+            let line = format!("({letter}) {standing}: {}", text(&record[level], "text"));
+            assert!(said.contains(&line), "{line} in {said}");
+        }
+    }
+}
+
 /// Both verifiers say the same of each record.
 pub(crate) fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
     let (ours, theirs) = (verified(bundle, trust), by_the_second(bundle, trust, &[]));
@@ -172,6 +188,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     }
     assert!(!page.contains("<script") && !page.contains("://"), "{page}");
     told(&home, &bundle, &trust);
+    expect_the_example_agrees(&bundle, &trust, &report);
     verified(&bundle, None).expect_code(8);
     expect_agreement(&bundle, Some(&trust));
     expect_agreement(&bundle, None);

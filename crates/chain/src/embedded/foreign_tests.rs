@@ -1,4 +1,4 @@
-//! The proofs of `eth_getProof`, for random slots and accounts, in the eyes of another implementation.
+//! The proofs of `eth_getProof` for random slots and accounts, and transactions, checked by other implementations.
 
 use std::collections::BTreeMap;
 
@@ -142,4 +142,60 @@ fn flipped(proof: &Value, draws: &mut Draws) -> Value {
     node[at] ^= 1 << (draws.next() % 8);
     nodes[place] = format!("0x{}", hex(&node)).into();
     other
+}
+
+/// Their signatures in our blocks, and ours (by ethers) as eth-account reads what the chain lists: hashes and senders agree.
+#[test]
+fn another_implementation_agrees_on_hashes_and_senders_of_transactions() {
+    let home = tempfile::tempdir().expect("folder");
+    let mut site = open(home.path());
+    let mut draws = Draws(9);
+    let contract = site.deployed(FILLER);
+    let chain_id = u64::from_str_radix(&site.ask("eth_chainId", json!([])).expect("told").as_str().expect("text")[2..], 16);
+    let chain_id = chain_id.expect("a number");
+    let unsigned: Vec<Value> = (0..30)
+        .map(|count| {
+            let length = usize::try_from(draws.next() % 200).expect("small");
+            let input: Vec<u8> = (0..length).map(|_| draws.bytes::<1>()[0]).collect();
+            let mut one = json!({
+                "secret": format!("0x{}", hex(&[11 + count % 3; 32])), "nonce": count / 3, "gas": 2_000_000, "gasPrice": 0,
+                "chainId": chain_id, "value": 0, "data": format!("0x{}", hex(&input)),
+            });
+            if count % 2 == 0 {
+                one["to"] = checksummed(contract).into();
+            }
+            one
+        })
+        .collect();
+    let theirs = match peer::accounts(&json!({ "what": "sign", "transactions": unsigned })) {
+        Ok(theirs) => theirs,
+        Err(why) => {
+            println!("SKIPPED another implementation of transactions: {why}");
+            return;
+        }
+    };
+    for one in theirs.as_array().expect("a list") {
+        assert_eq!(site.ask("eth_sendRawTransaction", json!([one["raw"]])).expect("accepted"), one["hash"]);
+    }
+    site.assembled();
+    let ours = site.ask("eth_getBlockByNumber", json!(["0x1", true])).expect("a block")["transactions"].clone();
+    let mut listed: Vec<Value> = ours.as_array().expect("a list").clone();
+    assert_eq!(listed.len(), 1, "ours, by ethers");
+    for one in theirs.as_array().expect("a list") {
+        let sent = site.ask("eth_getTransactionByHash", json!([one["hash"]])).expect("known");
+        let receipt = site.ask("eth_getTransactionReceipt", json!([one["hash"]])).expect("mined");
+        assert_eq!((&sent["from"], &receipt["from"]), (&one["account"], &one["account"]), "{sent}");
+        listed.push(sent);
+    }
+    let read = peer::accounts(&json!({ "what": "read", "transactions": listed })).expect("asked before");
+    let read = read.as_array().expect("a list");
+    assert_eq!(read.len(), 31);
+    for (listed, read) in listed.iter().zip(read) {
+        assert_eq!((&listed["hash"], &listed["from"]), (&read["hash"], &read["account"]));
+    }
+}
+
+/// As EIP-55 writes it: eth-account accepts no other spelling.
+fn checksummed(account: Address) -> String {
+    ethers::utils::to_checksum(&ethers::types::H160(account.0), None)
 }

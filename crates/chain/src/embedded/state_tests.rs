@@ -63,6 +63,11 @@ impl Site {
         let signature = self.wallet.sign_transaction_sync(&request).expect("signs");
         self.node.submit(&request.rlp_signed(&signature)).expect("taken");
         self.sent += 1;
+        self.assembled();
+    }
+
+    /// Mines a block of what was sent.
+    pub fn assembled(&mut self) {
         let number = self.node.head.number;
         self.node.assemble();
         assert_eq!(self.node.head.number, number + 1, "{:?}", self.node.trouble);

@@ -11,6 +11,8 @@ const SETTINGS: &str = "[req]\ndistinguished_name = dn\nprompt = no\n[dn]\nCN = 
     [plain]\nbasicConstraints = CA:false\nkeyUsage = critical,digitalSignature\n\
     [loose]\nextendedKeyUsage = timeStamping\n\
     [both]\nextendedKeyUsage = critical,timeStamping,codeSigning\n\
+    [names]\nbasicConstraints = critical,CA:true\nkeyUsage = critical,keyCertSign\n\
+    nameConstraints = critical,permitted;DNS:example.org\n\
     [odd]\nextendedKeyUsage = critical,timeStamping\n1.2.3.4 = critical,DER:0500\n\
     [sha256]\nserial = ./serial\ndefault_policy = 1.2.3.4.1\ndigests = sha256,sha512\nsigner_digest = sha256\n\
     accuracy = secs:1, millisecs:500\ness_cert_id_alg = sha256\n\
@@ -64,6 +66,14 @@ impl Authority {
         let done = self.try_openssl(line, None);
         assert!(done.status.success(), "openssl {line}: {}", String::from_utf8_lossy(&done.stderr));
         done.stdout
+    }
+
+    /// Whether openssl takes a token for a stamp over this imprint, with the named certificate as its only pin.
+    pub fn accepts(&self, token: &[u8], imprint: [u8; 32], pin: &str) -> bool {
+        self.write("token", token);
+        let imprint = authros_model::bytes::hex(&imprint);
+        let line = format!("ts -verify -digest {imprint} -token_in -in token -CAfile {pin}.pem -partial_chain");
+        self.try_openssl(&line, None).status.success()
     }
 
     fn with_subject(&self, line: &str, subject: &str) {

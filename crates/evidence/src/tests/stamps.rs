@@ -138,6 +138,49 @@ fn each_lie_about_a_stamp_is_refused_for_its_own_reason() {
     assert!(matches!(check(b"no token", &root), Err(TimeError::Form { .. })));
 }
 
+/// What a stranger may send as a stamp: what we say, and what openssl's own `ts -verify` says with the same pin. Where it is
+/// more lenient, the last column says so.
+#[test]
+fn openssl_judges_stamps_as_we_do() {
+    let authority = authority!();
+    let of_root = [("good", "stamps"), ("middle", "ca"), ("leaf", "plain"), ("both", "both"), ("odd", "odd"), ("names", "names")];
+    of_root.iter().for_each(|(name, extensions)| authority.issue((name, P256), "root", extensions, ""));
+    [("below", "middle"), ("child", "leaf"), ("named", "names")]
+        .iter()
+        .for_each(|(name, by)| authority.issue((name, P256), by, "stamps", ""));
+    authority.root("liar", P256, "the root");
+    let request = Request { imprint: IMPRINT, nonce: [7; 16] }.encode();
+    let through = |name: &str, by: &str| {
+        let answer = authority.answer(&request, name, "sha256", &format!("-chain {by}.pem"));
+        token_of(&answer).expect("granted").to_vec()
+    };
+    let good = authority.token(IMPRINT, "good", "sha256");
+    let signed = content(&authority, &good);
+    let by_hand = |name: &str, more: &str| authority.signed(&signed, name, &format!("{more} -cades"));
+    let mut flipped = good.clone();
+    flipped[good.len() - 9] ^= 1;
+    let cases = [
+        ("honest", good.clone(), IMPRINT, "root", true, true),
+        ("through an intermediate", through("below", "middle"), IMPRINT, "root", true, true),
+        ("the signer itself pinned", good.clone(), IMPRINT, "good", true, true),
+        ("somebody else pinned", good.clone(), IMPRINT, "middle", false, false),
+        ("an unknown critical extension", by_hand("odd", "-md sha256"), IMPRINT, "root", false, false),
+        ("constraints of names", through("named", "names"), IMPRINT, "root", false, false),
+        ("a leaf as issuer", through("child", "leaf"), IMPRINT, "root", false, false),
+        ("another imprint", good.clone(), [1; 32], "root", false, false),
+        ("signed over SHA-1", by_hand("good", "-md sha1"), IMPRINT, "root", false, false),
+        ("a root of the same name", good.clone(), IMPRINT, "liar", false, false),
+        ("a purpose too many", by_hand("both", "-md sha256"), IMPRINT, "root", false, false),
+        ("a flipped bit", flipped, IMPRINT, "root", false, false),
+        ("a trailing byte", [&good[..], &[0]].concat(), IMPRINT, "root", false, false),
+    ];
+    for (name, token, imprint, pin, ours, theirs) in cases {
+        let found = check_token(&token, &imprint, None, &[authority.certificate(pin)]);
+        let found = found.and_then(|found| found.by_pinned());
+        assert_eq!((found.is_ok(), authority.accepts(&token, imprint, pin)), (ours, theirs), "{name}: {found:?}");
+    }
+}
+
 #[test]
 fn every_flipped_byte_of_a_token_is_refused() {
     let authority = authority!();
