@@ -1,11 +1,9 @@
-//! Proof that a record is anchored, carried with the record: where the chain has its digest or its batch's root, and
-//! the path from the record to that root.
+//! Proof that a record is anchored, carried with the record.
 
 use crate::merkle::{Inclusion, LONGEST_PATH};
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Hash};
 
-/// The version written.
 const VERSION: u8 = 1;
 
 /// Where a record was anchored: version (1) || account (20) || transaction (32) || block (8) || block hash (32) ||

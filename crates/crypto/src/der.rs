@@ -1,5 +1,5 @@
-//! DER (X.690, 10 and 11), read strictly: only definite and shortest lengths, nothing left over, nothing copied. It has what
-//! SM2 needs (signatures of GB/T 35276, ciphertexts of GM/T 0009: integers are positive), and time stamps and certificates.
+//! DER (X.690, 10 and 11), read strictly: definite and shortest lengths only, nothing left over, nothing copied.
+//! Integers of SM2 structures (GB/T 35276, GM/T 0009) are positive.
 
 use crate::model::Signature;
 use crate::model::wire::WireError;

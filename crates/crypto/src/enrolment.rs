@@ -1,6 +1,5 @@
-//! What a robot gets from its owner: its own signing pair, its name and K_T at a gateway, and the keys to seal its
-//! records with, for some topics or for all. It never holds d_C, K_C or the EOA key, so a stolen robot is not a stolen
-//! identity; it holds IK only if it covers all topics. The file format is in `file`.
+//! What a robot gets from its owner: a signing pair, its name and K_T at a gateway, and keys to seal with. It never
+//! holds d_C, K_C or the EOA key, so a stolen robot is not a stolen identity; it holds IK only if it covers all topics.
 
 #[cfg(test)]
 mod tests;
@@ -177,21 +176,16 @@ impl Enrolment {
     }
 }
 
-// An enrolment on disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and
-// length (4), then the enrolment under SM4-GCM with all of that as AAD. `file_key` says how the passphrase becomes the
-// key.
+// On disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and length (4), then
+// the enrolment under SM4-GCM with all of that as AAD.
 
 const MAGIC: [u8; 8] = *b"\x89AuthEnr";
 const LABEL: &str = "AuthROS/enrolment/1";
-/// The largest file accepted, bytes.
 const LARGEST: usize = 1024 * 1024;
-/// Length of the header, bytes.
 const HEADER: usize = SealedHead::LENGTH + 4;
 
-/// A file's bytes in parts: what it begins with, all of its header as AAD, the sealed enrolment.
 type Parts<'a> = (SealedHead, &'a [u8], &'a [u8]);
 
-/// The parts of a file's bytes; `path` is only for the words of an error.
 fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
     read_parts(bytes).map_err(|error| match (error, bytes.get(MAGIC.len())) {
         (WireError::Value("version"), Some(found)) => {
@@ -315,7 +309,6 @@ impl SealedEnrolment {
     }
 }
 
-// The keys of an epoch as an owner issues them to a device, and their encoding.
 
 /// The most topics whose keys are issued at once, including those for statements.
 const MOST_ISSUED: usize = MOST_TOPICS;
@@ -490,9 +483,7 @@ fn read_topics(reader: &mut Reader<'_>) -> Result<BTreeMap<String, IssuedTopic>,
     Ok(keys)
 }
 
-// The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
-// is far below 2^56), 1 for another P_C of the owner, 2 for its gateway's addresses, 3 for a span of the device's ring, 4 for its
-// policy; further kinds take the next numbers.
+// A notice begins with its kind. 0 (keys) is the first byte of an epoch, which is far below 2^56.
 
 /// What an owner tells a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -512,15 +503,10 @@ pub enum Notice {
 }
 
 impl Notice {
-    /// The kind of [`Self::Keys`].
     const KEYS: u8 = 0;
-    /// The kind of [`Self::OwnerKey`].
     const OWNER_KEY: u8 = 1;
-    /// The kind of [`Self::Addresses`].
     const ADDRESSES: u8 = 2;
-    /// The kind of [`Self::Pull`].
     const PULL: u8 = 3;
-    /// The kind of [`Self::Policy`].
     const POLICY: u8 = 4;
 
     /// Its encoding, the body of the record.

@@ -1,8 +1,7 @@
-//! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around the terms and keys, signed by the owner's d_C.
-//! Whether the grant exists is for the chain to say; the terms inside must be exactly those of its event. And an owner's new
-//! SM2 pairs for the holder of its earlier keys, so that an old backup of the keyring leads to the newest: salt (32) ||
-//! SM4-GCM(d_C || d_E) (80), under a key that only the account's own key gives, all of it encrypted to the P_E that the
-//! pairs replace. So d_E alone, exposed, opens no later pair.
+//! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around terms and keys, signed by the owner's d_C.
+//! The terms must be exactly those of the chain's event. And an owner's new SM2 pairs for the holder of the former
+//! ones, so that an old keyring leads to the newest: salt (32) || SM4-GCM(d_C || d_E) (80) under a key that only the
+//! account's own key gives, encrypted to the former P_E. So an exposed d_E alone opens no later pair.
 
 use std::collections::BTreeSet;
 
@@ -125,8 +124,7 @@ fn compare(domain: &Domain, named: &Domain, expected: &GrantTerms, terms: &Grant
     differing.map_or(Ok(()), |(field, _)| Err(CryptoError::NotAccepted { what: WHAT, field }))
 }
 
-/// Checks that keys match terms: same kind of scope, no epoch beyond the grant's, the grant's own covered, nothing
-/// twice, only topics of the scope, only valid names.
+/// Same kind of scope, no epoch beyond the grant's, its own covered, nothing twice, only valid names of the scope.
 fn check_fit(wrapped: &WrappedKeys) -> Result<(), CryptoError> {
     let epoch = wrapped.terms.epoch;
     let fits = match (&wrapped.keys, &wrapped.terms.scope) {

@@ -1,6 +1,5 @@
-//! What an owner states of a record that it had erased: for readers who never had it, beside the header, the signature and
-//! the proof that stay. Signed by d_C, so no gateway can say it of a record that it only withholds. Where others are to
-//! erase their copies, the owner's account signs, too: a thief who has only one of the keys destroys nothing.
+//! An owner's statement that a record was erased. Signed by d_C, so no gateway can state it of a record that it
+//! withholds; where others are to erase copies, the account signs, too: a thief with one of the keys destroys nothing.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Digest, Header, PublicKey, Signature, Timestamp};

@@ -1,5 +1,5 @@
-//! The notice of where a robot finds its gateway. The notice is signed by d_C, and its content by the owner's account: a
-//! thief who has only one of them cannot cut a robot off from its gateway.
+//! Where a robot finds its gateway. The notice is signed by d_C, and its content by the owner's account: a thief with
+//! only one of them cannot cut a robot off.
 
 use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Domain, SignerId};
@@ -41,8 +41,7 @@ impl GatewayAddresses {
         Ok(Self { gateway, addresses, account_signature: sign_hash(account, &hash)? })
     }
 
-    /// Whether the owner's account signed this list for this device. The signer of the notice was checked with the
-    /// record.
+    /// Whether the owner's account signed this list for this device. The record shows who signed the notice.
     ///
     /// # Errors
     /// [`CryptoError::NotAccepted`].
@@ -70,7 +69,6 @@ impl GatewayAddresses {
     }
 }
 
-/// Count (1), each address with its length (2).
 pub(super) fn encoded(addresses: &[String]) -> Vec<u8> {
     let addresses = &addresses[..addresses.len().min(MOST_ADDRESSES)];
     let mut out = vec![u8::try_from(addresses.len()).unwrap_or(0)];

@@ -1,5 +1,4 @@
-//! SM4-GCM (RFC 8998, GB/T 36624): counter mode and GHASH over any SM4 block; the kernels have their own version.
-//! Nonces are 96 bits, tags 128; keys and nonces are chosen elsewhere.
+//! SM4-GCM (RFC 8998, GB/T 36624) over any SM4 block, nonces of 96 bits, tags of 128; kernels have their own.
 
 use ghash::universal_hash::UniversalHash as _;
 use ghash::{Block, GHash};
@@ -8,14 +7,11 @@ use zeroize::Zeroizing;
 
 use super::{CryptoError, fault};
 
-/// The tag's length, bytes.
 pub const TAG: usize = 16;
 /// The longest text under one nonce: 2^32 - 2 blocks (NIST SP 800-38D, 5.2.1.1).
 pub(super) const LONGEST: u64 = ((1 << 32) - 2) * 16;
 
-/// One SM4 key, ready to encrypt.
 pub(super) trait BlockCipher {
-    /// Encrypts one block.
     fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError>;
 
     /// XORs `data` with the blocks `counter`, `counter` + 1, ... (32-bit counter at the end).
@@ -55,7 +51,6 @@ fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> 
     Ok(tag)
 }
 
-/// Encrypts `text` in place and returns the tag.
 pub(super) fn seal(
     cipher: &impl BlockCipher,
     nonce: &[u8; 12],

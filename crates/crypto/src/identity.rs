@@ -1,5 +1,4 @@
-//! The proof that an identity registered on the chain was made by the holder of its keys. The contract cannot verify
-//! SM2, so every client does, and treats an identity without a valid proof as unregistered.
+//! Identities on the chain with the proof of their keys: the contract cannot verify SM2, so every client does.
 
 use std::fmt;
 
@@ -58,7 +57,6 @@ fn signed_bytes(
     [&b"AuthROS/identity/1"[..], &domain.0, &address.0, &signing.0, &envelope.0, &token.0].concat()
 }
 
-// Signatures of an externally owned account over typed data (EIP-712), and the address that signed.
 
 /// Keccak-256 of the concatenation of `parts`.
 pub fn keccak256(parts: &[&[u8]]) -> [u8; 32] {
@@ -146,13 +144,12 @@ pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature
 /// The account whose key signed `hash`.
 ///
 /// # Errors
-/// [`CryptoError::BadAccountSignature`] if this is not a signature: r or s out of range, s in the upper half (anyone
-/// could flip it), or v neither 27 nor 28.
+/// [`CryptoError::BadAccountSignature`]: r or s out of range, s in the upper half (anyone could flip it), or v not 27
+/// or 28.
 pub fn recover_account(hash: &[u8; 32], signature: &AccountSignature) -> Result<Address, CryptoError> {
     recovered(hash, signature).ok_or(CryptoError::BadAccountSignature)
 }
 
-/// Checks that an account signed `hash`; `what` names what it stands under.
 pub(crate) fn check_account(
     hash: &[u8; 32],
     signature: &AccountSignature,
@@ -178,8 +175,7 @@ fn recovered(hash: &[u8; 32], signature: &AccountSignature) -> Option<Address> {
     point.as_bytes().get(1..)?.try_into().ok().map(Address::from_public_key)
 }
 
-// Diffie-Hellman on the SM2 curve with keys that live for one session only. The standard's own key exchange (GB/T
-// 32918.3) uses long-lived keys; here the transcript is signed instead.
+// Diffie-Hellman on the SM2 curve with keys of one session. GB/T 32918.3 uses long-lived ones; we sign the transcript.
 
 /// A private key for one session, wiped when it is used or dropped.
 pub struct Ephemeral {

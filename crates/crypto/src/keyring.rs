@@ -1,8 +1,7 @@
-//! The keys of one profile (EOA, the two SM2 pairs, K_C, IK, and the key of every epoch on every network), and their file: a
-//! public header, then the secrets under SM4-GCM with the header as AAD. What is registered on the chain is not known here.
+//! The keys of one profile, and their file: a public header, then the secrets under SM4-GCM with the header as AAD.
 //!
-//! Every write raises the generation in the header by one, and only over the very write that was read: of two copies in
-//! memory, the one that did not see the other's keys never replaces them.
+//! Every write raises the generation by one, and only over the very write that was read: a copy in memory that did not
+//! see another's keys never replaces them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -158,7 +157,6 @@ const VERSION: u8 = 1;
 const LABEL: &str = "AuthROS/keyring/1";
 /// The largest keyring accepted, bytes: about 400,000 epochs.
 const LARGEST: usize = 16 * 1024 * 1024;
-/// Length of the header, bytes.
 const HEADER: usize = 266;
 
 /// Identifies one write of a keyring file.
@@ -171,13 +169,11 @@ struct Stamp {
 }
 
 impl Stamp {
-    /// Of the write that replaces this one.
     fn next(self) -> Result<Self, CryptoError> {
         Ok(Self { generation: self.generation.saturating_add(1), save_salt: random_bytes()? })
     }
 }
 
-/// The header, in the order of writing.
 struct FileHeader {
     stamp: Stamp,
     work: Work,
@@ -234,7 +230,6 @@ fn seal(keyring: &Keyring, key: &FileKey, stamp: Stamp) -> Result<Vec<u8>, Crypt
     Ok([&header[..], &sealed].concat())
 }
 
-/// A file's bytes in parts: header, the same as AAD, sealed secrets.
 type Parts<'a> = (FileHeader, &'a [u8], &'a [u8]);
 
 fn split(bytes: &[u8]) -> Result<Parts<'_>, Refusal> {
@@ -256,7 +251,6 @@ fn stamp_of(bytes: &[u8], path: &Path) -> Result<Stamp, CryptoError> {
     split(bytes).map(|(header, _, _)| header.stamp).map_err(|refusal| refusal.of(path))
 }
 
-/// Why a file did not open.
 enum Refusal {
     Passphrase,
     Damaged,
@@ -295,8 +289,7 @@ fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
     Ok(bytes)
 }
 
-/// The profile that a keyring file states in its public header, read without the passphrase. An altered file may lie
-/// here, but then it no longer opens.
+/// A keyring's public header, read without the passphrase. An altered file may lie here, but does not open.
 ///
 /// # Errors
 /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::DamagedKeyring`] or [`CryptoError::Version`].

@@ -1,5 +1,4 @@
-//! The Ethereum V3 keystore: an EOA key under scrypt or PBKDF2 and AES-128-CTR with a Keccak MAC, as JSON. Written with
-//! scrypt n = 2^17; foreign files are read within bounds.
+//! The Ethereum V3 keystore: an EOA key under scrypt or PBKDF2 and AES-128-CTR with a Keccak MAC, as JSON.
 
 use aes::Aes128;
 use ctr_legacy::Ctr128BE;
@@ -68,12 +67,9 @@ struct Pbkdf2Params {
 /// The most iterations of PBKDF2 that a foreign file may ask for: some seconds.
 const MOST_ITERATIONS: u32 = 4_000_000;
 
-/// Why a keystore did not open.
 #[derive(Debug)]
 pub(super) enum Refusal {
-    /// The MAC does not match.
     Passphrase,
-    /// The file is not a valid keystore.
     Content(String),
 }
 
@@ -81,7 +77,6 @@ fn content(found: &str) -> Refusal {
     Refusal::Content(format!("{found}; export it again as a V3 keystore with scrypt"))
 }
 
-/// Opens a keystore.
 pub(super) fn open(bytes: &[u8], passphrase: &str) -> Result<EoaSecret, Refusal> {
     let store: Keystore = serde_json::from_slice(bytes).map_err(|_| content("its JSON is not a keystore"))?;
     let sealed = &store.crypto;
@@ -101,7 +96,6 @@ pub(super) fn open(bytes: &[u8], passphrase: &str) -> Result<EoaSecret, Refusal>
     Ok(secret)
 }
 
-/// The key under which the file is sealed, by the derivation that it names.
 fn derived(sealed: &Sealed, passphrase: &str) -> Result<Zeroizing<[u8; 32]>, Refusal> {
     let incomplete = |_| content("its kdfparams are incomplete");
     let salt = |text: &str| unhex(text).ok_or_else(|| content("its salt is not hex"));
@@ -167,7 +161,6 @@ fn unmasked(key: &[u8; 32], iv: &[u8; 16], masked: &[u8; 32]) -> Option<EoaSecre
     EoaSecret::from_slice(&*secret).ok()
 }
 
-/// Seals a key.
 pub(super) fn seal(secret: &EoaSecret, passphrase: &str) -> Result<String, CryptoError> {
     let (salt, iv) = (random_bytes::<32>()?, random_bytes::<16>()?);
     let key = stretch::<32>(passphrase, &salt, Work::WRITTEN)?;
@@ -200,8 +193,7 @@ fn uuid(mut bytes: [u8; 16]) -> String {
     [&text[..8], &text[8..12], &text[12..16], &text[16..20], &text[20..]].join("-")
 }
 
-// The notice that an owner's signing key has changed. The notice is signed by the old key, and its content by the
-// owner's account, so a thief who has only one of them cannot take a robot over.
+// The notice of a new P_C is signed by the old key, its content by the account: a thief needs both.
 
 /// The EIP-712 type that the account signs.
 const TYPE: &str = "OwnerKey(address owner,bytes oldKey,bytes newKey)";
@@ -288,12 +280,10 @@ pub(super) struct FileKey {
 }
 
 impl FileKey {
-    /// For a new file.
     pub fn new(passphrase: &Passphrase) -> Result<Self, CryptoError> {
         Self::with(passphrase, Work::WRITTEN, random_bytes()?)
     }
 
-    /// For a file whose header gives salt and work.
     pub fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self, CryptoError> {
         Ok(Self { work, salt, key: stretch(passphrase.expose(), &salt, work)? })
     }
@@ -306,13 +296,11 @@ pub(super) fn put_work(out: &mut Vec<u8>, work: Work) {
     out.extend_from_slice(&work.p.to_be_bytes());
 }
 
-/// Reads the work and refuses unreasonable values.
 pub(super) fn read_work(reader: &mut Reader<'_>) -> Result<Work, WireError> {
     let work = Work { log_n: reader.u8("work")?, r: reader.u32("work")?, p: reader.u32("work")? };
     if work.is_bearable() { Ok(work) } else { Err(WireError::Value("work")) }
 }
 
-/// Key, nonce and commitment of one save.
 pub(super) struct SaveKeys {
     pub key: Zeroizing<[u8; 16]>,
     pub nonce: [u8; 12],
@@ -347,23 +335,19 @@ pub(super) struct SealedHead {
 }
 
 impl SealedHead {
-    /// Length of its encoding, bytes.
     pub const LENGTH: usize = 106;
     const VERSION: u8 = 1;
 
-    /// For a new save under a file's key, with the keys of that save.
     pub fn new(key: &FileKey, label: &str) -> Result<(Self, SaveKeys), CryptoError> {
         let save_salt = random_bytes()?;
         let keys = SaveKeys::derive(key, &save_salt, label);
         Ok((Self { work: key.work, salt: key.salt, save_salt, commit: keys.commit }, keys))
     }
 
-    /// The keys of the save; `None` if the file has another key.
     pub fn keys(&self, key: &FileKey, label: &str) -> Option<SaveKeys> {
         SaveKeys::committed(key, &self.save_salt, label, &self.commit)
     }
 
-    /// Its encoding.
     pub fn encode(&self, magic: &[u8; 8]) -> Vec<u8> {
         let mut out = [&magic[..], &[Self::VERSION]].concat();
         put_work(&mut out, self.work);
@@ -373,10 +357,7 @@ impl SealedHead {
         out
     }
 
-    /// From its encoding; each head has exactly one.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed, or asks for an unreasonable amount of work; of `version`, if that is another.
+    /// Refuses an unreasonable amount of work; of `version`, if that is another.
     pub fn read(reader: &mut Reader<'_>, magic: &[u8; 8]) -> Result<Self, WireError> {
         if reader.array("magic")? != *magic {
             return Err(WireError::Value("magic"));
@@ -395,7 +376,6 @@ impl SealedHead {
 
 // A gateway's transport keys at rest, sealed under a key derived from its keeper's d_E, which no grant gives away.
 
-/// Bytes of the nonce in front of the ciphertext.
 const NONCE: usize = 12;
 
 /// Seals the transport key of a name: nonce (12) || SM4-GCM (32 + 16), with the name as AAD.

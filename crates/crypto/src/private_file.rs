@@ -39,8 +39,7 @@ pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, Cryp
     Ok(bytes)
 }
 
-/// Writes a file that only its owner may read: a temporary file beside it, fsync, rename, fsync of the directory. After
-/// a crash the file has either the old content or the new.
+/// Writes a file that only its owner may read, in one step: after a crash it has either the old content or the new.
 ///
 /// # Errors
 /// [`CryptoError::Write`].
@@ -56,9 +55,9 @@ pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
     replace(path, bytes, false)
 }
 
-/// Replaces a file by what `change` makes of its present bytes, `None` if there is no file; what it returns as `None`
-/// leaves the file as it is, and so does an error. The door for every file that more than one process or task reads,
-/// changes and writes: changes of files in one directory happen one after the other.
+/// Replaces a file by what `change` makes of its present bytes (`None`: no file); `None` or an error leaves it as it
+/// is. For every file that more than one process or task changes: changes of files in one directory happen one after
+/// the other.
 ///
 /// # Errors
 /// What `change` returns, or those of [`read_private`] and [`write_private`].
@@ -129,7 +128,6 @@ pub fn check_private_directory(directory: &Path) -> Result<(), CryptoError> {
     check_mode(directory, metadata.permissions().mode(), 0o700)
 }
 
-/// The directory that holds a file.
 pub(super) fn directory_of(path: &Path) -> PathBuf {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),

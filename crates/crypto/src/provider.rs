@@ -1,7 +1,6 @@
-//! The interface to the SM algorithms: three providers that agree on every byte. The setting `crypto.provider` selects one.
-//!
-//! libsm panics on malformed input, accepts private keys 0 and n and non-canonical points, and writes C1 || C2 || C3, so
-//! lengths, ranges and points are checked here first. It is not constant-time and wipes no secret.
+//! The interface to the SM algorithms: three providers that agree on every byte. libsm panics on malformed input,
+//! accepts private keys 0 and n and non-canonical points, and writes C1 || C2 || C3, so lengths, ranges and points are
+//! checked here first. It is not constant-time and wipes no secret.
 
 use std::sync::{LazyLock, Once};
 
@@ -23,8 +22,7 @@ use sm2::elliptic_curve::sec1::ToSec1Point as _;
 use sm2::pke::{Cipher, DecryptingKey, EncryptingKey, Mode};
 use zeroize::Zeroizing;
 
-/// SM2, SM3 and SM4-GCM as this program uses them. All providers accept and refuse the same inputs. SM3 and SM4-GCM
-/// come from our own kernels unless a provider brings its own.
+/// All providers accept and refuse the same inputs; SM3 and SM4-GCM are our own unless a provider brings its own.
 pub trait Provider: Send + Sync {
     /// `authros`, `rustcrypto` or `libsm`.
     fn name(&self) -> &'static str;
@@ -117,7 +115,6 @@ pub trait Provider: Send + Sync {
 /// The most bytes that SM2 encrypts at once.
 pub const LARGEST_SM2_PLAIN: usize = 1024 * 1024;
 
-/// Refuses what SM2 encryption cannot or should not take: nothing at all, or more than it is meant for.
 fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
     if (1..=LARGEST_SM2_PLAIN).contains(&plain.len()) {
         return Ok(());
@@ -176,8 +173,7 @@ pub fn provider(name: ProviderName) -> &'static dyn Provider {
     }
 }
 
-// The `RustCrypto` crate sm2 with our own kernels for SM3 and SM4-GCM. Nonces of signatures are hedged: derived
-// (RFC 6979) from key, message and fresh random bytes.
+// Nonces of the crate's signatures are hedged: derived (RFC 6979) from key, message and fresh random bytes.
 
 /// The signer's distinguishing identifier (GM/T 0009-2012, 10).
 pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
@@ -194,12 +190,10 @@ fn warm_up(started: &'static Once, name: &str, build: impl FnOnce() + Send + 'st
     });
 }
 
-/// The point of a public key, checked to be on the curve.
 pub(super) fn point(public: &PublicKey) -> Result<sm2::PublicKey, CryptoError> {
     sm2::PublicKey::from_sec1_bytes(&uncompressed(public)).map_err(|_| CryptoError::PublicPoint)
 }
 
-/// The signing key of a secret, with its public point and ZA.
 pub(super) fn signing_key(secret: &[u8; 32]) -> Result<SigningKey, CryptoError> {
     SigningKey::from_slice(DISTINGUISHED_ID, secret).map_err(|_| CryptoError::SecretRange("SM2"))
 }
@@ -263,8 +257,6 @@ fn halves(point: &[u8]) -> Option<([u8; 32], [u8; 32])> {
     Some((x.try_into().ok()?, y.try_into().ok()?))
 }
 
-// The default provider: SM2, SM3 and SM4-GCM by our own kernels. The crate's SM2 (`rustcrypto`) and libsm remain
-// available, as alternatives and for comparison.
 
 /// The default provider.
 #[derive(Debug, Clone, Copy)]
@@ -314,7 +306,6 @@ const MODULUS: [u8; 32] = [
     0xff, 0, 0, 0, 0, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff,
 ];
 
-/// One SM4 key.
 pub(super) struct Sm4Block(Sm4Cipher);
 
 impl Sm4Block {

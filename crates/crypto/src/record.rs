@@ -1,7 +1,5 @@
-//! Sealing and opening of records (docs/format.md, section 4). Opening checks in one fixed order and shows nothing
-//! before the last check: parse, digest, signature, commitment, tags, what was requested,
-//! names that belong to their pseudonyms. Where blobs come from and
-//! whether a signer may sign for an owner is decided elsewhere.
+//! Sealing and opening of records (docs/format.md, section 4). Opening shows nothing before the last check: parse,
+//! digest, signature, commitment, tags, what was requested, names that belong to their pseudonyms.
 
 use crate::compression::unpack;
 use crate::kdf::{Info, derived, expanded, hmac_sm3};
@@ -180,7 +178,6 @@ pub fn signed_bytes(domain: &Domain, digest: &Digest) -> Vec<u8> {
     [&b"AuthROS/signature/1"[..], &domain.0, &digest.0].concat()
 }
 
-/// The working keys of one record.
 struct RecordKeys {
     body_key: Zeroizing<[u8; 16]>,
     body_nonce: [u8; 12],
@@ -190,7 +187,6 @@ struct RecordKeys {
 }
 
 impl RecordKeys {
-    /// From the topic key, and the header's salt and names.
     fn derive(key: &TopicKey, header: &Header) -> Self {
         Self::of(&Zeroizing::new(derived::<88>(key.expose(), &header.salt.0, &record_info(header))))
     }
@@ -212,7 +208,6 @@ impl RecordKeys {
     }
 }
 
-/// What binds the keys of a record, besides its salt.
 fn record_info(header: &Header) -> Info {
     Info::new("AuthROS/record/1")
         .fixed(&header.domain.0)
@@ -226,8 +221,7 @@ fn part<const N: usize>(bytes: &[u8; 88], start: usize) -> [u8; N] {
     std::array::from_fn(|index| bytes[start + index])
 }
 
-// Whether a record may bear the names in its sealed head. The holder of a topic key writes both the names and the
-// pseudonyms of the header; a name counts only if the pseudonym is the one derived from it.
+// The holder of a topic key writes both names and pseudonyms: a name counts only if its pseudonym is derived from it.
 
 /// What a reader compares the names in a sealed head with.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -324,7 +318,6 @@ pub struct OpenedRecord {
     pub verdict: Verdict,
 }
 
-/// A blob split into its three parts.
 struct Parts<'a> {
     pub header: Header,
     prefix: &'a [u8],
@@ -363,8 +356,7 @@ pub fn check(
     Ok((parts.header, digest, verdict))
 }
 
-/// Checks a record whose stored bytes retention has deleted: its public header is the signer's, and the signature
-/// covers the digest that is left of it.
+/// Checks a record whose stored bytes were deleted: the signature covers its digest, the public header is the signer's.
 ///
 /// # Errors
 /// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
@@ -474,8 +466,7 @@ fn unseal(
     Ok((head, std::mem::take(&mut *body)))
 }
 
-/// Public header and sealed head of a record, from its first bytes. The seal of the head covers the header: both are as
-/// the holder of the topic key wrote them. Body, digest and signature are not checked.
+/// Header and head from a record's first bytes, as the holder of the topic key wrote them. The rest is not checked.
 ///
 /// # Errors
 /// [`CryptoError::DamagedRecord`], [`CryptoError::WrongKey`], [`CryptoError::Tampered`] or [`CryptoError::FalseName`].
@@ -521,8 +512,7 @@ fn compare(expected: &Expected, header: &Header) -> Result<(), CryptoError> {
     fields.into_iter().find(|(_, differs)| *differs).map_or(Ok(()), |(name, _)| Err(CryptoError::NotAsked(name)))
 }
 
-// Checks several records at once: the digests of short ones side by side in the lanes of SM3, the signatures on
-// several cores. The results are those of [`check`] for each record.
+// Like [`check`], with the digests of short records side by side in the lanes of SM3, and signatures on several cores.
 
 /// One record to check.
 #[derive(Debug, Clone, Copy)]
@@ -564,11 +554,8 @@ fn check_by(provider: &dyn Provider, records: &[Unchecked<'_>], helpers: usize) 
     })
 }
 
-// Disclosure of one record: the 32 bytes from which its keys, and no others, are derived.
-//
-// They are HKDF's extract of topic key and salt, so nothing leads from them to the topic key or to another record. The
-// record's commitment is expanded from the same bytes, so neither a wrong secret nor another message can be passed
-// off.
+// A record is disclosed by HKDF's extract of topic key and salt, from which neither the topic key nor another record's
+// keys follow. The commitment is expanded from it, so neither a wrong secret nor another message can be passed off.
 
 /// The secret from which the keys of one record are derived.
 #[derive(Clone, Zeroize, ZeroizeOnDrop)]
@@ -621,8 +608,7 @@ pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret
     open_revealed_within(provider, blob, secret, &mut budget)?.ok_or(CryptoError::Tampered("plain length"))
 }
 
-/// Like [`open_revealed`], for many untrusted records: the length of each message is subtracted from `budget`, in
-/// bytes, before the message is allocated; `None` if the budget is too small.
+/// For many untrusted records: takes each message's length from `budget` (bytes) first; `None` if that is too small.
 ///
 /// # Errors
 /// See [`open_revealed`].
@@ -646,7 +632,6 @@ pub fn reveal_bytes(domain: &Domain, digest: &Digest, secret: &RecordSecret) -> 
     Zeroizing::new([&b"AuthROS/reveal/1"[..], &domain.0, &digest.0, secret.expose()].concat())
 }
 
-// The steps of sealing and opening a record, for measuring them.
 
 /// The step just done. A step may be reported more than once for a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

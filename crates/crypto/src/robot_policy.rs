@@ -1,5 +1,5 @@
-//! The policy of a robot as its owner sends it. The notice is signed by d_C, and its content by the owner's account: a
-//! thief who has only one of them cannot tell a robot what not to capture.
+//! A robot's policy. The notice is signed by d_C, and its content by the owner's account: a thief with only one of them
+//! cannot tell a robot what not to capture.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Domain, SignerId};

@@ -40,7 +40,6 @@ impl StreamHeader {
     }
 }
 
-/// State that both ends keep.
 struct Line {
     header: Vec<u8>,
     keys: SaveKeys,
@@ -52,7 +51,6 @@ impl Line {
         provider(ProviderName::RustCrypto)
     }
 
-    /// Nonce and AAD of the next chunk.
     fn next(&mut self, last: bool, length: u32) -> ([u8; 12], Vec<u8>) {
         let mut nonce = self.keys.nonce;
         nonce[4..].iter_mut().zip(self.number.to_be_bytes()).for_each(|(byte, bits)| *byte ^= bits);

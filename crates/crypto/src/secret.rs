@@ -1,6 +1,5 @@
-//! Secret keys as types: range-checked on construction, wiped on drop, never printed; and the passphrase that opens a
-//! keyring, with the slow derivation of a key from it (scrypt, RFC 7914). `kdf` says how keys are derived from each other,
-//! `keyring` how they are stored on disk.
+//! Secret keys as types: range-checked on construction, wiped on drop, never printed; and the passphrase of a keyring,
+//! with the slow derivation of a key from it (scrypt, RFC 7914).
 
 use std::fmt;
 use std::hint::black_box;
@@ -76,8 +75,7 @@ secret_bytes! {
     TopicKey(32);
     /// IK: turns topic names and tags into pseudonyms; stable across epochs.
     IndexKey(32);
-    /// Turns the types and tags of one topic's records into pseudonyms; derived from IK, which cannot be derived from
-    /// it.
+    /// Turns the types and tags of one topic's records into pseudonyms; derived from IK, not the other way round.
     FilterKey(32);
     /// K_T: the key a client and its gateway mix into every session; it opens no record.
     TransportKey(32);
@@ -94,7 +92,6 @@ fn drawn<T>(of: impl Fn(&[u8]) -> Result<T, CryptoError>) -> Result<T, CryptoErr
     }
 }
 
-// The secp256k1 key of an Ethereum account.
 
 /// The private key of an externally owned account.
 #[derive(Clone, Zeroize, ZeroizeOnDrop)]
@@ -153,7 +150,6 @@ impl fmt::Debug for EoaSecret {
     }
 }
 
-// SM2 private keys and pairs, and the fingerprint of a public key that people compare.
 
 /// The order n of the SM2 group (GB/T 32918.5-2017, 4), big endian.
 pub(crate) const ORDER: [u8; 32] = [
@@ -187,9 +183,7 @@ fn is_secret(number: &[u8; 32]) -> bool {
     borrow == 1 && any != 0
 }
 
-/// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1).
-///
-/// The signing keys derived from it (public point, ZA), ours and the crate's, are computed once and wiped with it.
+/// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1). Keys derived from it are computed once, wiped with it.
 pub struct SmSecret {
     bytes: Zeroizing<[u8; 32]>,
     kernel: OnceLock<Box<kernels::SigningKey>>,
@@ -223,7 +217,6 @@ impl SmSecret {
         &self.bytes
     }
 
-    /// The signing key for our own kernels.
     pub(crate) fn kernel_key(&self) -> Result<&kernels::SigningKey, CryptoError> {
         if self.kernel.get().is_none() {
             // Another thread may have been first; its key is the same, and the second one wipes itself.
@@ -232,7 +225,6 @@ impl SmSecret {
         self.kernel.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
     }
 
-    /// The signing key for the crate.
     pub(crate) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
         if self.signing.get().is_none() {
             // Another thread may have been first; its key is the same.
@@ -350,8 +342,7 @@ impl Fingerprint {
     }
 }
 
-/// Reads the form that is shown, other separators of the groups (none, `:`, `-`) and capitals. A part of a fingerprint
-/// is refused: the rest could differ.
+/// Also takes capitals and other separators (none, `:`, `-`). A part is refused: the rest could differ.
 impl FromStr for Fingerprint {
     type Err = FingerprintError;
 
@@ -435,7 +426,6 @@ impl Work {
     }
 }
 
-/// Derives `N` bytes from a passphrase.
 pub(super) fn stretch<const N: usize>(
     passphrase: &str,
     salt: &[u8],

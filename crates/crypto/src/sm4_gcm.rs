@@ -17,7 +17,6 @@ const STRETCH: usize = 4096;
 /// The same in blocks.
 const STRETCH_BLOCKS: u32 = 256;
 
-/// One key and one nonce in use.
 struct Gcm<'a> {
     cipher: Sm4,
     nonce: &'a [u8; 12],
@@ -52,7 +51,6 @@ impl<'a> Gcm<'a> {
     }
 }
 
-/// Encrypts `text` in place and returns the tag.
 pub(super) fn seal(
     kernel: Available,
     key: &[u8; 16],

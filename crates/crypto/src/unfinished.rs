@@ -1,7 +1,5 @@
-//! What is written under a temporary name first: made here alone, so that what a killed process leaves is found again.
-//!
-//! Its maker holds a lock on it as long as it lives. Whoever sweeps a folder takes the lock before it removes anything, so
-//! it never removes what a living process writes.
+//! Temporary names are made here alone, so that what a killed process leaves is found again. Their maker holds a lock,
+//! which a sweep takes first: it never removes what a living process writes.
 
 use std::fs::{self, File, Permissions, TryLockError};
 use std::io;

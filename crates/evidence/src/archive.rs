@@ -1,6 +1,6 @@
-//! A ZIP archive in one form only: members stored uncompressed, `mimetype` first and the others by name, no dates, no
-//! extra fields, no gaps. What is read is written again and compared, so that two archives with the same members are
-//! the same bytes, and nothing hides between them.
+//! A ZIP archive in one form only: members stored uncompressed, `mimetype` first, the others by name, no dates, extra
+//! fields or gaps. Reading writes it again and compares: the same members are the same bytes, and nothing hides between
+//! them.
 
 use std::collections::BTreeMap;
 
@@ -134,7 +134,6 @@ fn put(out: &mut Vec<u8>, words: &[u16]) {
     words.iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
 }
 
-/// A length or offset within the bounds.
 fn number(length: usize) -> Result<u32, BundleError> {
     u32::try_from(length).ok().filter(|length| u64::from(*length) <= LARGEST).ok_or_else(|| {
         BundleError::whole(&format!("it is longer than {} MiB; choose fewer records", LARGEST / (1024 * 1024)))

@@ -1,6 +1,4 @@
-//! A bundle in its parts: records with their signatures and anchors, keys, identities, headers of blocks, nodes of the
-//! state. Every part is within its bounds and well-formed, or the bundle is refused with the part's name. The exporter
-//! packs such parts into a file; with level (e), the owner signs the disclosure, and its secret is the record's.
+//! A bundle in its parts: each is within its bounds and well-formed, or the bundle is refused with the part's name.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
@@ -24,7 +22,6 @@ use serde::{Deserialize, Serialize};
 
 /// The trust file that a bundle may suggest, and that is never trusted.
 pub const SUGGESTED: &str = "trust.toml";
-/// Nodes of the state.
 pub const NODES: &str = "chain/nodes.rlp";
 /// Instructions for somebody who finds the file without us.
 pub const READ_ME: &str = "VERIFY.txt";
@@ -32,11 +29,8 @@ pub const READ_ME: &str = "VERIFY.txt";
 pub const REPORT: &str = "report.html";
 /// The most records in a bundle.
 pub const MOST_RECORDS: usize = 10_000;
-/// The format name of an anchor's file.
 const ANCHOR_FORMAT: &str = "authros-anchor/1";
-/// The longest page for people, bytes.
 const LONGEST_REPORT: usize = 16 << 20;
-/// The longest of the small members, bytes.
 const LONGEST_SMALL: usize = 64 * 1024;
 
 /// Why a bundle cannot be checked.
@@ -66,7 +60,7 @@ impl BundleError {
 #[serde(deny_unknown_fields, rename_all = "snake_case", tag = "mode")]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Anchoring {
-    /// Its digest by itself, by its owner. The braces refuse further lines, which serde takes beside a bare word.
+    /// Its digest alone, by its owner. The braces refuse further lines, which serde takes beside a bare word.
     Each {},
     /// The root of its batch: the leaf's index from 0, the number of leaves, and the hashes from the leaf up.
     Batch { account: Address, root: Hash, index: u64, count: u64, path: Vec<Hash> },
@@ -166,7 +160,6 @@ pub struct Bundle {
     pub suggested: Option<String>,
 }
 
-/// Records and stamps, whose files are read one by one.
 #[derive(Default)]
 struct Drafts {
     records: BTreeMap<Digest, Draft>,
@@ -234,7 +227,6 @@ impl Bundle {
         }
     }
 
-    /// Adds one member, by its name.
     fn take(
         &mut self,
         name: &str,
@@ -314,7 +306,6 @@ impl Bundle {
     }
 }
 
-/// A record whose files are read one by one.
 #[derive(Default)]
 struct Draft {
     record: Option<Vec<u8>>,
@@ -365,7 +356,6 @@ fn text(name: &str, bytes: &[u8]) -> Result<String, BundleError> {
     std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| BundleError::of(name, "is not text"))
 }
 
-/// A plain file within the bounds of a bundle.
 fn file(path: &Path, name: &str) -> Result<Vec<u8>, BundleError> {
     let failed = |error: std::io::Error| BundleError::of(name, &format!("cannot be read: {error}"));
     // Checked before it is opened, since opening a pipe would wait for its writer.
@@ -597,8 +587,7 @@ pub(crate) fn vouched(
     )
 }
 
-/// Level (e), and the message if it was opened; at most `left` bytes are produced, and counted there. The signer was
-/// checked first: nothing is produced that nobody vouches for.
+/// Level (e), and the message if it was opened. Takes its bytes from `left`; the signer was checked first.
 pub(crate) fn opened(
     provider: &dyn Provider,
     record: &BundledRecord,
@@ -618,8 +607,7 @@ pub(crate) fn opened(
     }
 }
 
-/// The signer of a disclosure. An identity proves that its key made it, and not whose account it is: only the state or
-/// a pin ties the key to the owner.
+/// An identity proves that its key made the disclosure, not whose account it is: only the state or a pin shows that.
 fn signed(
     check: &Check<'_>,
     digest: Digest,

@@ -9,7 +9,6 @@ use rlp::{Rlp, RlpStream};
 use crate::manifest::{is_canonical, text};
 use crate::trie::{EMPTY_ROOT, Step, follow, nibbles};
 
-/// The most nodes in a bundle.
 pub const MOST_NODES: usize = 1_000_000;
 /// The longest node, bytes: one with all sixteen branches and a value has less than 700.
 pub const LONGEST_NODE: usize = 1024;
@@ -108,7 +107,7 @@ impl Nodes {
         Ok(Self(found))
     }
 
-    /// Goes down to a key, and tells of each node on the way.
+    /// `passed` gets each node on the way.
     fn walk(&self, root: Hash, key: &[u8], mut passed: impl FnMut(Hash, &[u8])) -> Result<Option<Vec<u8>>, Unproven> {
         if root == EMPTY_ROOT {
             return Ok(None);
@@ -136,7 +135,7 @@ impl Nodes {
 pub struct Word(pub [u8; 32]);
 
 impl Word {
-    /// The eight-byte number that begins this many bytes from the low end.
+    /// Eight bytes, `offset` bytes from the low end.
     fn number(self, offset: usize) -> u64 {
         let end = 32 - offset;
         let bytes = self.0.get(end - 8..end).and_then(|bytes| bytes.try_into().ok());

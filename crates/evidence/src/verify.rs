@@ -1,6 +1,5 @@
-//! The check of a bundle against its reader's pins, record by record and level by level: (b), whether the owner was
-//! entitled to sign with the key when the record was anchored; (d), whether a pinned authority stamped its batch. Results
-//! are computed once for many records, by all threads, so that a stranger's file costs no more than its length.
+//! The check of a bundle against its reader's pins, level by level. Results are computed once for many records, by all
+//! threads, so that a stranger's file costs no more than its length.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{PoisonError, RwLock};
@@ -19,13 +18,11 @@ use authros_crypto::record::{Revealed, signed_bytes};
 use authros_crypto::{Provider, domain, pool, signer_id};
 use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, SignerId, Timestamp, clean};
 
-/// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;
 
 /// How many records one thread hashes side by side.
 const SIDE_BY_SIDE: usize = 32;
 
-/// What a whole check uses.
 pub(crate) struct Check<'a> {
     pub bundle: &'a Bundle,
     pub trust: Option<&'a Trust>,
@@ -33,9 +30,7 @@ pub(crate) struct Check<'a> {
     /// The domain of the records: from the pins, or else the bundle's own word.
     pub domain: Domain,
     pub contract: Address,
-    /// Time stamps, by the pinned authorities.
     pub stamps: Stamps<'a>,
-    /// Results found on the way.
     pub known: Known<'a>,
 }
 
@@ -67,8 +62,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
 }
 
 impl<'a> Check<'a> {
-    /// Each record, in order. Everything but the messages is checked on all cores; messages are opened one after the
-    /// other, so that the same ones are opened each time, however many there are, and no more than one is in work.
+    /// Opens messages one after the other: the same ones each time, and only one is in memory while it is opened.
     fn records(&self) -> (Vec<RecordReport>, Messages) {
         let all: Vec<(&'a Digest, &'a BundledRecord)> = self.bundle.records.iter().collect();
         let bytes = all.iter().map(|(_, record)| record.record.len()).fold(0, usize::saturating_add);
@@ -89,7 +83,6 @@ impl<'a> Check<'a> {
         (reports, messages)
     }
 
-    /// Opens a record whose disclosure somebody vouches for; (e) is then judged by the seals, too.
     fn open(
         &self,
         (digest, record): (Digest, &BundledRecord),
@@ -288,7 +281,6 @@ impl<'a> Check<'a> {
     }
 }
 
-/// Whether the state that shows an anchor was sealed by pinned signers.
 fn is_believed(anchor: &Level) -> bool {
     matches!(anchor.standing, Standing::Proven | Standing::OwnChain)
 }
@@ -329,18 +321,14 @@ impl<Asked: Ord, Found: Clone> Memo<Asked, Found> {
     }
 }
 
-/// The results of one check so far. Blocks are those after which the state is asked.
+/// Blocks are those whose state is read.
 #[derive(Default)]
 pub(crate) struct Known<'a> {
-    /// The contract's storage after a block of the bundle.
     pub storages: Memo<u64, Result<Storage<'a>, Unproven>>,
-    /// The seals on a block of the bundle, by the pinned signers.
     pub seals: Memo<u64, Seals>,
     identities: Memo<(Hash, Address), bool>,
-    /// When an account first anchored a root, by the storage after a block.
     pub anchors: Memo<(u64, Address, Hash), Result<Option<AnchorWord>, Unproven>>,
     keys: Memo<(u64, Address, u64), Result<Option<KeysWord>, Unproven>>,
-    /// Whether an account is suspended, by the storage after a block.
     suspensions: Memo<(u64, Address), Result<bool, Unproven>>,
     /// Level (b) of the records that an owner's key signed and that were anchored alike.
     rights: Memo<(Address, SignerId, Place), Signed>,
@@ -349,17 +337,14 @@ pub(crate) struct Known<'a> {
     paths: RwLock<HashMap<(Hash, Climber), &'a [Hash]>>,
 }
 
-/// What there is to know of an anchor.
 type Place = (u64, u64, Option<u64>, Address, Option<u64>, u64);
 
 impl<'a> Known<'a> {
-    /// Whether an identity of the bundle proves itself for this account.
     pub fn is_of(&self, check: &Check<'_>, (hash, identity): (Hash, &Identity), account: Address) -> bool {
         let prove = || authros_crypto::check_identity(check.provider, &check.domain, &account, identity).is_ok();
         self.identities.get((hash, account), prove)
     }
 
-    /// A version of an account's keys, by the storage after a block.
     fn keys(
         &self,
         (shown_at, storage): (u64, &Storage<'_>),
@@ -369,8 +354,7 @@ impl<'a> Known<'a> {
         self.keys.get((shown_at, account, version), || storage.keys(account, version))
     }
 
-    /// Whether a claim's path leads from this leaf to the root it names; a claim without a path has nothing to show. Paths
-    /// of one batch meet: from there on, one that is the same as a path that led to the root is not hashed again.
+    /// A claim without a path has nothing to show. Paths of one batch meet: a rest already known is not hashed.
     pub fn leads(&self, leaf: &Leaf, claim: &'a AnchorClaim) -> bool {
         let Anchoring::Batch { root, index, count, path, .. } = &claim.anchor else { return true };
         let Some(mut climber) = Climber::at(leaf.hash(), *index, *count).filter(|_| path.len() <= LONGEST_PATH) else {
@@ -399,27 +383,22 @@ impl<'a> Known<'a> {
     }
 }
 
-/// The combined result of the tokens over the same roots.
 #[derive(Default)]
 struct Finding {
     /// The earliest by a pinned authority: before when, and who.
     proven: Option<(Timestamp, String)>,
     /// The earliest by the authority's own word.
     claimed: Option<(Timestamp, String)>,
-    /// What contradicts one of them.
     refused: Option<TimeError>,
 }
 
-/// The stamps of a bundle, checked once for all records.
 #[derive(Default)]
 pub(crate) struct Stamps<'a> {
-    /// By the roots that they cover.
     roots: BTreeMap<Hash, Vec<(usize, &'a BundledStamp, &'a StampedRoot)>>,
     findings: Vec<Finding>,
 }
 
 impl<'a> Stamps<'a> {
-    /// Those of a bundle, by the pinned authorities.
     pub fn new(bundle: &'a Bundle, trust: Option<&Trust>) -> Self {
         let pinned = trust.map(|trust| trust.authorities.as_slice()).unwrap_or_default();
         let read = |authority: &PinnedAuthority| Certificate::from_pem(&authority.certificate).ok();
@@ -435,7 +414,6 @@ impl<'a> Stamps<'a> {
         stamps
     }
 
-    /// Level (d) of a record, and before when it existed, if that is proven.
     pub fn level(&self, digest: Digest, header: &Header, record: &BundledRecord) -> (Level, Option<Timestamp>) {
         let absent = |text: &str| (Level::new(Standing::Absent, text), None);
         let Some(inclusion) = record.anchor.as_ref().and_then(|claim| claim.inclusion()) else {
@@ -507,7 +485,6 @@ fn finding(imprint: &[u8; 32], stamp: &BundledStamp, names: &[String], pinned: &
     finding
 }
 
-/// What the state shows about the signer of a record.
 #[derive(Clone)]
 pub(crate) struct Signed {
     /// Level (b), as far as the state itself is trusted.
@@ -516,7 +493,6 @@ pub(crate) struct Signed {
     pub owner_key: Option<PublicKey>,
 }
 
-/// Level (b) of a record whose anchor is shown by the state.
 fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
     let Anchored { shown_at, block, time, account, keys, claimed_keys, .. } = *anchored;
     let place = (shown_at, block, time, account, keys, claimed_keys);
@@ -565,9 +541,8 @@ fn judged(
             Err(level) => return Ok(level),
         },
     };
-    // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state
-    // after the block, so the block's own state is used if present: the owner may have been suspended later in that
-    // block. A later state in which the owner is suspended does not show that this came after the block.
+    // The contract lets no suspended account anchor, but the state is that after the block, in which the owner may have
+    // been suspended later. A later state with a suspension does not show that it came after the block.
     let suspended = check.known.suspensions.get((at, owner), || anchored.storage.is_suspended(owner))?;
     Ok(match (suspended, at == block) {
         (true, true) => refused(format!("{owner} was suspended at block {block}")),
@@ -588,13 +563,11 @@ fn judged(
 }
 
 enum Own {
-    /// This one.
     Registered(PublicKey),
     /// The state does not show which key it was.
     Unknown(String),
 }
 
-/// The key that the owner had registered at the anchoring block.
 fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Own, Unproven> {
     let (owner, block, state) = (header.owner, anchored.block, (anchored.shown_at, &anchored.storage));
     let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
@@ -621,7 +594,6 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
     Ok(Own::Registered(identity.signing))
 }
 
-/// Whether the signer is a device that its owner had lent at the anchoring block.
 fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), Level>, Unproven> {
     let (owner, block) = (header.owner, anchored.block);
     let unproven = |text: String| Ok(Err(Level::new(Standing::Unproven, text)));

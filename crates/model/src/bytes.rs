@@ -9,9 +9,7 @@ use crate::text::as_text;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected} hex characters, found {found}; write all bytes in hex, with or without 0x")]
 pub struct HexError {
-    /// Hex characters expected.
     pub expected: usize,
-    /// Characters found (or the offset of the first that is not hex).
     pub found: usize,
 }
 
@@ -55,15 +53,12 @@ macro_rules! fixed_bytes {
         pub struct $name(pub [u8; $size]);
 
         impl $name {
-            /// Length in bytes.
             pub const LENGTH: usize = $size;
 
-            /// From a slice of exactly [`Self::LENGTH`] bytes.
             pub fn from_slice(bytes: &[u8]) -> Option<Self> {
                 bytes.try_into().ok().map(Self)
             }
 
-            /// The bytes.
             pub fn as_bytes(&self) -> &[u8] {
                 &self.0
             }
@@ -109,8 +104,7 @@ fixed_bytes! {
     Token(32) "";
     /// Binds every signed, derived or hashed structure to one chain and contract.
     Domain(32) "";
-    /// A 32-byte hash that is not a record digest: of a transaction, block, code or genesis. Written with a leading 0x,
-    /// as Ethereum tools do.
+    /// A 32-byte hash other than a record digest (transaction, block, code, genesis); written with 0x as in Ethereum.
     Hash(32) "0x";
     /// Pseudonym of a topic, computable only by readers.
     TopicId(16) "";

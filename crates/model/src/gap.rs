@@ -3,7 +3,6 @@
 use crate::wire::{Reader, Wire, WireError};
 use crate::{Digest, Timestamp, TopicId};
 
-/// First bytes of the body.
 const GAP_LABEL: [u8; 13] = *b"AuthROS/gap/1";
 
 /// Why messages did not become records.
@@ -11,33 +10,25 @@ const GAP_LABEL: [u8; 13] = *b"AuthROS/gap/1";
 pub enum LossReason {
     /// They never arrived here: numbers are missing in `header.seq`.
     Transport,
-    /// The memory for waiting messages was full.
     Memory,
     /// The disk was full, then the memory for waiting messages too.
     Disk,
-    /// There was no key to seal them with.
     Key,
-    /// The program had to end before they could be stored.
     End,
-    /// Sealing them failed through a fault of the program.
     Fault,
 }
 
 impl LossReason {
-    /// All reasons, in the order of their codes.
     pub const ALL: [Self; 6] = [Self::Transport, Self::Memory, Self::Disk, Self::Key, Self::End, Self::Fault];
 
-    /// The byte in a gap record.
     pub fn code(self) -> u8 {
         self as u8 + 1
     }
 
-    /// From the byte in a gap record.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|reason| reason.code() == code)
     }
 
-    /// Its name in the ledger and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::Transport => "transport",
@@ -49,7 +40,6 @@ impl LossReason {
         }
     }
 
-    /// From its name in the ledger.
     pub fn from_word(word: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|reason| reason.word() == word)
     }
@@ -71,21 +61,15 @@ impl LossReason {
 /// first header.seq (4) || last header.seq (4) || first time (8) || last time (8)`, big endian.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GapReport {
-    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
-    /// Its name.
     pub topic: String,
-    /// The sending node; empty if there were too many to tell apart.
+    /// Empty if there were too many to list.
     pub publisher: String,
     pub reason: LossReason,
-    /// The number of messages.
     pub count: u64,
-    /// `header.seq` of the first and the last of them, if their type has a header. Others in between may have become
-    /// records.
+    /// `header.seq` of the first and the last, if the type has a header; some in between may have become records.
     pub numbers: Option<(u32, u32)>,
-    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last loss was noticed.
     pub last_at: Timestamp,
 }
 
@@ -117,46 +101,32 @@ impl Wire for Option<(u32, u32)> {
 }
 
 impl GapReport {
-    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         self.behind(&GAP_LABEL)
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         Self::whole_behind(&GAP_LABEL, "label", bytes)
     }
 }
 
-// The body of a quarantine record: which messages of one topic and minute were quarantined, so that none can be
-// removed selectively.
+// Quarantine record: the quarantined messages of one topic and minute, so that none can be removed selectively.
 
-/// First bytes of the body.
 const QUARANTINE_LABEL: [u8; 20] = *b"AuthROS/quarantine/1";
 
 /// `label (20) || topic id (16) || topic (2 + n) || minute (8) || first seq (8) || last seq (8) || count (8) ||
 /// rolling (32)`, big endian.
-///
 /// The rolling hash begins with SM3(`AuthROS/quarantined/1` || domain || owner || recorder || topic id || minute) and
 /// continues with SM3(rolling || D) for each quarantined record's digest D in the order of acknowledgement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct QuarantineReport {
-    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
-    /// Its name.
     pub topic: String,
     /// Minutes since 1970 UTC, by the capture times.
     pub minute: u64,
-    /// The lowest sequence number quarantined.
     pub first_seq: u64,
-    /// The highest one.
     pub last_seq: u64,
-    /// The number of records quarantined.
     pub count: u64,
-    /// The rolling hash over their digests.
     pub rolling: Digest,
 }
 
@@ -171,15 +141,10 @@ crate::layout!(QuarantineReport {
 });
 
 impl QuarantineReport {
-    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         self.behind(&QUARANTINE_LABEL)
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         Self::whole_behind(&QUARANTINE_LABEL, "label", bytes)
     }

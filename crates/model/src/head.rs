@@ -23,7 +23,6 @@ pub enum Compression {
 }
 
 impl Compression {
-    /// Its code in the head.
     fn code(self) -> u8 {
         self as u8
     }
@@ -79,10 +78,7 @@ impl Head {
         self.tags.get(SIMULATED.0).is_some_and(|value| value == SIMULATED.1)
     }
 
-    /// Encodes the bytes to be sealed.
-    ///
-    /// Texts have a two-byte length; definition (32), boot id (16), compression (1),
-    /// plain length (8), tag count (2) and pairs, in the order of the tags' bytes.
+    /// Texts have a two-byte length; tags have a two-byte count and are in the order of their bytes.
     pub fn encode(&self) -> Vec<u8> {
         self.encoded()
     }

@@ -1,5 +1,4 @@
-//! How long, and how much of, each topic's ciphertext is kept; and the body of the record that is anchored before any
-//! of it is deleted.
+//! How long, and how much of, each topic's ciphertext is kept; the record that is anchored before any is deleted.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,16 +11,14 @@ use crate::topic_rule::{TopicRules, fits};
 use crate::wire::{Reader, Wire as _, WireError, put_text};
 use crate::{ByteSize, Digest, Timestamp, TopicId, TopicPattern, clean, time_span};
 
-/// First bytes of the body.
 const LABEL: [u8; 19] = *b"AuthROS/retention/1";
 const MOST_RULES: usize = 100;
 
-/// What is kept of topics that match a pattern.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RetentionRule {
     /// `*` matches any characters but `/`, `**` any characters.
     pattern: String,
-    /// For this long after capture.
+    /// Since capture.
     pub age: Option<Duration>,
     /// The newest messages of each topic, up to this many bytes.
     pub bytes: Option<u64>,
@@ -31,7 +28,6 @@ pub struct RetentionRule {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RetentionRules(Vec<RetentionRule>);
 
-/// Why a text is not a list of rules.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is not a retention rule; use PATTERN=LIMIT, such as /robot*/camera/**=7d+10GiB, where LIMIT is a time (30m, \
@@ -97,8 +93,7 @@ impl RetentionRules {
     }
 }
 
-/// What is kept of each topic: by time as its own rule says, otherwise as the setting says; a budget of bytes always
-/// comes from the setting.
+/// Time limits come from the topic's own rule, else from the setting; the byte budget always from the setting.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Keeping {
     topics: TopicRules,
@@ -106,7 +101,6 @@ pub struct Keeping {
 }
 
 impl Keeping {
-    /// From the rules of topics and the setting.
     pub fn new(topics: TopicRules, setting: RetentionRules) -> Self {
         Self { topics, setting }
     }
@@ -123,7 +117,6 @@ impl Keeping {
         )
     }
 
-    /// Whether nothing is ever deleted.
     pub fn is_empty(&self) -> bool {
         self.setting.is_empty() && self.topics.0.iter().all(|rule| rule.retention.is_none())
     }
@@ -131,26 +124,18 @@ impl Keeping {
 
 /// `label (19) || topic id (16) || topic (2 + n) || rule (2 + n) || first seq (8) || last seq (8) || count (8) ||
 /// bytes (8) || rolling (32)`, big endian.
-///
 /// The rolling hash begins with SM3(`AuthROS/retained/1` || domain || owner || topic id) and continues with SM3(rolling
 /// || D) for each record's digest D in the order of capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RetentionReport {
-    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
-    /// Its name.
     pub topic: String,
-    /// The rule that requires it.
     pub rule: String,
-    /// The lowest sequence number deleted.
     pub first_seq: u64,
-    /// The highest one.
     pub last_seq: u64,
-    /// The number of records whose ciphertext is deleted.
     pub count: u64,
     /// The bytes of their messages.
     pub bytes: u64,
-    /// The rolling hash over their digests.
     pub rolling: Digest,
 }
 
@@ -166,22 +151,16 @@ crate::layout!(RetentionReport {
 });
 
 impl RetentionReport {
-    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         self.behind(&LABEL)
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         Self::whole_behind(&LABEL, "label", bytes)
     }
 }
 
-// The ring that a robot keeps on its disk: how much of it, of which topics, and the
-// spans that its owner asks for.
+// The ring that a robot keeps on its disk.
 
 /// How much a ring keeps; whatever is reached first counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -193,11 +172,9 @@ pub struct RingLimits {
 }
 
 impl RingLimits {
-    /// The smallest ring, bytes.
     pub const LEAST: u64 = 1 << 20;
 }
 
-/// Why a text is not the limits of a ring.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' does not limit a ring; write a time from 1s on and a size from 1MiB on, as \"5m, 500MiB\"")]
 pub struct RingLimitsError(String);
@@ -223,20 +200,16 @@ impl fmt::Display for RingLimits {
     }
 }
 
-/// Patterns of topics, in the order written.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TopicPatterns(pub Vec<TopicPattern>);
 
-/// Why a text is not a list of patterns.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}; write patterns as [\"/camera/**\", \"/odom\"], or with commas between, at most {most}", most = TopicPatterns::MOST)]
 pub struct TopicPatternsError(String);
 
 impl TopicPatterns {
-    /// The most patterns of a list.
     pub const MOST: usize = 256;
 
-    /// Whether a topic matches one of them.
     pub fn matches(&self, topic: &str) -> bool {
         self.0.iter().any(|pattern| pattern.matches(topic))
     }
@@ -245,7 +218,7 @@ impl TopicPatterns {
 impl FromStr for TopicPatterns {
     type Err = TopicPatternsError;
 
-    /// A list as TOML has it, or with commas between; no pattern has a quote or a comma in it.
+    /// As in TOML, or with commas between; no pattern contains a quote or a comma.
     fn from_str(text: &str) -> Result<Self, TopicPatternsError> {
         let inner = text.trim();
         let inner = inner.strip_prefix('[').and_then(|inner| inner.strip_suffix(']')).unwrap_or(inner);
@@ -271,21 +244,19 @@ impl fmt::Display for TopicPatterns {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RingSpan {
-    /// What was captured at this time or later,
+    /// Inclusive, by capture time.
     pub since: Timestamp,
-    /// and before this time.
+    /// Exclusive.
     pub until: Timestamp,
-    /// Of topics that match one of these; none = of all.
+    /// Empty = all topics.
     pub topics: TopicPatterns,
 }
 
 impl RingSpan {
-    /// Whether a message of this topic, captured then, is asked for.
     pub fn has(&self, topic: &str, captured_at: Timestamp) -> bool {
         (self.since..self.until).contains(&captured_at) && self.has_topic(topic)
     }
 
-    /// Whether messages of this topic are asked for.
     pub fn has_topic(&self, topic: &str) -> bool {
         self.topics.0.is_empty() || self.topics.matches(topic)
     }
@@ -299,10 +270,6 @@ impl RingSpan {
         out
     }
 
-    /// From its encoding.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed, or the span is empty.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let (since, until) = (Timestamp(reader.u64("since")?), Timestamp(reader.u64("until")?));
@@ -320,9 +287,8 @@ impl RingSpan {
     }
 }
 
-// Names of incidents: spans of time and topics that an operator keeps together.
+// Incidents: spans of time and topics that an operator keeps together.
 
-/// Why a text is not a valid name of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a valid name; use 1 to 64 letters, digits, '.', '-' and '_', starting with a letter or a digit")]
 pub struct IncidentNameError(String);
@@ -334,7 +300,6 @@ names!(IncidentName);
 as_text!(IncidentName);
 
 impl IncidentName {
-    /// The longest, bytes.
     pub const LONGEST: usize = 64;
 }
 

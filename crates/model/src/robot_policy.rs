@@ -8,22 +8,21 @@ const MOST: usize = 64;
 /// The longest text, bytes.
 const LONGEST: usize = 1024;
 
-/// A robot's word about its policy, sealed as a statement of its recorder: `label (16) || heard (8) || running (8) || 0, or 1 ||
-/// reason || count (1, at most 64) || differences`, a text being `length (2, at most 1,024) || UTF-8`.
+/// `label (16) || heard (8) || running (8) || 0, or 1 || reason || count (1, at most 64) || differences`; each text has
+/// its length (2, at most 1,024) before it. Sealed as a statement of the robot's recorder.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct PolicyReport {
-    /// The newest version that it was told.
+    /// The newest version received.
     pub heard: u64,
-    /// The version that it works by; 0 = its own settings alone.
+    /// The version in force; 0 = its own settings alone.
     pub running: u64,
-    /// Why it did not take up what it was told last.
+    /// Why the newest version was not applied.
     pub refused: Option<String>,
-    /// Where its own settings say something else, and the policy counts.
+    /// Where the policy overrules its own settings.
     pub overruled: Vec<String>,
 }
 
 impl PolicyReport {
-    /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/PolicyReport";
 
     /// Encodes the bytes to be sealed; what is too long or too much is cut.
@@ -42,10 +41,6 @@ impl PolicyReport {
         out
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.take(LABEL.len(), "label")? != LABEL {

@@ -1,10 +1,8 @@
 //! What names have in common, and what is written in JSON as text.
 
-/// Names are a checked text and nothing else.
 macro_rules! names {
     ($($name:ident),*) => {$(
         impl $name {
-            /// The name.
             pub fn as_str(&self) -> &str {
                 &self.0
             }
@@ -18,7 +16,6 @@ macro_rules! names {
     )*};
 }
 
-/// In JSON these are the text that people see and type.
 macro_rules! as_text {
     ($($name:ident),*) => {$(
         impl ::serde::Serialize for $name {

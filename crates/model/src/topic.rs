@@ -7,16 +7,13 @@ use crate::text::{as_text, names};
 /// The longest topic or type name accepted, in bytes.
 pub const LONGEST_NAME: usize = 255;
 
-/// Why a text is not a ROS name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
-    /// Not a topic name.
     #[error(
         "'{0}' is not a topic name; it must start with /, and each part is letters, digits and _, starting with a \
          letter, as in /robot1/odom"
     )]
     Topic(String),
-    /// Not a type name.
     #[error("'{0}' is not a message type; use package/Type, as in nav_msgs/Odometry")]
     Type(String),
 }

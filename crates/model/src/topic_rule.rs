@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use super::topic::{LONGEST_NAME, TypeName};
 use crate::text::{as_text, names};
 
-/// Why a text is not a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is not a topic pattern; it must start with /; * matches within one part, ** any number of parts, ? one \
@@ -29,7 +28,6 @@ impl TopicPattern {
         !self.0.contains(['*', '?'])
     }
 
-    /// Whether the topic's name matches this pattern.
     pub fn matches(&self, topic: &str) -> bool {
         fits(self.0.as_bytes(), topic.as_bytes())
     }
@@ -54,14 +52,13 @@ pub(super) fn fits(pattern: &[u8], text: &[u8]) -> bool {
     reached.last().copied().unwrap_or(false)
 }
 
-/// Advances by one letter.
 fn step(reached: &[bool], text: &[u8], letter: u8) -> Vec<bool> {
     let is_it = |byte: u8| byte == letter || letter == b'?' && byte != b'/';
     let moved = reached.iter().zip(text).map(|(&here, &byte)| here && is_it(byte));
     std::iter::once(false).chain(moved).collect()
 }
 
-/// Advances by any number of letters, across `/` or not.
+/// `over_parts`: across `/`.
 fn spread(reached: &[bool], text: &[u8], over_parts: bool) -> Vec<bool> {
     let mut going = false;
     let mut spread = Vec::with_capacity(reached.len());
@@ -86,7 +83,6 @@ impl FromStr for TopicPattern {
     }
 }
 
-/// The rule for topics that match a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicRule {
     pub pattern: TopicPattern,
@@ -104,7 +100,6 @@ pub struct TopicRule {
     pub retention: Option<u64>,
 }
 
-/// The tag by which a rule states how long a record is kept.
 pub const RETENTION_TAG: &str = "retention";
 
 impl TopicRule {

@@ -1,15 +1,11 @@
 //! Encoding and parsing of fixed-order binary structures, big endian, with bounded lengths.
 
-/// Why bytes do not have the expected structure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
-    /// Fewer bytes than the structure needs.
     #[error("the data ends before the {0}")]
     Short(&'static str),
-    /// Bytes are left over.
     #[error("{0} bytes are left over after the end")]
     Long(usize),
-    /// A field holds a value that is not allowed.
     #[error("the {0} has an invalid value")]
     Value(&'static str),
 }
@@ -21,86 +17,67 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Over all of `bytes`.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { rest: bytes }
     }
 
-    /// The unread rest.
     pub fn rest(&self) -> &'a [u8] {
         self.rest
     }
 
-    /// The next `count` bytes.
     pub fn take(&mut self, count: usize, field: &'static str) -> Result<&'a [u8], WireError> {
         let (head, rest) = self.rest.split_at_checked(count).ok_or(WireError::Short(field))?;
         self.rest = rest;
         Ok(head)
     }
 
-    /// The next `N` bytes as an array.
     pub fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], WireError> {
         let (head, rest) = self.rest.split_first_chunk().ok_or(WireError::Short(field))?;
         self.rest = rest;
         Ok(*head)
     }
 
-    /// One byte.
     pub fn u8(&mut self, field: &'static str) -> Result<u8, WireError> {
         self.array(field).map(u8::from_be_bytes)
     }
 
-    /// Two bytes, big endian.
     pub fn u16(&mut self, field: &'static str) -> Result<u16, WireError> {
         self.array(field).map(u16::from_be_bytes)
     }
 
-    /// Four bytes, big endian.
     pub fn u32(&mut self, field: &'static str) -> Result<u32, WireError> {
         self.array(field).map(u32::from_be_bytes)
     }
 
-    /// Eight bytes, big endian.
     pub fn u64(&mut self, field: &'static str) -> Result<u64, WireError> {
         self.array(field).map(u64::from_be_bytes)
     }
 
-    /// A text with a two-byte length before it.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is truncated or not UTF-8.
+    /// With a two-byte length before it.
     pub fn text(&mut self, field: &'static str) -> Result<String, WireError> {
         let length = usize::from(self.u16(field)?);
         let bytes = self.take(length, field)?;
         std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| WireError::Value(field))
     }
 
-    /// Ends parsing: nothing may be left.
+    /// Nothing may be left.
     pub fn end(&self) -> Result<(), WireError> {
         if self.rest.is_empty() { Ok(()) } else { Err(WireError::Long(self.rest.len())) }
     }
 }
 
-/// What is written in one way, and read again.
+/// A value with exactly one encoding.
 pub trait Wire: Sized {
-    /// Appends its encoding.
     fn put(&self, out: &mut Vec<u8>);
 
-    /// Takes it from the front; `field` is what errors call it.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not there, or not allowed.
+    /// Takes it from the front; errors call it `field`.
     fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError>;
 
-    /// Its encoding.
     fn encoded(&self) -> Vec<u8> {
         self.behind(&[])
     }
 
-    /// From a whole encoding.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
+    /// Nothing may be left over.
     fn whole(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let value = Self::read(&mut reader, "structure")?;
@@ -108,7 +85,7 @@ pub trait Wire: Sized {
         Ok(value)
     }
 
-    /// Its encoding with a label before it.
+    /// Its encoding behind a label.
     fn behind(&self, label: &[u8]) -> Vec<u8> {
         let mut out = Vec::with_capacity(256);
         out.extend_from_slice(label);
@@ -116,10 +93,7 @@ pub trait Wire: Sized {
         out
     }
 
-    /// From a whole encoding with a label before it, which errors call `field`.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
+    /// Errors call the label `field`.
     fn whole_behind(label: &[u8], field: &'static str, bytes: &[u8]) -> Result<Self, WireError> {
         Self::whole(bytes.strip_prefix(label).ok_or(WireError::Value(field))?)
     }
@@ -249,10 +223,7 @@ pub fn put_list<Count: Wire + TryFrom<usize> + Default>(out: &mut Vec<u8>, list:
     list.iter().for_each(|one| one.put(out));
 }
 
-/// As many as their count says, which must be one of `allowed`. `fields`: what errors call the count, and one of them.
-///
-/// # Errors
-/// [`WireError`] before anything is kept if there may not be as many; else that of one of them.
+/// As many as their count says, which must be in `allowed`. Errors call the count `fields.0`, an item `fields.1`.
 pub fn read_list<Count: Wire + Into<usize>, One: Wire>(
     reader: &mut Reader<'_>,
     allowed: std::ops::RangeInclusive<usize>,

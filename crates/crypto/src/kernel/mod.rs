@@ -1,6 +1,5 @@
-//! SM4 in counter mode, GHASH and SM3 with the vector instructions of this processor, and SM2's arithmetic. The choice
-//! is made once, at run time; all variants, including the portable one, take the same time for all secrets. The files
-//! below hold the program's only `unsafe`, and each says why it is sound: functions that need processor features are
+//! SM4 in counter mode, GHASH and SM3 by this processor's vector instructions, and SM2's arithmetic. All variants take
+//! the same time for all secrets. The only `unsafe` is here and below: functions that need processor features are
 //! called only with an [`Available`], or (SM2) through `way`, which detected them.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
@@ -134,7 +133,6 @@ impl FromStr for Kernel {
     }
 }
 
-/// The kernel that this process uses.
 static DECIDED: OnceLock<Available> = OnceLock::new();
 
 /// A kernel that this processor can run.
@@ -172,14 +170,12 @@ fn words(nonce: &[u8; 12]) -> [u32; 3] {
     words
 }
 
-/// One SM4 key, ready to encrypt.
 pub(super) struct Sm4 {
     kernel: Available,
     keys: Zeroizing<[u32; 32]>,
 }
 
 impl Sm4 {
-    /// For a key.
     pub fn new(kernel: Available, key: &[u8; 16]) -> Self {
         let keys = match kernel.0 {
             // SAFETY: `kernel` exists, so its features do.

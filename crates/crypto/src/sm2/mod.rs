@@ -1,5 +1,4 @@
-//! SM2 (GB/T 32918-2016) by our own kernels: signatures, their verification, encryption. The arithmetic is in
-//! `kernel::sm2`; here are the steps of the standard, nonces, and the tables kept for known signers.
+//! SM2 (GB/T 32918-2016) by our own kernels: the steps of the standard, nonces, and tables for known signers.
 
 #[cfg(test)]
 mod tests;
@@ -26,8 +25,8 @@ pub(super) fn point(public: &PublicKey) -> Result<Affine, CryptoError> {
     Affine::from_bytes(&public.0).ok_or(CryptoError::PublicPoint)
 }
 
-// Nonces of signatures, hedged: from key, hash and fresh random bytes by HMAC-SM3 (RFC 6979, 3.2, with the additional
-// data of 3.6). A random source that fails or repeats itself does not give a nonce away.
+// Nonces are hedged: HMAC-SM3 of key, hash and fresh random bytes (RFC 6979, 3.2 and 3.6), so that a failing random
+// source does not give a nonce away.
 
 /// A key of HMAC-SM3, with its two pads already hashed.
 struct Keyed {
@@ -93,9 +92,8 @@ impl Nonces {
     }
 }
 
-// Tables for known signers: a gateway and an auditor meet the same few thousand keys. A table only makes verification
-// faster; every signature is verified in full. It is built at a signer's third valid signature, and evicted only if its
-// signer had no valid one for an hour: no flood of signatures, by any signer, makes an hour pass.
+// A table only makes verification faster; every signature is verified in full. It is built at a signer's third valid
+// signature, and replaced only if its signer had none for an hour: no flood of signatures makes an hour pass.
 
 /// The most bytes of all tables together.
 const ROOM: usize = 64 << 20;
@@ -107,8 +105,8 @@ const _: () = assert!(SignerTable::BYTES <= 64 << 10 && MOST * SignerTable::BYTE
 const SIGHTINGS: u8 = 3;
 /// The most signers whose sightings are counted at once.
 const COUNTED: usize = 4096;
-/// Seconds without a valid signature after which a signer's table may be replaced. Not a number of verifications: those
-/// can be made in a second, by strangers or by one known signer, and would make all quiet signers replaceable.
+/// Seconds without a valid signature before a table may be replaced. Not a number of verifications: a flood
+/// of them takes a second.
 const IDLE: u64 = 3600;
 
 /// A known signer: its key was checked when the table was built.
@@ -271,7 +269,6 @@ impl SigningKey {
         Ok(Self { secret: *secret, inverse: one_more.invert(), public, za: za(&public) })
     }
 
-    /// The public key.
     pub fn public(&self) -> &PublicKey {
         &self.public
     }
@@ -346,7 +343,6 @@ fn check(signer: &impl Signer, za: &[u8; 32], message: &[u8], signature: &Signat
 
 // Encryption (GB/T 32918.4-2016, 6.1 and 7.1) with points already checked.
 
-/// Encrypts to a public key.
 pub(crate) fn encrypt(public: &PublicKey, plain: &[u8]) -> Result<CipherParts, CryptoError> {
     let point = point(public)?;
     loop {
