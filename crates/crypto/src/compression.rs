@@ -47,7 +47,6 @@ fn pays(packed: &[u8], body: &[u8]) -> bool {
 }
 
 /// Restores a message of `length` bytes; the caller has bounded `length`. Allocates no more than that.
-///
 /// # Errors
 /// [`WireError`] if `packed` is not what [`pack`] produces for a message of that length.
 pub fn unpack(compression: Compression, packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
@@ -280,7 +279,6 @@ fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     }
 }
 
-/// Takes green from the other colours of a picture, or gives it back.
 fn turn_green(row: &mut [u8], channels: usize, turn: impl Fn(u8, u8) -> u8) {
     if channels > 0 {
         for pixel in row.chunks_exact_mut(channels) {
@@ -382,7 +380,6 @@ const SHORTEST_ROW: usize = 16;
 const BIG_ENDIAN: u8 = 0x80;
 const GREEN: u8 = 0x40;
 
-/// Rows sampled to see how the colours correlate.
 const LOOKED_AT: usize = 16;
 
 /// The most bytes that Deflate expands one byte to.

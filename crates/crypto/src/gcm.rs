@@ -35,16 +35,18 @@ fn counter(nonce: &[u8; 12], number: u8) -> [u8; 16] {
     block
 }
 
+/// The last block that is hashed: both lengths in bits.
+pub(super) fn lengths(aad: usize, text: usize) -> [u8; 16] {
+    let bits = |bytes: usize| u128::from(u64::try_from(bytes).unwrap_or(u64::MAX).wrapping_mul(8));
+    (bits(aad) << 64 | bits(text)).to_be_bytes()
+}
+
 fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> Result<[u8; 16], CryptoError> {
     let key = Zeroizing::new(cipher.encrypt_block(&[0; 16])?);
     let mut hash = GHash::new(&Block::from(*key));
     hash.update_padded(aad);
     hash.update_padded(text);
-    let bits = |bytes: &[u8]| (u64::try_from(bytes.len()).unwrap_or(u64::MAX).wrapping_mul(8)).to_be_bytes();
-    let mut lengths = [0; 16];
-    lengths[..8].copy_from_slice(&bits(aad));
-    lengths[8..].copy_from_slice(&bits(text));
-    hash.update(&[Block::from(lengths)]);
+    hash.update(&[Block::from(lengths(aad.len(), text.len()))]);
     let mask = cipher.encrypt_block(&counter(nonce, 1))?;
     let mut tag: [u8; 16] = hash.finalize().into();
     tag.iter_mut().zip(mask).for_each(|(byte, mask)| *byte ^= mask);

@@ -19,7 +19,6 @@ pub enum Fault {
 }
 
 /// How somebody other than `user` and root could change a file or folder, or replace it through a folder above it.
-///
 /// # Errors
 /// If the file or a folder cannot be examined.
 pub fn fault(file: &Path, user: u32) -> std::io::Result<Option<Fault>> {
@@ -27,7 +26,6 @@ pub fn fault(file: &Path, user: u32) -> std::io::Result<Option<Fault>> {
 }
 
 /// Like [`fault`], but the group may write to the folders above: a home put there by somebody else would belong to him.
-///
 /// # Errors
 /// See [`fault`].
 pub fn fault_of_home(home: &Path, user: u32) -> std::io::Result<Option<Fault>> {

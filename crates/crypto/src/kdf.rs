@@ -11,7 +11,6 @@ use sm3::Sm3;
 use zeroize::Zeroizing;
 
 /// Fills `out` from input key material, salt and info (RFC 5869, extract and expand).
-///
 /// # Errors
 /// [`CryptoError::Length`] if `out` is longer than 255 hashes (8,160 bytes).
 pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -> Result<(), CryptoError> {
@@ -137,7 +136,6 @@ pub fn topic_filter_id(key: &FilterKey, kind: &str, value: &str) -> FilterId {
 }
 
 /// The key of an owner's `index`-th extra anchoring account on a network, from the owner's EOA key.
-///
 /// # Errors
 /// [`CryptoError::SecretRange`] if the derived number is not a valid key (probability about 2^-127).
 pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret, CryptoError> {

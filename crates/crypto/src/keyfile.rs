@@ -18,7 +18,6 @@ const LONGEST: usize = 64 * 1024;
 const SM4_KEY: &str = "an SM4 key";
 const SM2_KEY: &str = "an SM2 private key";
 const EOA_KEY: &str = "the key of an Ethereum account";
-/// The labels of private keys in PEM that are not encrypted.
 const PKCS8: &str = "PRIVATE KEY";
 const SEC1: [&str; 2] = ["SM2 PRIVATE KEY", "EC PRIVATE KEY"];
 /// The labels of the curve that OpenSSL writes before a key in SEC1.
@@ -33,7 +32,6 @@ const MARK: &[u8] = b"\xef\xbb\xbf";
 type Found = (&'static str, String);
 
 /// Reads an SM4 key: exactly 16 raw bytes, or 32 hex characters (0x and white space are optional).
-///
 /// # Errors
 /// [`CryptoError::NotAKey`] saying what was found, or what [`read_private`] returns.
 pub fn load_sm4(path: &Path) -> Result<Sm4Key, CryptoError> {
@@ -41,19 +39,15 @@ pub fn load_sm4(path: &Path) -> Result<Sm4Key, CryptoError> {
 }
 
 /// Reads an SM2 private key: the one in PEM (PKCS#8 or SEC1), or 64 hex characters (0x and white space are optional).
-///
 /// # Errors
 /// [`CryptoError::NotAKey`] saying what was found, or what [`read_private`] returns.
 pub fn load_sm2(path: &Path) -> Result<SmSecret, CryptoError> {
     parse_sm2(&read_private(path, LONGEST)?).map_err(not_a_key(path))
 }
 
-/// Reads an EOA key: 64 hex characters (0x and white space are optional), or an Ethereum V3 keystore, which needs
-/// its passphrase.
-///
+/// Reads an EOA key: 64 hex characters (0x and white space are optional), or a V3 keystore, which needs its passphrase.
 /// # Errors
-/// [`CryptoError::NotAKey`], [`CryptoError::PassphraseNeeded`], [`CryptoError::WrongPassphrase`], or
-/// what [`read_private`] returns.
+/// `NotAKey`, `PassphraseNeeded`, [`CryptoError::WrongPassphrase`], or what [`read_private`] returns.
 pub fn load_eoa(path: &Path, passphrase: Option<&str>) -> Result<EoaSecret, CryptoError> {
     let bytes = read_private(path, LONGEST)?;
     if !is_keystore(&bytes) {
@@ -215,7 +209,6 @@ pub fn sm4_hex(key: &Sm4Key) -> Zeroizing<String> {
 }
 
 /// An SM2 private key as PKCS#8 PEM, as `openssl pkey` reads it.
-///
 /// # Errors
 /// [`CryptoError::Internal`] if encoding fails.
 pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
@@ -226,7 +219,6 @@ pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
 }
 
 /// An SM2 public key as SPKI PEM, as `openssl pkey -pubin` reads it.
-///
 /// # Errors
 /// [`CryptoError::PublicPoint`] if it is not a point of the curve.
 pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
@@ -235,7 +227,6 @@ pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
 }
 
 /// An SM2 public key from SPKI PEM.
-///
 /// # Errors
 /// [`CryptoError::PublicPoint`] if the text holds no such key.
 pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
@@ -244,7 +235,6 @@ pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
 }
 
 /// An EOA key as an Ethereum V3 keystore (JSON); derives a key from the passphrase (about 0.3 s).
-///
 /// # Errors
 /// [`CryptoError::Random`] if the random source fails.
 pub fn eoa_keystore(secret: &EoaSecret, passphrase: &str) -> Result<String, CryptoError> {

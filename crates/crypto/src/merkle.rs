@@ -117,7 +117,6 @@ pub struct Climber {
     /// The place of the node, and of the last node, at its height.
     place: u64,
     last: u64,
-    /// The node's hash.
     hash: Hash,
 }
 

@@ -8,7 +8,7 @@ use crate::der::CipherParts;
 use crate::gcm::{self, BlockCipher};
 use crate::kernel::Available;
 use crate::model::{PublicKey, Signature, clean};
-use crate::secret::{ORDER, random_bytes, uncompressed, unprefixed};
+use crate::secret::{ORDER, joined, random_bytes, uncompressed};
 use crate::{CryptoError, SmSecret, sm2 as kernels, sm4_gcm};
 use getrandom::SysRng;
 use libsm::sm2::encrypt::{DecryptCtx, EncryptCtx};
@@ -38,7 +38,6 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `text` in place and returns the tag that follows it.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] if the text is longer than GCM allows.
     fn gcm_seal_in_place(
@@ -52,7 +51,6 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `buffer` in place and appends the 16-byte tag.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] if the buffer is longer than GCM allows.
     fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
@@ -62,7 +60,6 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM4-GCM: checks the tag in constant time, then decrypts.
-    ///
     /// # Errors
     /// [`CryptoError::BadCiphertext`] if key, nonce, AAD or a byte differ; nothing is decrypted then.
     fn gcm_open(
@@ -76,37 +73,31 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM2 signature (GB/T 32918.2-2016, 6.1) under the ID 1234567812345678, raw r || s.
-    ///
     /// # Errors
     /// [`CryptoError`] if the random source or the algorithm fails.
     fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError>;
 
     /// SM2 verification (GB/T 32918.2-2016, 7.1) under the ID 1234567812345678.
-    ///
     /// # Errors
     /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
     fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError>;
 
     /// SM2 encryption (GB/T 32918.4-2016, 6.1) as GM/T 0009 DER, order C1 || C3 || C2.
-    ///
     /// # Errors
     /// [`CryptoError::PublicPoint`], or [`CryptoError::Length`] if `plain` is empty or over 1 MiB.
     fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError>;
 
     /// SM2 decryption (GB/T 32918.4-2016, 7.1) of GM/T 0009 DER.
-    ///
     /// # Errors
     /// [`CryptoError::Malformed`], [`CryptoError::PublicPoint`] or [`CryptoError::BadCiphertext`].
     fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError>;
 
     /// The public key of `secret`.
-    ///
     /// # Errors
     /// [`CryptoError::Internal`] if the algorithm fails.
     fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError>;
 
     /// Checks that `public` is a point of the curve in its canonical encoding.
-    ///
     /// # Errors
     /// [`CryptoError::PublicPoint`] if it is not.
     fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError>;
@@ -220,19 +211,14 @@ impl Provider for RustCryptoProvider {
         let key = EncryptingKey::new_with_mode(point(public)?, Mode::C1C3C2);
         let cipher: Cipher<'_> =
             key.encrypt_cipher::<_, sm3::Sm3>(&mut SysRng, plain).map_err(|_| CryptoError::Random)?;
-        let (x, y) = cipher
-            .c1()
-            .to_sec1_point(false)
-            .as_bytes()
-            .get(1..)
-            .and_then(halves)
-            .ok_or(CryptoError::Internal("SM2 encryption"))?;
+        let c1 = cipher.c1().to_sec1_point(false);
+        let (x, y) = c1.as_bytes().get(1..).and_then(halves).ok_or(CryptoError::Internal("SM2 encryption"))?;
         Ok(CipherParts { x, y, check: (*cipher.c3()).into(), text: cipher.c2().to_vec() }.encode())
     }
 
     fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
         let CipherParts { x, y, check, text } = CipherParts::parse(der)?;
-        point(&unprefixed(&x, &y))?;
+        point(&PublicKey(joined(&x, &y)))?;
         let raw = [&[4], &x[..], &y, &check, &text].concat();
         let cipher = Cipher::from_slice(&raw, Mode::C1C3C2).map_err(|_| CryptoError::PublicPoint)?;
         let key = DecryptingKey::from_slice(secret.expose()).map_err(|_| CryptoError::SecretRange("SM2"))?;
@@ -256,7 +242,6 @@ fn halves(point: &[u8]) -> Option<([u8; 32], [u8; 32])> {
     let (x, y) = point.split_at_checked(32)?;
     Some((x.try_into().ok()?, y.try_into().ok()?))
 }
-
 
 /// The default provider.
 #[derive(Debug, Clone, Copy)]
@@ -342,7 +327,6 @@ fn in_range(number: &[u8]) -> bool {
     number.iter().any(|byte| *byte != 0) && number < &ORDER[..]
 }
 
-/// A number of at most 32 bytes, padded with leading zeros.
 fn padded(big_endian: &[u8]) -> Result<[u8; 32], CryptoError> {
     let mut out = [0; 32];
     let start = 32usize.checked_sub(big_endian.len()).ok_or(CryptoError::Internal("SM2 signature"))?;
@@ -396,10 +380,8 @@ impl Provider for LibsmProvider {
         let public = libsm_point(secret.public_key(self)?)?;
         let signature =
             CONTEXT.sign(message, &scalar(secret)?, &public).map_err(|_| CryptoError::Internal("SM2 signature"))?;
-        let mut raw = [0; 64];
-        raw[..32].copy_from_slice(&padded(&signature.get_r().to_bytes_be())?);
-        raw[32..].copy_from_slice(&padded(&signature.get_s().to_bytes_be())?);
-        Ok(Signature(raw))
+        let (r, s) = (signature.get_r().to_bytes_be(), signature.get_s().to_bytes_be());
+        Ok(Signature(joined(&padded(&r)?, &padded(&s)?)))
     }
 
     fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
@@ -424,7 +406,7 @@ impl Provider for LibsmProvider {
 
     fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
         let CipherParts { x, y, check, text } = CipherParts::parse(der)?;
-        libsm_point(&unprefixed(&x, &y))?;
+        libsm_point(&PublicKey(joined(&x, &y)))?;
         let raw = [&[4], &x[..], &y, &text, &check].concat();
         DecryptCtx::new(text.len(), scalar(secret)?)
             .decrypt(&raw)

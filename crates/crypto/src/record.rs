@@ -17,7 +17,9 @@ use crate::{
     topic_filter_id, topic_id,
 };
 use subtle::ConstantTimeEq as _;
-use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
+use zeroize::{Zeroize as _, Zeroizing};
+
+pub use crate::secret::RecordSecret;
 
 /// Everything that is sealed into one record.
 #[derive(Debug)]
@@ -64,16 +66,13 @@ pub struct SealedRecord {
 }
 
 /// Seals one record under a fresh random salt.
-///
 /// # Errors
-/// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] if a field is out of bounds, [`CryptoError::Random`] if the
-/// random source fails.
+/// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] if a field is out of bounds, [`CryptoError::Random`].
 pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord, CryptoError> {
     seal_in_steps(provider, request, &mut |_| ())
 }
 
 /// Like [`seal`]; `done` is called after each step.
-///
 /// # Errors
 /// See [`seal`].
 pub fn seal_in_steps(
@@ -235,7 +234,6 @@ pub enum Names {
 
 impl Names {
     /// Compares the names in a head with the header that it is sealed under.
-    ///
     /// # Errors
     /// [`CryptoError::FalseName`] with the first name that does not belong to its pseudonym.
     pub fn check(&self, header: &Header, head: &Head) -> Result<(), CryptoError> {
@@ -341,7 +339,6 @@ fn parse(blob: &[u8]) -> Result<Parts<'_>, WireError> {
 }
 
 /// The checks that need no key: bounded parse, digest against the anchor, signature.
-///
 /// # Errors
 /// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
 pub fn check(
@@ -350,14 +347,16 @@ pub fn check(
     signature: &Signature,
     signer: &PublicKey,
     anchor: Anchor,
-) -> Result<(Header, Digest, Verdict), CryptoError> {
-    let digest_of = |blob: &[u8]| Digest(provider.sm3(&[blob]));
-    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, &mut |_| ())?;
+) -> Checked {
+    check_one(provider, Unchecked { blob, signature, signer, anchor }, None)
+}
+
+fn check_one(provider: &dyn Provider, record: Unchecked<'_>, digest: Option<Digest>) -> Checked {
+    let (parts, digest, verdict) = checked(provider, record, digest, &mut |_| ())?;
     Ok((parts.header, digest, verdict))
 }
 
 /// Checks a record whose stored bytes were deleted: the signature covers its digest, the public header is the signer's.
-///
 /// # Errors
 /// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
 pub fn check_deleted(
@@ -373,19 +372,16 @@ pub fn check_deleted(
     if signed { Ok(header) } else { Err(CryptoError::Tampered("signature")) }
 }
 
-/// The check itself; `digest_of` computes the SM3 of the blob, `done` is called after each step.
+/// The check itself; `digest` is the SM3 of the blob, if it is computed already, `done` is called after each step.
 fn checked<'a>(
     provider: &dyn Provider,
-    blob: &'a [u8],
-    signature: &Signature,
-    signer: &PublicKey,
-    anchor: Anchor,
-    digest_of: impl FnOnce(&[u8]) -> Digest,
+    Unchecked { blob, signature, signer, anchor }: Unchecked<'a>,
+    digest: Option<Digest>,
     done: &mut impl FnMut(Step),
 ) -> Result<(Parts<'a>, Digest, Verdict), CryptoError> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
     done(Step::Fields);
-    let digest = digest_of(blob);
+    let digest = digest.unwrap_or_else(|| Digest(provider.sm3(&[blob])));
     done(Step::Digest);
     let verdict = match anchor {
         Anchor::Chain(anchored) if anchored == digest || fault::is_off("digest") => Verdict::Verified,
@@ -403,10 +399,8 @@ fn checked<'a>(
 }
 
 /// Checks and opens a record; no plaintext is returned unless every check passed.
-///
 /// # Errors
-/// [`CryptoError::DamagedRecord`], [`CryptoError::Tampered`], [`CryptoError::WrongKey`],
-/// [`CryptoError::NotAsked`] or [`CryptoError::FalseName`], from the first check that failed.
+/// From the first check that failed: `DamagedRecord`, `Tampered`, `WrongKey`, `NotAsked` or [`CryptoError::FalseName`].
 pub fn open(
     provider: &dyn Provider,
     blob: &[u8],
@@ -420,7 +414,6 @@ pub fn open(
 }
 
 /// Like [`open`] of (blob, signature, signer); `done` is called after each step.
-///
 /// # Errors
 /// See [`open`].
 pub fn open_in_steps(
@@ -431,8 +424,7 @@ pub fn open_in_steps(
     expected: &Expected,
     done: &mut impl FnMut(Step),
 ) -> Result<OpenedRecord, CryptoError> {
-    let digest_of = |blob: &[u8]| Digest(provider.sm3(&[blob]));
-    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, done)?;
+    let (parts, digest, verdict) = checked(provider, Unchecked { blob, signature, signer, anchor }, None, done)?;
     let keys = RecordKeys::derive(topic_key, &parts.header).committed(&parts.header)?;
     done(Step::Keys);
     let (head, body) = unseal(provider, &keys, &parts, done)?;
@@ -444,7 +436,6 @@ pub fn open_in_steps(
     Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
 }
 
-/// Head and body, still compressed, opened with the record's own keys.
 fn unseal(
     provider: &dyn Provider,
     keys: &RecordKeys,
@@ -467,7 +458,6 @@ fn unseal(
 }
 
 /// Header and head from a record's first bytes, as the holder of the topic key wrote them. The rest is not checked.
-///
 /// # Errors
 /// [`CryptoError::DamagedRecord`], [`CryptoError::WrongKey`], [`CryptoError::Tampered`] or [`CryptoError::FalseName`].
 pub fn open_front(
@@ -546,45 +536,20 @@ fn check_by(provider: &dyn Provider, records: &[Unchecked<'_>], helpers: usize) 
     let mut digests = provider.sm3_many(&short).into_iter().map(Digest);
     let hashed: Vec<_> =
         records.iter().map(|record| (record, if record.blob.len() < LONG { digests.next() } else { None })).collect();
-    each(&hashed, helpers, |(record, digest)| {
-        let digest_of = |blob: &[u8]| digest.unwrap_or_else(|| Digest(provider.sm3(&[blob])));
-        let Unchecked { blob, signature, signer, anchor } = **record;
-        let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, &mut |_| ())?;
-        Ok((parts.header, digest, verdict))
-    })
+    each(&hashed, helpers, |(record, digest)| check_one(provider, **record, *digest))
 }
 
 // A record is disclosed by HKDF's extract of topic key and salt, from which neither the topic key nor another record's
 // keys follow. The commitment is expanded from it, so neither a wrong secret nor another message can be passed off.
 
-/// The secret from which the keys of one record are derived.
-#[derive(Clone, Zeroize, ZeroizeOnDrop)]
-pub struct RecordSecret([u8; 32]);
-
-impl std::fmt::Debug for RecordSecret {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("RecordSecret(secret)")
-    }
-}
-
 impl RecordSecret {
     /// For the record with this header, sealed under this topic key.
     pub fn of(key: &TopicKey, header: &Header) -> Self {
-        Self(hmac_sm3(&header.salt.0, &[key.expose()]))
-    }
-
-    /// From exactly 32 bytes: with other lengths, HMAC would take different texts for the same key.
-    pub fn from_slice(bytes: &[u8]) -> Option<Self> {
-        bytes.try_into().ok().map(Self)
-    }
-
-    /// The bytes. Anyone who has them can read this record, forever, and no other.
-    pub fn expose(&self) -> &[u8; 32] {
-        &self.0
+        Self::new(hmac_sm3(&header.salt.0, &[key.expose()]))
     }
 
     fn keys(&self, header: &Header) -> RecordKeys {
-        RecordKeys::of(&Zeroizing::new(expanded(&self.0, &record_info(header))))
+        RecordKeys::of(&Zeroizing::new(expanded(self.expose(), &record_info(header))))
     }
 }
 
@@ -600,7 +565,6 @@ pub struct Revealed {
 }
 
 /// Opens a stored record with its own secret. Digest, signature and anchor are checked elsewhere.
-///
 /// # Errors
 /// [`CryptoError::WrongKey`] if the record does not commit to this secret, otherwise as for opening.
 pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret) -> Result<Revealed, CryptoError> {
@@ -609,7 +573,6 @@ pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret
 }
 
 /// For many untrusted records: takes each message's length from `budget` (bytes) first; `None` if that is too small.
-///
 /// # Errors
 /// See [`open_revealed`].
 pub fn open_revealed_within(
@@ -631,7 +594,6 @@ pub fn open_revealed_within(
 pub fn reveal_bytes(domain: &Domain, digest: &Digest, secret: &RecordSecret) -> Zeroizing<Vec<u8>> {
     Zeroizing::new([&b"AuthROS/reveal/1"[..], &domain.0, &digest.0, secret.expose()].concat())
 }
-
 
 /// The step just done. A step may be reported more than once for a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -27,7 +27,6 @@ pub struct SignedPolicy {
 
 impl SignedPolicy {
     /// The owner's policy for a device, signed by the account.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] if it is too long, [`CryptoError::Internal`].
     pub fn sign(
@@ -45,7 +44,6 @@ impl SignedPolicy {
     }
 
     /// Whether the owner's account signed it for this device.
-    ///
     /// # Errors
     /// [`CryptoError::NotAccepted`].
     pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
@@ -59,7 +57,6 @@ impl SignedPolicy {
     }
 
     /// From its encoding; only the form is checked.
-    ///
     /// # Errors
     /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {

@@ -4,7 +4,7 @@
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
-use super::gcm::{LONGEST, TAG};
+use super::gcm::{LONGEST, TAG, lengths};
 use super::kernel::{Available, FIRST, Ghash, Sm4};
 use super::{CryptoError, fault};
 
@@ -40,11 +40,7 @@ impl<'a> Gcm<'a> {
     }
 
     fn tag(&mut self, aad: usize, text: usize) -> [u8; TAG] {
-        let bits = |bytes: usize| u64::try_from(bytes).unwrap_or(u64::MAX).wrapping_mul(8).to_be_bytes();
-        let mut lengths = [0; 16];
-        lengths[..8].copy_from_slice(&bits(aad));
-        lengths[8..].copy_from_slice(&bits(text));
-        self.hash.update(&lengths);
+        self.hash.update(&lengths(aad, text));
         let mut tag = self.hash.finish();
         tag.iter_mut().zip(&self.first[16..32]).for_each(|(byte, mask)| *byte ^= mask);
         tag

@@ -1,4 +1,5 @@
 //! A bundle in its parts: each is within its bounds and well-formed, or the bundle is refused with the part's name.
+#![allow(clippy::missing_errors_doc, reason = "`BundleError` and `PackingError` say what is wrong")]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
@@ -168,9 +169,6 @@ struct Drafts {
 
 impl Bundle {
     /// Reads a bundle: the file, or the folder that it was unpacked into.
-    ///
-    /// # Errors
-    /// [`BundleError`] with what is wrong.
     pub fn read(path: &Path, provider: &dyn Provider) -> Result<Self, BundleError> {
         if path.is_dir() {
             return Self::of_members(&folder(path)?, provider);
@@ -179,17 +177,11 @@ impl Bundle {
     }
 
     /// From a file's bytes.
-    ///
-    /// # Errors
-    /// See [`Bundle::read`].
     pub fn parse(bytes: &[u8], provider: &dyn Provider) -> Result<Self, BundleError> {
         Self::of_members(&archive::read(bytes)?, provider)
     }
 
     /// From its members.
-    ///
-    /// # Errors
-    /// See [`Bundle::read`].
     pub fn of_members(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
         let manifest = Manifest::read(members, provider)?;
         let (mut drafts, mut bundle) = (Drafts::default(), Self::empty(manifest));
@@ -236,6 +228,8 @@ impl Bundle {
     ) -> Result<(), BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
         let parts: Vec<&str> = name.split('/').collect();
+        let file = parts.last().copied().unwrap_or_default();
+        let filed = |under: String, why: &str| if file == under { Ok(()) } else { Err(wrong(why)) };
         let longest = match parts.as_slice() {
             ["records", _, "record.bin"]
             | ["chain", "nodes.rlp"]
@@ -262,42 +256,34 @@ impl Bundle {
                 let imprint = filed.ok_or_else(|| wrong("is filed under a name that is not an imprint"))?;
                 drafts.stamps.entry(imprint).or_default().take(name, part, bytes)?;
             }
-            ["keys", file] => {
+            ["keys", _] => {
                 let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());
                 let key = pem.ok_or_else(|| wrong("contains no SM2 public key"))?;
                 if keyfile::sm2_public_pem(&key).ok().is_none_or(|written| written.as_bytes() != bytes) {
                     return Err(wrong("contains an SM2 public key that is not written in a bundle's one form"));
                 }
                 let id = signer_id(&key);
-                if *file != format!("{}.pem", id.to_hex()) {
-                    return Err(wrong("is filed under another key's name"));
-                }
+                filed(format!("{}.pem", id.to_hex()), "is filed under another key's name")?;
                 self.keys.insert(id, key);
             }
-            ["identities", file] => {
+            ["identities", _] => {
                 let hash = Hash(authros_crypto::keccak256(&[bytes]));
                 let identity = Identity::parse(bytes).map_err(|error| wrong(&error.to_string()))?;
-                if *file != format!("{}.bin", hash.to_hex()) {
-                    return Err(wrong("is filed under another identity's name"));
-                }
+                filed(format!("{}.bin", hash.to_hex()), "is filed under another identity's name")?;
                 self.identities.insert(hash, identity);
             }
             ["chain", "nodes.rlp"] => {
                 self.nodes = Nodes::parse(bytes)
                     .ok_or_else(|| wrong("is not a list of distinct nodes in order of their hashes"))?;
             }
-            ["chain", file] => {
+            ["chain", _] => {
                 let header = BlockHeader::parse(bytes).ok_or_else(|| wrong("is not a block header"))?;
-                if *file != format!("{}.rlp", header.number) {
-                    return Err(wrong("is filed under the number of another block"));
-                }
+                filed(format!("{}.rlp", header.number), "is filed under the number of another block")?;
                 self.headers.insert(header.number, header);
             }
-            ["definitions", file] => {
+            ["definitions", _] => {
                 let digest = Digest(provider.sm3(&[bytes]));
-                if *file != format!("{}.txt", digest.to_hex()) {
-                    return Err(wrong("is filed under another text's name"));
-                }
+                filed(format!("{}.txt", digest.to_hex()), "is filed under another text's name")?;
                 self.definitions.insert(digest, text(name, bytes)?);
             }
             _ => return Err(wrong("does not belong in a bundle")),
@@ -429,16 +415,12 @@ pub enum PackingError {
 
 impl Packing {
     /// Adds a record.
-    ///
-    /// # Errors
-    /// None, except for a fault of this program.
     pub fn record(&mut self, digest: Digest, record: BundledRecord) -> Result<(), PackingError> {
         let mut put = |part: &str, bytes: Vec<u8>| {
             self.members.insert(format!("records/{}/{part}", digest.to_hex()), bytes);
         };
         if let Some(anchor) = &record.anchor {
-            let text = serde_json::to_vec_pretty(anchor);
-            put("anchor.json", text.map_err(|error| BundleError::of("anchor.json", &error.to_string()))?);
+            put("anchor.json", manifest::to_json("anchor.json", anchor)?);
         }
         if let Some(disclosure) = &record.disclosure {
             put("reveal.bin", disclosure.secret.expose().to_vec());
@@ -450,9 +432,6 @@ impl Packing {
     }
 
     /// Adds a signer's key.
-    ///
-    /// # Errors
-    /// If it is not a point on the curve.
     pub fn key(&mut self, key: &PublicKey) -> Result<(), PackingError> {
         let pem = keyfile::sm2_public_pem(key)?;
         self.members.insert(format!("keys/{}.pem", signer_id(key).to_hex()), pem.into_bytes());
@@ -483,18 +462,12 @@ impl Packing {
     }
 
     /// Adds the paths from heads of recorders to the highest numbers of topics.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
         self.members.insert(HEIGHTS.to_owned(), completeness::to_text(heights)?);
         Ok(())
     }
 
     /// Adds an authority's stamps over these roots; all of them were stamped together.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn stamps(&mut self, tree: &StampTree, wanted: &[Hash], tokens: &[Vec<u8>]) -> Result<(), PackingError> {
         if !tokens.is_empty() {
             self.members.extend(time::members(tree, wanted, tokens)?);
@@ -508,9 +481,6 @@ impl Packing {
     }
 
     /// Suggests what to pin.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn suggest(&mut self, trust: &Trust) -> Result<(), PackingError> {
         let text = trust.to_text().map_err(|error| BundleError::of(SUGGESTED, &error.to_string()))?;
         let note = "# What the exporter says. Compare each line with what you know from an independent source, then \
@@ -520,9 +490,6 @@ impl Packing {
     }
 
     /// The members with the manifest, signed by its exporter.
-    ///
-    /// # Errors
-    /// If the key cannot sign.
     pub fn sign(
         mut self,
         chain: ClaimedChain,
@@ -535,8 +502,7 @@ impl Packing {
         self.members.insert(READ_ME.to_owned(), READ_ME_TEXT.as_bytes().to_vec());
         let exporter = Exporter { account, key: signer_id(&signer.public) };
         let manifest = Manifest::of(&self.members, chain, exporter, provider);
-        let mut text =
-            serde_json::to_vec_pretty(&manifest).map_err(|error| BundleError::of(MANIFEST, &error.to_string()))?;
+        let mut text = manifest::to_json(MANIFEST, &manifest)?;
         text.push(b'\n');
         let signature = provider.sign(&signer.secret, &signed_bytes(&text))?;
         self.members.insert(SIGNATURE.to_owned(), signature_der(&signature));
@@ -546,17 +512,11 @@ impl Packing {
 }
 
 /// The file of these members.
-///
-/// # Errors
-/// If it would be too large.
 pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
     Ok(archive::write(members)?)
 }
 
 /// An owner's signature under the disclosure of a record.
-///
-/// # Errors
-/// If the key cannot sign.
 pub fn disclose(
     secret: authros_crypto::record::RecordSecret,
     (domain, digest): (&Domain, &Digest),
@@ -601,9 +561,9 @@ pub(crate) fn opened(
         Ok(Some(revealed)) => (level, Some(revealed)),
         Ok(None) => {
             let text = "its message is not opened: too much is disclosed in a single file";
-            (Level::new(Standing::Unproven, text), None)
+            (Level::unproven(text), None)
         }
-        Err(error) => (Level::new(Standing::Refused, format!("the disclosed secret does not open it: {error}")), None),
+        Err(error) => (Level::refused(format!("the disclosed secret does not open it: {error}")), None),
     }
 }
 
@@ -620,7 +580,7 @@ fn signed(
     let pinned = check.trust.and_then(|trust| trust.person(header.owner)).and_then(|person| person.key);
     let pinned = pinned.and_then(|key| check.bundle.keys.get(&key)).copied();
     if [owner_key, pinned].iter().flatten().any(is_owners) {
-        return Level::new(Standing::Proven, "opened by its owner's disclosure");
+        return Level::proven("opened by its owner's disclosure");
     }
     let identities = &check.bundle.identities;
     let mut claimed = identities.iter().take(MOST_IDENTITIES);
@@ -629,7 +589,7 @@ fn signed(
     });
     if claims || identities.len() > MOST_IDENTITIES {
         let text = "it opens, and this is the message; there is no proof that its owner disclosed it";
-        return Level::new(Standing::Unproven, text);
+        return Level::unproven(text);
     }
-    Level::new(Standing::Refused, "the disclosure is not signed by its owner")
+    Level::refused("the disclosure is not signed by its owner")
 }

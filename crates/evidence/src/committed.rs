@@ -237,7 +237,6 @@ fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
 pub const LONGEST_HEADER: usize = 8192;
 /// The part of the extra data before the seal.
 const VANITY: usize = 32;
-/// Length of a seal: r, s, parity.
 const SEAL: usize = 65;
 const EXTRA: usize = 12;
 const ADDRESS: usize = 20;
@@ -258,9 +257,7 @@ pub struct BlockHeader {
     /// Its time, seconds, by its sealer's clock.
     pub timestamp: u64,
     extra: Vec<u8>,
-    /// The data signed by a Clique signer; `None` if it is of another consensus.
     seal_hash: Option<[u8; 32]>,
-    /// What QBFT and IBFT 2.0 add to it; `None` if it is of another consensus.
     committed: Option<Committed>,
 }
 
@@ -393,10 +390,7 @@ pub(crate) struct Anchored<'a> {
     pub claimed_keys: u64,
 }
 
-enum Found<'a> {
-    Shown(Anchored<'a>, &'a BlockHeader),
-    Not(Level),
-}
+type Found<'a> = Result<(Anchored<'a>, &'a BlockHeader), Level>;
 
 pub(crate) fn anchored<'a>(
     check: &Check<'a>,
@@ -405,11 +399,11 @@ pub(crate) fn anchored<'a>(
     record: &'a BundledRecord,
 ) -> (Level, Option<Anchored<'a>>) {
     let Some(claim) = &record.anchor else {
-        return (Level::new(Standing::Unproven, "it was not on a chain when it was exported"), None);
+        return (Level::unproven("it was not on a chain when it was exported"), None);
     };
     match find(check, digest, header, claim) {
-        Found::Not(level) => (level, None),
-        Found::Shown(anchored, shown_at) => {
+        Err(level) => (level, None),
+        Ok((anchored, shown_at)) => {
             let place = (anchored.shown_at, anchored.block, anchored.time);
             let level = check.known.sealings.get(place, || sealed(check, &anchored, shown_at));
             (level, Some(anchored))
@@ -417,46 +411,27 @@ pub(crate) fn anchored<'a>(
     }
 }
 
-fn refused(text: impl Into<String>) -> Found<'static> {
-    Found::Not(Level::new(Standing::Refused, text))
-}
-
-fn unproven(text: impl Into<String>) -> Found<'static> {
-    Found::Not(Level::new(Standing::Unproven, text))
-}
-
 fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a AnchorClaim) -> Found<'a> {
-    let leaf = Leaf::of(header, digest);
+    let (leaf, at) = (Leaf::of(header, digest), claim.shown_at);
     if !check.known.leads(&leaf, claim) {
-        return refused("its path does not lead to the root it names");
+        return Err(Level::refused("its path does not lead to the root it names"));
     }
-    let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {
-        return unproven(format!("the header of block {} is not in the bundle", claim.shown_at));
+    let no_header = || Level::unproven(format!("the header of block {at} is not in the bundle"));
+    let shown_at = check.bundle.headers.get(&at).ok_or_else(no_header)?;
+    let unshown = |why: Unproven, what: String| match why {
+        Unproven::Missing(_) => Level::unproven(format!("{what} is not in the bundle")),
+        why => Level::refused(format!("after block {at}: {why}")),
     };
     let storage = || Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract);
-    let storage = match check.known.storages.get(shown_at.number, storage) {
-        Ok(storage) => storage,
-        Err(Unproven::Missing(_)) => {
-            return unproven(format!("the state after block {} is not in the bundle", claim.shown_at));
-        }
-        Err(why) => return refused(format!("after block {}: {why}", claim.shown_at)),
-    };
-    if let Some(trust) = check.trust
-        && trust.chain.code_hash != storage.code_hash
-    {
-        return refused("the contract's code is not the code you pinned");
+    let storage = check.known.storages.get(shown_at.number, storage);
+    let storage = storage.map_err(|why| unshown(why, format!("the state after block {at}")))?;
+    if check.trust.is_some_and(|trust| trust.chain.code_hash != storage.code_hash) {
+        return Err(Level::refused("the contract's code is not the code you pinned"));
     }
-    match in_state((check, &storage), digest, header, claim, shown_at) {
-        Ok(found) => found.map_or_else(
-            || refused(format!("the state after block {} does not contain its anchor", claim.shown_at)),
-            |found| compare(found, claim, shown_at),
-        ),
-        Err(Unproven::Missing(_)) => unproven(format!(
-            "the part of the state after block {} that holds its anchor is not in the bundle",
-            claim.shown_at
-        )),
-        Err(why) => refused(format!("after block {}: {why}", claim.shown_at)),
-    }
+    let found = in_state((check, &storage), digest, header, claim, shown_at)
+        .map_err(|why| unshown(why, format!("the part of the state after block {at} that holds its anchor")))?;
+    let nothing = || Level::refused(format!("the state after block {at} does not contain its anchor"));
+    compare(found.ok_or_else(nothing)?, claim, shown_at)
 }
 
 /// An anchor with the number of leaves given by the state; `None` if it is a digest by itself.
@@ -496,22 +471,22 @@ fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: 
         Anchoring::Batch { count, .. } => Some(*count),
     };
     if counted != claimed {
-        return refused("its path was made for a different number of leaves than the chain has");
+        return Err(Level::refused("its path was made for a different number of leaves than the chain has"));
     }
     let (found, said) = (anchored.block, claim.block);
     if found < said && claimed == Some(1) {
         // The contract stores only a root's first block. A batch of one whose block was skipped has no other root.
-        return unproven(format!(
+        return Err(Level::unproven(format!(
             "the state has it in block {found}; no state shows that it was anchored again in block {said}"
-        ));
+        )));
     }
     if found != said {
-        return refused(format!("the chain has it in block {found}, the bundle says {said}"));
+        return Err(Level::refused(format!("the chain has it in block {found}, the bundle says {said}")));
     }
     if anchored.block > shown_at.number || anchored.time.is_some_and(|time| time > shown_at.timestamp) {
-        return refused("the state dates its anchor to a block later than the state itself");
+        return Err(Level::refused("the state dates its anchor to a block later than the state itself"));
     }
-    Found::Shown(anchored, shown_at)
+    Ok((anchored, shown_at))
 }
 
 fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) -> Level {
@@ -527,7 +502,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     let Some(trust) = check.trust else {
         let who = shown_at.sealed_by();
         let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
-        return Level::new(Standing::Unproven, text);
+        return Level::unproven(text);
     };
     let found = || seals(&check.bundle.headers, shown_at.number, &trust.chain.signers);
     let found = check.known.seals.get(shown_at.number, found);
@@ -546,7 +521,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
             format!("{text}: the exporter's own chain, which proves nothing against the exporter"),
         );
     }
-    Level::new(Standing::Proven, text)
+    Level::proven(text)
 }
 
 /// Nothing contradicts a trust file that names nobody, and nothing is proven by it.
@@ -559,20 +534,16 @@ fn too_few(found: &Seals, shown_at: &BlockHeader, (all, what): (usize, String), 
     let number = shown_at.number;
     match (found.flaw, found.committed, found.stranger) {
         (Some(flaw), Some(protocol), _) => {
-            Level::new(Standing::Refused, format!("block {number} is not sealed as {protocol} demands: {flaw}"))
+            Level::refused(format!("block {number} is not sealed as {protocol} demands: {flaw}"))
         }
-        _ if all == 0 && !found.unsigned => Level::new(Standing::Unproven, counted),
-        (_, _, Some(stranger)) if found.pinned.is_empty() => Level::new(
-            Standing::Refused,
-            format!("block {number} is sealed by {stranger}, who is not a signer you pinned"),
-        ),
-        _ if found.unsigned => Level::new(
-            Standing::Unproven,
-            format!(
-                "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT 2.0): a \
+        _ if all == 0 && !found.unsigned => Level::unproven(counted),
+        (_, _, Some(stranger)) if found.pinned.is_empty() => {
+            Level::refused(format!("block {number} is sealed by {stranger}, who is not a signer you pinned"))
+        }
+        _ if found.unsigned => Level::unproven(format!(
+            "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT 2.0): a \
                  development node, proof of work or another consensus"
-            ),
-        ),
-        _ => Level::new(Standing::Unproven, counted),
+        )),
+        _ => Level::unproven(counted),
     }
 }

@@ -10,7 +10,6 @@ use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
 use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId};
 use serde::{Deserialize, Serialize};
 
-/// The most gaps that are named.
 const MOST_GAPS: usize = 100;
 
 type Topic = (Address, SignerId, RecorderId, TopicId);
@@ -145,7 +144,6 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
     }
 }
 
-/// The numbers of a ring, of whose other numbers nobody claims anything.
 fn told_of_ring(stretch: &Stretch) -> String {
     let Some((first, last)) = stretch.first.zip(stretch.last).filter(|_| stretch.standing != Standing::Refused) else {
         return told(stretch, true);
@@ -240,7 +238,7 @@ pub(crate) fn parse(text: &[u8]) -> Result<Vec<Height>, BundleError> {
 
 pub(crate) fn to_text(heights: Vec<Height>) -> Result<Vec<u8>, BundleError> {
     let listed = Listed { format: FORMAT.to_owned(), heights };
-    serde_json::to_vec_pretty(&listed).map_err(|error| BundleError::of(HEIGHTS, &error.to_string()))
+    crate::manifest::to_json(HEIGHTS, &listed)
 }
 
 /// A recorder's trusted statement: its signer is proven, and the message opens.

@@ -96,7 +96,6 @@ impl Manifest {
     }
 
     /// From a bundle's members: it names each of them as it is, and no other.
-    ///
     /// # Errors
     /// [`BundleError`] for the first that differs.
     pub fn read(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
@@ -149,6 +148,10 @@ pub fn is_signed(members: &Members, exporter: &Exporter, key: &PublicKey, provid
 
 /// Deepest nesting of RLP lists; headers and nodes of a trie have less.
 const DEEPEST: usize = 32;
+
+pub(crate) fn to_json(member: &str, value: &impl Serialize) -> Result<Vec<u8>, BundleError> {
+    serde_json::to_vec_pretty(value).map_err(|error| BundleError::of(member, &error.to_string()))
+}
 
 /// Refuses a list of values in place of lines with names.
 pub(crate) fn from_json<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {

@@ -131,7 +131,6 @@ impl RecordedFile {
     }
 
     /// Reads a file to its end and compares it.
-    ///
     /// # Errors
     /// If it cannot be read.
     pub fn compare(&self, mut file: impl Read) -> std::io::Result<Compared> {

@@ -51,6 +51,18 @@ impl Level {
     pub fn new(standing: Standing, text: impl Into<String>) -> Self {
         Self { standing, text: text.into() }
     }
+
+    pub(crate) fn proven(text: impl Into<String>) -> Self {
+        Self::new(Standing::Proven, text)
+    }
+
+    pub(crate) fn unproven(text: impl Into<String>) -> Self {
+        Self::new(Standing::Unproven, text)
+    }
+
+    pub(crate) fn refused(text: impl Into<String>) -> Self {
+        Self::new(Standing::Refused, text)
+    }
 }
 
 /// The findings about one record.

@@ -78,7 +78,6 @@ pub struct Person {
 
 impl Trust {
     /// From the text of a trust file.
-    ///
     /// # Errors
     /// [`TrustError`] if it is not one, or demands what no chain can give.
     pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
@@ -108,7 +107,6 @@ impl Trust {
     }
 
     /// As text.
-    ///
     /// # Errors
     /// [`TrustError`] if it cannot be written.
     pub fn to_text(&self) -> Result<String, TrustError> {

@@ -4,14 +4,12 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
-
 use crate::Digest;
 use crate::display::clean;
+use crate::text::as_text;
 use crate::wire::{Wire as _, WireError};
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Consensus {
     /// Proof of authority as in Clique (EIP-225), 1 to 16 signers. Period: least time between blocks, whole ms.
     Poa { signers: u8, period: Duration },
@@ -97,20 +95,7 @@ impl FromStr for Consensus {
     }
 }
 
-impl TryFrom<String> for Consensus {
-    type Error = ConsensusError;
-
-    fn try_from(text: String) -> Result<Self, ConsensusError> {
-        text.parse()
-    }
-}
-
-impl From<Consensus> for String {
-    fn from(consensus: Consensus) -> Self {
-        consensus.to_string()
-    }
-}
-
+as_text!(Consensus);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::Display, strum::EnumString)]
 #[strum(serialize_all = "lowercase", parse_err_fn = no_mode, parse_err_ty = AnchorModeError)]

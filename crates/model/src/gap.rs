@@ -3,16 +3,18 @@
 use crate::wire::{Reader, Wire, WireError};
 use crate::{Digest, Timestamp, TopicId};
 
-const GAP_LABEL: [u8; 13] = *b"AuthROS/gap/1";
-
 /// Why messages did not become records.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum LossReason {
     /// They never arrived here: numbers are missing in `header.seq`.
-    Transport,
+    Transport = 1,
+    #[strum(to_string = "memory full")]
     Memory,
     /// The disk was full, then the memory for waiting messages too.
+    #[strum(to_string = "disk full")]
     Disk,
+    #[strum(to_string = "no key")]
     Key,
     End,
     Fault,
@@ -22,7 +24,7 @@ impl LossReason {
     pub const ALL: [Self; 6] = [Self::Transport, Self::Memory, Self::Disk, Self::Key, Self::End, Self::Fault];
 
     pub fn code(self) -> u8 {
-        self as u8 + 1
+        self as u8
     }
 
     pub fn from_code(code: u8) -> Option<Self> {
@@ -30,14 +32,7 @@ impl LossReason {
     }
 
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Transport => "transport",
-            Self::Memory => "memory full",
-            Self::Disk => "disk full",
-            Self::Key => "no key",
-            Self::End => "end",
-            Self::Fault => "fault",
-        }
+        self.into()
     }
 
     pub fn from_word(word: &str) -> Option<Self> {
@@ -74,45 +69,33 @@ pub struct GapReport {
 }
 
 crate::layout!(LossReason by code, from_code);
-crate::layout!(GapReport {
-    topic_id: "topic id",
-    topic: "topic",
-    publisher: "publisher",
-    reason: "reason",
-    count: "count",
-    numbers: "numbers",
-    first_at: "first time",
-    last_at: "last time",
-});
+crate::body!(GapReport behind b"AuthROS/gap/1", "label");
 
-/// Whether there are any (1), then both, zeros if there are none.
-impl Wire for Option<(u32, u32)> {
+impl Wire for GapReport {
     fn put(&self, out: &mut Vec<u8>) {
-        (self.is_some(), self.unwrap_or_default()).put(out);
+        self.topic_id.put(out);
+        self.topic.put(out);
+        self.publisher.put(out);
+        (self.reason, self.count).put(out);
+        (self.numbers.is_some(), self.numbers.unwrap_or_default()).put(out);
+        (self.first_at, self.last_at).put(out);
     }
 
-    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
-        match Wire::read(reader, field)? {
-            (true, pair) => Ok(Some(pair)),
-            (false, (0, 0)) => Ok(None),
-            (false, _) => Err(WireError::Value(field)),
-        }
-    }
-}
-
-impl GapReport {
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(&GAP_LABEL)
-    }
-
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(&GAP_LABEL, "label", bytes)
+    fn read(reader: &mut Reader<'_>, _: &'static str) -> Result<Self, WireError> {
+        let (topic_id, topic) = (Wire::read(reader, "topic id")?, Wire::read(reader, "topic")?);
+        let (publisher, reason) = (Wire::read(reader, "publisher")?, Wire::read(reader, "reason")?);
+        let count = Wire::read(reader, "count")?;
+        let numbers = match Wire::read(reader, "numbers")? {
+            (true, pair) => Some(pair),
+            (false, (0, 0)) => None,
+            (false, _) => return Err(WireError::Value("numbers")),
+        };
+        let (first_at, last_at) = (Wire::read(reader, "first time")?, Wire::read(reader, "last time")?);
+        Ok(Self { topic_id, topic, publisher, reason, count, numbers, first_at, last_at })
     }
 }
 
 // Quarantine record: the quarantined messages of one topic and minute, so that none can be removed selectively.
-
-const QUARANTINE_LABEL: [u8; 20] = *b"AuthROS/quarantine/1";
 
 /// `label (20) || topic id (16) || topic (2 + n) || minute (8) || first seq (8) || last seq (8) || count (8) ||
 /// rolling (32)`, big endian.
@@ -139,16 +122,7 @@ crate::layout!(QuarantineReport {
     count: "count",
     rolling: "rolling hash",
 });
-
-impl QuarantineReport {
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(&QUARANTINE_LABEL)
-    }
-
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(&QUARANTINE_LABEL, "label", bytes)
-    }
-}
+crate::body!(QuarantineReport behind b"AuthROS/quarantine/1", "label");
 
 #[cfg(test)]
 mod tests {
@@ -184,7 +158,7 @@ mod tests {
             prop_assert_eq!(GapReport::parse(&bytes), Ok(report));
             prop_assert!((0..bytes.len()).all(|cut| GapReport::parse(&bytes[..cut]).is_err()));
             prop_assert!(GapReport::parse(&[bytes, vec![0]].concat()).is_err());
-            let _ = GapReport::parse(&[&GAP_LABEL[..], &noise].concat());
+            let _ = GapReport::parse(&[&b"AuthROS/gap/1"[..], &noise].concat());
         }
     }
 }
@@ -210,7 +184,7 @@ mod quarantine_tests {
         #[test]
         fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..200)) {
             let _ = QuarantineReport::parse(&noise);
-            let _ = QuarantineReport::parse(&[&QUARANTINE_LABEL[..], &noise].concat());
+            let _ = QuarantineReport::parse(&[&b"AuthROS/quarantine/1"[..], &noise].concat());
         }
     }
 }

@@ -33,7 +33,7 @@ impl Compression {
     }
 }
 
-/// The sealed head, in the order of writing.
+/// The sealed head, in the order of writing. Texts have a two-byte length; tags have a two-byte count.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Head {
     /// Topic name.
@@ -71,24 +71,12 @@ crate::layout!(Head {
     plain_length: "plain length",
     tags: "tag",
 });
+crate::body!(Head);
 
 impl Head {
     /// Whether a simulated robot sent it.
     pub fn is_simulated(&self) -> bool {
         self.tags.get(SIMULATED.0).is_some_and(|value| value == SIMULATED.1)
-    }
-
-    /// Texts have a two-byte length; tags have a two-byte count and are in the order of their bytes.
-    pub fn encode(&self) -> Vec<u8> {
-        self.encoded()
-    }
-
-    /// Parses a whole head.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one head.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole(bytes)
     }
 }
 

@@ -139,7 +139,6 @@ impl Header {
     }
 
     /// Parses a header from the start of `bytes`; also returns its length in bytes.
-    ///
     /// # Errors
     /// [`WireError`] if the bytes are not a version 1 header; nothing is allocated before a check.
     pub fn parse(bytes: &[u8]) -> Result<(Self, usize), WireError> {

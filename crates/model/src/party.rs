@@ -9,8 +9,7 @@ use sha3::{Digest as _, Keccak256};
 
 use crate::bytes::{PublicKey, Signature, Token, hex, unhex};
 use crate::clean;
-use crate::text::{as_text, names};
-use crate::wire::{Wire as _, WireError};
+use crate::text::{as_text, is_name, names};
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PartyError {
@@ -26,17 +25,6 @@ pub enum PartyError {
 /// A name in the address book of a home; never on the chain.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ContactName(String);
-
-impl FromStr for ContactName {
-    type Err = PartyError;
-
-    fn from_str(text: &str) -> Result<Self, PartyError> {
-        let inner = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
-        let begins = text.bytes().next().is_some_and(|first| first.is_ascii_alphabetic());
-        let valid = begins && text.len() <= 40 && text.bytes().all(inner);
-        if valid { Ok(Self(text.to_owned())) } else { Err(PartyError::Name(clean(text, 40))) }
-    }
-}
 
 /// An account, by address or by its name in the address book.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -87,11 +75,23 @@ impl fmt::Display for Party {
     }
 }
 
-names!(ContactName, OperatorName, ProfileName);
+names! {
+    ContactName: |text| {
+        is_name(text, 40, |b| b.is_ascii_alphabetic(), |b| b.is_ascii_alphanumeric() || b"._-".contains(&b))
+    }, else PartyError by |text| PartyError::Name(clean(text, 40));
+    OperatorName: |text| {
+        let begins = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
+        is_name(text, LONGEST, begins, |b| begins(b) || b".-+@$\\".contains(&b))
+    }, else OperatorNameError by |text| OperatorNameError(clean(text, LONGEST));
+    ProfileName: |text| {
+        let fits = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'_';
+        is_name(text, 32, |b| b.is_ascii_lowercase(), fits)
+    }, else ProfileNameError by |text| ProfileNameError(clean(text, 40));
+}
 as_text!(ContactName, Party, Address, ProfileName);
 crate::layout!(Address(0));
+crate::body!(Identity);
 crate::layout!(Identity { token: "token", signing: "signing key", envelope: "envelope key", proof: "proof" });
-
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AddressError {
@@ -193,7 +193,6 @@ impl FromStr for Address {
     }
 }
 
-
 /// `token || P_C || P_E || proof`. The contract cannot verify the proof (SM2 by d_C), so every client does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
@@ -207,14 +206,6 @@ pub struct Identity {
 
 impl Identity {
     pub const LENGTH: usize = 224;
-
-    pub fn encode(&self) -> Vec<u8> {
-        self.encoded()
-    }
-
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole(bytes)
-    }
 }
 
 // Operators: Unix users who work at another user's site.
@@ -230,17 +221,6 @@ pub struct OperatorNameError(String);
 /// The name of a Unix user or group, as the user database has it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct OperatorName(String);
-
-impl FromStr for OperatorName {
-    type Err = OperatorNameError;
-
-    fn from_str(text: &str) -> Result<Self, OperatorNameError> {
-        let begins = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
-        let body = |b: u8| begins(b) || b".-+@$\\".contains(&b);
-        let valid = text.len() <= LONGEST && text.bytes().next().is_some_and(begins) && text.bytes().all(body);
-        if valid { Ok(Self(text.to_owned())) } else { Err(OperatorNameError(clean(text, LONGEST))) }
-    }
-}
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
@@ -290,7 +270,6 @@ impl fmt::Display for OperatorRights {
     }
 }
 
-
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a valid profile name; use 1 to 32 characters from a-z, 0-9, - and _, starting with a letter")]
 pub struct ProfileNameError(String);
@@ -302,16 +281,6 @@ pub struct ProfileName(String);
 impl Default for ProfileName {
     fn default() -> Self {
         Self("default".to_owned())
-    }
-}
-
-impl FromStr for ProfileName {
-    type Err = ProfileNameError;
-
-    fn from_str(text: &str) -> Result<Self, ProfileNameError> {
-        let body = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'_';
-        let valid = (1..=32).contains(&text.len()) && text.as_bytes()[0].is_ascii_lowercase() && text.bytes().all(body);
-        if valid { Ok(Self(text.to_owned())) } else { Err(ProfileNameError(crate::clean(text, 40))) }
     }
 }
 

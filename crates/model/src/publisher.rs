@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::topic::{LONGEST_NAME, TypeName};
 use super::{TopicName, clean};
+use crate::text::is_name;
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PublisherError {
@@ -93,15 +94,12 @@ fn parse(text: &str) -> Option<Publisher> {
     let (rest, md5sum) = text.rsplit_once(':')?;
     let (rest, type_name) = rest.rsplit_once(':')?;
     let (caller_id, host) = rest.rsplit_once('@')?;
+    let fits = |b: u8| b.is_ascii_alphanumeric() || b"/_".contains(&b);
     let named = caller_id.starts_with('/')
         && (2..=LONGEST_NAME).contains(&caller_id.len())
-        && caller_id
-            .strip_suffix("_#")
-            .unwrap_or(caller_id)
-            .bytes()
-            .all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
-    let placed = (1..=LONGEST_NAME).contains(&host.len())
-        && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._:%".contains(&b));
+        && caller_id.strip_suffix("_#").unwrap_or(caller_id).bytes().all(fits);
+    let of_host = |b: u8| b.is_ascii_alphanumeric() || b"-._:%".contains(&b);
+    let placed = is_name(host, LONGEST_NAME, of_host, of_host);
     // ROS 2 has `msg` between package and type.
     let typed = type_name.replacen("/msg/", "/", 1).parse::<TypeName>().is_ok();
     let md5sum = md5sum.strip_prefix(HASH).filter(|hash| hash.len() == LONGEST_SUM).unwrap_or(md5sum);

@@ -1,12 +1,11 @@
 //! A recorder's statements about itself, sealed under the topic `authros/recorder`.
 
 use crate::bytes::{RecorderId, SignerId};
-use crate::wire::{Reader, Wire as _, WireError};
+use crate::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::{Digest, Hash, TopicId};
 
 const BIRTH: &[u8] = b"AuthROS/birth/1";
 const HEIGHTS: &[u8] = b"AuthROS/heights/1";
-const HEADS: &[u8] = b"AuthROS/heads/1";
 
 /// A recorder began: `label (15) || predecessor (16)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,27 +40,17 @@ impl Heights {
     pub const TYPE: &'static str = "authros/Heights";
 
     pub fn encode(&self) -> Vec<u8> {
-        let count = u32::try_from(self.topics.len()).unwrap_or(u32::MAX);
-        let mut out = [HEIGHTS, &count.to_be_bytes()].concat();
-        for (topic, number) in &self.topics {
-            out.extend_from_slice(&topic.0);
-            out.extend_from_slice(&number.to_be_bytes());
-        }
+        let mut out = HEIGHTS.to_vec();
+        put_list::<u32>(&mut out, &self.topics, usize::MAX);
         out
     }
 
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes.strip_prefix(HEIGHTS).ok_or(WireError::Value("label"))?);
-        let (count, mut topics) = (reader.u32("count")?, Vec::new());
-        for _ in 0..count {
-            let topic = TopicId(reader.array("topic id")?);
-            if topics.last().is_some_and(|(last, _)| *last >= topic) {
-                return Err(WireError::Value("topic id"));
-            }
-            topics.push((topic, reader.u64("number")?));
-        }
+        let topics: Vec<(TopicId, u64)> = read_list::<u32, _>(&mut reader, 0..=usize::MAX, ("count", "topic"))?;
         reader.end()?;
-        Ok(Self { topics })
+        let is_ordered = topics.is_sorted_by(|(one, _), (next, _)| one < next);
+        if is_ordered { Ok(Self { topics }) } else { Err(WireError::Value("topic id")) }
     }
 }
 
@@ -76,17 +65,10 @@ pub struct Heads {
 }
 
 crate::layout!(Heads { count: "count", root: "root", heights: "heights", previous: "previous" });
+crate::body!(Heads behind b"AuthROS/heads/1", "label");
 
 impl Heads {
     pub const TYPE: &'static str = "authros/Heads";
-
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(HEADS)
-    }
-
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(HEADS, "label", bytes)
-    }
 }
 
 // A recorder id carries a tag of the signing key, so that nobody can number in the name of another key.

@@ -6,12 +6,11 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::text::{as_text, names};
+use crate::text::{as_text, is_name, names};
 use crate::topic_rule::{TopicRules, fits};
-use crate::wire::{Reader, Wire as _, WireError, put_text};
+use crate::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::{ByteSize, Digest, Timestamp, TopicId, TopicPattern, clean, time_span};
 
-const LABEL: [u8; 19] = *b"AuthROS/retention/1";
 const MOST_RULES: usize = 100;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -96,15 +95,11 @@ impl RetentionRules {
 /// Time limits come from the topic's own rule, else from the setting; the byte budget always from the setting.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Keeping {
-    topics: TopicRules,
-    setting: RetentionRules,
+    pub topics: TopicRules,
+    pub setting: RetentionRules,
 }
 
 impl Keeping {
-    pub fn new(topics: TopicRules, setting: RetentionRules) -> Self {
-        Self { topics, setting }
-    }
-
     pub fn of(&self, topic: &str) -> Option<RetentionRule> {
         let setting = self.setting.of(topic);
         let own = self.topics.of(topic).and_then(|rule| Some((rule.pattern.as_str(), rule.retention?)));
@@ -149,16 +144,7 @@ crate::layout!(RetentionReport {
     bytes: "bytes",
     rolling: "rolling hash",
 });
-
-impl RetentionReport {
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(&LABEL)
-    }
-
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(&LABEL, "label", bytes)
-    }
-}
+crate::body!(RetentionReport behind b"AuthROS/retention/1", "label");
 
 // The ring that a robot keeps on its disk.
 
@@ -263,10 +249,8 @@ impl RingSpan {
 
     /// Its encoding: `since (8) || until (8) || count (2) || patterns`, texts with their length (2) before them.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = [self.since.0.to_be_bytes(), self.until.0.to_be_bytes()].concat();
-        let count = self.topics.0.len().min(TopicPatterns::MOST);
-        out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
-        self.topics.0.iter().take(count).for_each(|pattern| put_text(&mut out, pattern.as_str()));
+        let mut out = (self.since, self.until).encoded();
+        put_list::<u16>(&mut out, &self.topics.0, TopicPatterns::MOST);
         out
     }
 
@@ -276,12 +260,7 @@ impl RingSpan {
         if since >= until {
             return Err(WireError::Value("until"));
         }
-        let count = usize::from(reader.u16("pattern count")?);
-        if count > TopicPatterns::MOST {
-            return Err(WireError::Value("pattern count"));
-        }
-        let pattern = |_| reader.text("pattern")?.parse().map_err(|_| WireError::Value("pattern"));
-        let topics = (0..count).map(pattern).collect::<Result<_, WireError>>()?;
+        let topics = read_list::<u16, _>(&mut reader, 0..=TopicPatterns::MOST, ("pattern count", "pattern"))?;
         reader.end()?;
         Ok(Self { since, until, topics: TopicPatterns(topics) })
     }
@@ -296,22 +275,16 @@ pub struct IncidentNameError(String);
 /// An incident's name, given by its owner: 1 to 64 ASCII letters, digits, `.`, `-` and `_`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct IncidentName(String);
-names!(IncidentName);
+names! {
+    IncidentName: |text| {
+        let fits = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
+        is_name(text, IncidentName::LONGEST, |b| b.is_ascii_alphanumeric(), fits)
+    }, else IncidentNameError by |text| IncidentNameError(clean(text, IncidentName::LONGEST));
+}
 as_text!(IncidentName);
 
 impl IncidentName {
     pub const LONGEST: usize = 64;
-}
-
-impl FromStr for IncidentName {
-    type Err = IncidentNameError;
-
-    fn from_str(text: &str) -> Result<Self, IncidentNameError> {
-        let inner = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
-        let begins = text.bytes().next().is_some_and(|first| first.is_ascii_alphanumeric());
-        let valid = begins && text.len() <= Self::LONGEST && text.bytes().all(inner);
-        if valid { Ok(Self(text.to_owned())) } else { Err(IncidentNameError(clean(text, Self::LONGEST))) }
-    }
 }
 
 #[cfg(test)]
@@ -354,14 +327,14 @@ mod tests {
         let topics = |rules: Vec<TopicRule>| TopicRules(rules.into_iter().map(std::sync::Arc::new).collect());
         let own = topics(vec![rule("/robot?/odom", Some(60)), rule("/scan", None)]);
         let setting: RetentionRules = "/robot1/**=1h+1MiB, /scan=2h".parse().expect("rules");
-        let keeping = Keeping::new(own.clone(), setting);
+        let keeping = Keeping { topics: own.clone(), setting };
         let of = |topic: &str| keeping.of(topic).map(|rule| rule.to_string());
         assert_eq!(of("/robot1/odom").as_deref(), Some("/robot?/odom=60s+1048576"));
         assert_eq!(of("/robot2/odom").as_deref(), Some("/robot?/odom=60s"));
         assert_eq!(of("/robot1/camera").as_deref(), Some("/robot1/**=3600s+1048576"));
         assert_eq!((of("/scan").as_deref(), of("/tf")), (Some("/scan=7200s"), None));
-        assert!(!Keeping::new(own, RetentionRules::default()).is_empty());
-        assert!(Keeping::new(topics(vec![rule("/scan", None)]), RetentionRules::default()).is_empty());
+        assert!(!Keeping { topics: own, ..Keeping::default() }.is_empty());
+        assert!(Keeping { topics: topics(vec![rule("/scan", None)]), ..Keeping::default() }.is_empty());
     }
 
     proptest! {
@@ -382,7 +355,7 @@ mod tests {
             prop_assert_eq!(RetentionReport::parse(&encoded), Ok(report));
             prop_assert!((0..encoded.len()).all(|cut| RetentionReport::parse(&encoded[..cut]).is_err()));
             prop_assert!(RetentionReport::parse(&[encoded, vec![0]].concat()).is_err());
-            let _ = RetentionReport::parse(&[&LABEL[..], &noise].concat());
+            let _ = RetentionReport::parse(&[&b"AuthROS/retention/1"[..], &noise].concat());
         }
     }
 }

@@ -47,15 +47,15 @@ pub fn positive_span(text: &str) -> Result<Duration, SpanError> {
 
 /// Units by their suffix, longest first.
 const UNITS: [(&str, u64); 9] = [
-    ("kib", 1 << 10),
-    ("mib", 1 << 20),
-    ("gib", 1 << 30),
-    ("tib", 1 << 40),
-    ("kb", 1_000),
-    ("mb", 1_000_000),
-    ("gb", 1_000_000_000),
-    ("tb", 1_000_000_000_000),
-    ("b", 1),
+    ("KiB", 1 << 10),
+    ("MiB", 1 << 20),
+    ("GiB", 1 << 30),
+    ("TiB", 1 << 40),
+    ("KB", 1_000),
+    ("MB", 1_000_000),
+    ("GB", 1_000_000_000),
+    ("TB", 1_000_000_000_000),
+    ("B", 1),
 ];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
@@ -73,7 +73,7 @@ impl FromStr for ByteSize {
         let lower = text.trim().to_ascii_lowercase();
         let (number, unit) = UNITS
             .iter()
-            .find_map(|(name, unit)| lower.strip_suffix(name).map(|number| (number, *unit)))
+            .find_map(|(name, unit)| lower.strip_suffix(&name.to_ascii_lowercase()).map(|number| (number, *unit)))
             .unwrap_or((&lower, 1));
         let (whole, part) = number.trim_end().split_once('.').unwrap_or((number.trim_end(), ""));
         let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -92,12 +92,6 @@ impl fmt::Display for ByteSize {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let fitting = UNITS[..4].iter().rev().find(|(_, unit)| self.0 >= *unit);
         let Some((name, unit)) = fitting else { return write!(formatter, "{} B", self.0) };
-        let name = match *name {
-            "kib" => "KiB",
-            "mib" => "MiB",
-            "gib" => "GiB",
-            _ => "TiB",
-        };
         let tenths = u128::from(self.0) * 10 / u128::from(*unit);
         match tenths % 10 {
             0 => write!(formatter, "{} {name}", tenths / 10),
@@ -105,7 +99,6 @@ impl fmt::Display for ByteSize {
         }
     }
 }
-
 
 const GWEI: u128 = 1_000_000_000;
 const ETHER: u128 = GWEI * GWEI;
@@ -139,7 +132,6 @@ impl<'de> Deserialize<'de> for Wei {
         text.parse().map(Self).map_err(|_| D::Error::custom("an amount in wei is a decimal number in quotes"))
     }
 }
-
 
 /// Nanoseconds since 1970-01-01T00:00:00Z. Written as RFC 3339 in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]

@@ -1,21 +1,11 @@
 //! The states of a record.
 
 use serde::{Deserialize, Serialize};
+use strum::{IntoStaticStr, VariantArray};
 
 /// The state of a record. Every transition is a compare-and-set in the ledger.
 #[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    Hash,
-    Serialize,
-    Deserialize,
-    strum::IntoStaticStr,
-    strum::VariantArray,
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, IntoStaticStr, VariantArray,
 )]
 #[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
@@ -45,7 +35,7 @@ pub enum RecordState {
 
 impl RecordState {
     /// In the order of a record's life.
-    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
+    pub const ALL: &[Self] = <Self as VariantArray>::VARIANTS;
 
     pub fn word(self) -> &'static str {
         self.into()
@@ -91,7 +81,8 @@ impl Fact {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Digest equals a confirmed anchor, signature valid, opened.
@@ -99,36 +90,30 @@ pub enum Verdict {
     /// All checks but the chain's pass; the digest is not anchored (yet).
     Unanchored,
     /// It was confirmed earlier and the checks without the chain pass, but the chain cannot be asked now.
+    #[strum(to_string = "not checked against the chain now")]
     NotChecked,
     /// The stored bytes differ from those anchored or signed.
     Tampered,
     Missing,
     /// Retention has deleted the stored bytes, as a record on the chain states; signature and anchor are valid.
+    #[strum(to_string = "deleted by retention")]
     Deleted,
+    #[strum(to_string = "no key")]
     NoKey,
 }
 
 impl Verdict {
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Verified => "verified",
-            Self::Unanchored => "unanchored",
-            Self::NotChecked => "not checked against the chain now",
-            Self::Tampered => "tampered",
-            Self::Missing => "missing",
-            Self::Deleted => "deleted by retention",
-            Self::NoKey => "no key",
-        }
+        self.into()
     }
 }
-
 
 /// Determines the exit code of the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorKind {
     /// A fault of the program itself.
-    Internal,
+    Internal = 1,
     Usage,
     Input,
     /// A peer (ROS master, node, Redis, gateway) does not answer.
@@ -144,16 +129,7 @@ pub enum ErrorKind {
 
 impl ErrorKind {
     pub fn exit_code(self) -> u8 {
-        match self {
-            Self::Internal => 1,
-            Self::Usage => 2,
-            Self::Input => 3,
-            Self::Unreachable => 4,
-            Self::Refused => 5,
-            Self::Tampered => 6,
-            Self::Home => 7,
-            Self::Incomplete => 8,
-        }
+        self as u8
     }
 }
 

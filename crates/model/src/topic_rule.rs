@@ -1,13 +1,12 @@
 //! Rules for topics: which type, how many messages, which tags, how long they are kept.
 
 use std::collections::BTreeMap;
-use std::str::FromStr;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::topic::{LONGEST_NAME, TypeName};
-use crate::text::{as_text, names};
+use crate::text::{as_text, is_name, names};
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
@@ -19,7 +18,12 @@ pub struct PatternError(String);
 /// A pattern for topic names: `*` within a part, `**` across parts, `?` for one letter.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicPattern(String);
-names!(TopicPattern);
+names! {
+    TopicPattern: |text| {
+        let fits = |b: u8| b.is_ascii_alphanumeric() || b"_/*?".contains(&b);
+        (text.starts_with('/') || text.starts_with("**")) && is_name(text, LONGEST_NAME, fits, fits)
+    }, else PatternError by |text| PatternError(super::clean(text, 80));
+}
 as_text!(TopicPattern);
 
 impl TopicPattern {
@@ -68,19 +72,6 @@ fn spread(reached: &[bool], text: &[u8], over_parts: bool) -> Vec<bool> {
         spread.push(going);
     }
     spread
-}
-
-impl FromStr for TopicPattern {
-    type Err = PatternError;
-
-    fn from_str(text: &str) -> Result<Self, PatternError> {
-        let usable = |byte: u8| byte.is_ascii_alphanumeric() || b"_/*?".contains(&byte);
-        let begins = text.starts_with('/') || text.starts_with("**");
-        if begins && text.len() <= LONGEST_NAME && text.bytes().all(usable) {
-            return Ok(Self(text.to_owned()));
-        }
-        Err(PatternError(super::clean(text, 80)))
-    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

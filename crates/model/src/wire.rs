@@ -37,22 +37,6 @@ impl<'a> Reader<'a> {
         Ok(*head)
     }
 
-    pub fn u8(&mut self, field: &'static str) -> Result<u8, WireError> {
-        self.array(field).map(u8::from_be_bytes)
-    }
-
-    pub fn u16(&mut self, field: &'static str) -> Result<u16, WireError> {
-        self.array(field).map(u16::from_be_bytes)
-    }
-
-    pub fn u32(&mut self, field: &'static str) -> Result<u32, WireError> {
-        self.array(field).map(u32::from_be_bytes)
-    }
-
-    pub fn u64(&mut self, field: &'static str) -> Result<u64, WireError> {
-        self.array(field).map(u64::from_be_bytes)
-    }
-
     /// With a two-byte length before it.
     pub fn text(&mut self, field: &'static str) -> Result<String, WireError> {
         let length = usize::from(self.u16(field)?);
@@ -141,8 +125,37 @@ macro_rules! layout {
     )+};
 }
 
+/// `encode` and `parse` of a body that consists of a label, called `$word` in errors, and one encoding.
+#[macro_export]
+macro_rules! body {
+    ($name:ident behind $label:expr, $word:literal) => {
+        impl $name {
+            /// Its encoding.
+            pub fn encode(&self) -> Vec<u8> {
+                $crate::wire::Wire::behind(self, $label)
+            }
+
+            /// From its encoding; only the form is checked.
+            /// # Errors
+            /// If the bytes are not exactly one.
+            pub fn parse(bytes: &[u8]) -> Result<Self, $crate::wire::WireError> {
+                $crate::wire::Wire::whole_behind($label, $word, bytes)
+            }
+        }
+    };
+    ($name:ident) => {
+        $crate::body!($name behind &[], "label");
+    };
+}
+
 macro_rules! numbers {
     ($($number:ident)+) => {$(
+        impl Reader<'_> {
+            pub fn $number(&mut self, field: &'static str) -> Result<$number, WireError> {
+                self.array(field).map($number::from_be_bytes)
+            }
+        }
+
         impl Wire for $number {
             fn put(&self, out: &mut Vec<u8>) {
                 out.extend_from_slice(&self.to_be_bytes());
@@ -205,16 +218,33 @@ impl Wire for Vec<u8> {
     }
 }
 
-impl<A: Wire, B: Wire> Wire for (A, B) {
+/// 0, or 1 and the value.
+impl<T: Wire> Wire for Option<T> {
     fn put(&self, out: &mut Vec<u8>) {
-        self.0.put(out);
-        self.1.put(out);
+        self.is_some().put(out);
+        self.iter().for_each(|value| value.put(out));
     }
 
     fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
-        Ok((A::read(reader, field)?, B::read(reader, field)?))
+        bool::read(reader, field)?.then(|| T::read(reader, field)).transpose()
     }
 }
+
+macro_rules! tuples {
+    ($(($($part:ident $at:tt),+))+) => {$(
+        impl<$($part: Wire),+> Wire for ($($part),+) {
+            fn put(&self, out: &mut Vec<u8>) {
+                $(self.$at.put(out);)+
+            }
+
+            fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+                Ok(($($part::read(reader, field)?),+))
+            }
+        }
+    )+};
+}
+
+tuples!((A 0, B 1) (A 0, B 1, C 2) (A 0, B 1, C 2, D 3));
 
 /// Appends how many there are, and each; what is beyond `most` is cut.
 pub fn put_list<Count: Wire + TryFrom<usize> + Default>(out: &mut Vec<u8>, list: &[impl Wire], most: usize) {
@@ -224,15 +254,13 @@ pub fn put_list<Count: Wire + TryFrom<usize> + Default>(out: &mut Vec<u8>, list:
 }
 
 /// As many as their count says, which must be in `allowed`. Errors call the count `fields.0`, an item `fields.1`.
-pub fn read_list<Count: Wire + Into<usize>, One: Wire>(
+pub fn read_list<Count: Wire + TryInto<usize>, One: Wire>(
     reader: &mut Reader<'_>,
     allowed: std::ops::RangeInclusive<usize>,
     fields: (&'static str, &'static str),
 ) -> Result<Vec<One>, WireError> {
-    let count: usize = Count::read(reader, fields.0)?.into();
-    if !allowed.contains(&count) {
-        return Err(WireError::Value(fields.0));
-    }
+    let count = Count::read(reader, fields.0)?.try_into().ok().filter(|count| allowed.contains(count));
+    let count = count.ok_or(WireError::Value(fields.0))?;
     (0..count).map(|_| One::read(reader, fields.1)).collect()
 }
 

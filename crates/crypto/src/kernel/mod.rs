@@ -3,8 +3,6 @@
 //! called only with an [`Available`], or (SM2) through `way`, which detected them.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
-use std::fmt;
-use std::str::FromStr;
 use std::sync::OnceLock;
 
 use zeroize::Zeroizing;
@@ -44,7 +42,8 @@ pub(super) use sm3::{BLOCK, INITIAL, compress, ending};
 pub(super) use sm3_lanes::{LONG, digest_many};
 
 /// The implementation of SM4 and GHASH.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::Display, strum::EnumString)]
+#[strum(serialize_all = "kebab-case", parse_err_ty = KernelError, parse_err_fn = unknown)]
 pub enum Kernel {
     /// GFNI, AVX-512 and VPCLMULQDQ: 64 blocks at once.
     GfniAvx512,
@@ -103,7 +102,6 @@ impl Kernel {
     }
 
     /// Makes the whole process use this kernel, for tests and measurements.
-    ///
     /// # Errors
     /// [`KernelError::Unavailable`], or [`KernelError::Decided`] if another one is already in use.
     pub fn force(self) -> Result<(), KernelError> {
@@ -113,24 +111,8 @@ impl Kernel {
     }
 }
 
-impl fmt::Display for Kernel {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::GfniAvx512 => "gfni-avx512",
-            Self::GfniAvx2 => "gfni-avx2",
-            Self::AesniAvx2 => "aesni-avx2",
-            Self::Portable => "portable",
-        })
-    }
-}
-
-impl FromStr for Kernel {
-    type Err = KernelError;
-
-    fn from_str(text: &str) -> Result<Self, KernelError> {
-        let known = Self::ALL.into_iter().find(|kernel| kernel.to_string() == text);
-        known.ok_or_else(|| KernelError::Unknown(clean(text, 40)))
-    }
+fn unknown(text: &str) -> KernelError {
+    KernelError::Unknown(clean(text, 40))
 }
 
 static DECIDED: OnceLock<Available> = OnceLock::new();

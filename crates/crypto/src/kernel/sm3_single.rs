@@ -1,6 +1,5 @@
 //! SM3's compression (GB/T 32905-2016, 5.3) for one long message. States depend on each other, but the message
-//! expansion needs none: vectors expand the next blocks between the rounds of the current ones, in slots the processor
-//! has free.
+//! expansion needs none: vectors expand the next blocks between the rounds of the current ones, in free slots.
 //! Safety: `hold` emits no instruction; the features the rows need are checked before they are called.
 #![allow(unsafe_code, reason = "an empty instruction and calls with checked features, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]

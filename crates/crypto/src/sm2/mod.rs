@@ -17,7 +17,7 @@ use crate::der::CipherParts;
 use crate::kernel::sm2::{Affine, Scalar, Signer, SignerTable, multiply, multiply_both, multiply_generator, verifies};
 use crate::model::{PublicKey, Signature};
 use crate::provider::DISTINGUISHED_ID;
-use crate::secret::{random_bytes, unprefixed};
+use crate::secret::{joined, random_bytes};
 use crate::sm3::{Sm3Hasher, sm3};
 
 /// The point of a public key, checked to be on the curve and canonically encoded.
@@ -294,10 +294,7 @@ impl SigningKey {
         if r.is_zero() || both.is_zero() || s.is_zero() {
             return None;
         }
-        let mut bytes = [0; 64];
-        bytes[..32].copy_from_slice(&r.to_bytes());
-        bytes[32..].copy_from_slice(&s.to_bytes());
-        Some(Signature(bytes))
+        Some(Signature(joined(&r.to_bytes(), &s.to_bytes())))
     }
 }
 
@@ -327,7 +324,6 @@ fn verify_among(
 }
 
 /// Checks a signature in full, as for an unknown signer; only for measurements.
-///
 /// # Errors
 /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
 pub fn verify_as_stranger(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
@@ -373,25 +369,24 @@ fn encrypt_with(k: &Scalar, point: &Affine, plain: &[u8]) -> Option<CipherParts>
 
 /// Decrypts with a secret number; constant-time in it.
 pub(crate) fn decrypt(secret: &[u8; 32], parts: CipherParts) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
-    let point = point(&unprefixed(&parts.x, &parts.y))?;
-    let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or(CryptoError::SecretRange("SM2"))?);
-    let mut shared = multiply(&number, &point);
+    let shared = shared(secret, &PublicKey(joined(&parts.x, &parts.y)))?;
     let coordinates = Zeroizing::new(shared.to_bytes());
-    shared.zeroize();
     let mut plain = Zeroizing::new(parts.text);
     let masked = mask(&coordinates, &mut plain);
     let same = bool::from(check_value(&coordinates, &plain).ct_eq(&parts.check));
     if masked && same { Ok(plain) } else { Err(CryptoError::BadCiphertext) }
 }
 
-/// The x coordinate of a secret number times a public key; constant-time in the number.
-pub(crate) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+/// A secret number times a public key; constant-time in the number.
+fn shared(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<Affine>, CryptoError> {
     let point = point(public)?;
     let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or(CryptoError::SecretRange("SM2"))?);
-    let mut shared = multiply(&number, &point);
-    let x = Zeroizing::new(shared.x_bytes());
-    shared.zeroize();
-    Ok(x)
+    Ok(Zeroizing::new(multiply(&number, &point)))
+}
+
+/// The x coordinate of that.
+pub(crate) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    Ok(Zeroizing::new(shared(secret, public)?.x_bytes()))
 }
 
 /// XORs the stream derived from x2 || y2 (5.4.3) into the text; returns whether any byte of the stream was not zero.

@@ -60,7 +60,6 @@ impl Uses {
 
 impl Certificate {
     /// From DER.
-    ///
     /// # Errors
     /// [`TimeError`] where it is none, or signed in an unknown way.
     pub fn parse(der: &[u8]) -> Result<Self, TimeError> {
@@ -83,9 +82,8 @@ impl Certificate {
             return Err(form(PART, "it names two signature algorithms"));
         }
         let issuer = inner.element(SEQUENCE)?.whole.to_vec();
-        let mut validity = inner.inside(SEQUENCE)?;
-        let (from, until) = (validity.any()?, validity.any()?);
-        validity.end()?;
+        let (from, until) =
+            inner.within(SEQUENCE, |validity| Ok::<_, TimeError>((validity.any()?, validity.any()?)))?;
         let subject = inner.element(SEQUENCE)?.whole.to_vec();
         let key = Key::read(&mut inner)?;
         for unique in [1, 2] {
@@ -102,7 +100,6 @@ impl Certificate {
     }
 
     /// From PEM: the first certificate of it.
-    ///
     /// # Errors
     /// [`TimeError`] where there is none.
     pub fn from_pem(text: &str) -> Result<Self, TimeError> {

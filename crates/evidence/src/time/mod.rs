@@ -62,12 +62,6 @@ pub enum TimeError {
     Critical(String),
 }
 
-impl TimeError {
-    fn not_granted(status: u64, text: Option<&str>) -> Self {
-        Self::NotGranted { status, text: text.map(|text| clean(text, 200)) }
-    }
-}
-
 fn form(part: &'static str, why: &'static str) -> TimeError {
     TimeError::Form { part, why }
 }
@@ -132,7 +126,6 @@ pub struct Stamped {
 
 impl Stamped {
     /// Which of the pinned certificates it leads to.
-    ///
     /// # Errors
     /// [`TimeError::NotPinned`] if it leads to none.
     pub fn by_pinned(&self) -> Result<usize, TimeError> {
@@ -142,7 +135,6 @@ impl Stamped {
 
 /// Checks form, imprint (SHA-256), nonce, signed content (RFC 5652, 5.6), name of the certificate (RFC 5816),
 /// signature, purpose, validity at the stamped time, and the path to a pinned certificate.
-///
 /// # Errors
 /// [`TimeError`] with the first contradiction.
 pub fn check_token(
@@ -258,7 +250,6 @@ impl Request {
 }
 
 /// The token in an authority's answer.
-///
 /// # Errors
 /// [`TimeError::NotGranted`] with its text, [`TimeError::Form`] if it is not an answer.
 pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
@@ -269,7 +260,8 @@ pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
     if status > 1 {
         let texts = about.inside_optional(SEQUENCE)?;
         let text = texts.and_then(|mut texts| texts.element(UTF8).ok());
-        return Err(TimeError::not_granted(status, text.and_then(|text| std::str::from_utf8(text.content).ok())));
+        let text = text.and_then(|text| std::str::from_utf8(text.content).ok()).map(|text| clean(text, 200));
+        return Err(TimeError::NotGranted { status, text });
     }
     let token = outer.element(SEQUENCE)?.whole;
     outer.end()?;
@@ -361,33 +353,25 @@ impl<'a> Token<'a> {
         if outer.object()? != certificate::SIGNED_DATA {
             return Err(form(PART, "it is not signed data"));
         }
-        let mut wrapped = outer.inside(context(0))?;
+        let mut data = outer.within(context(0), |wrapped| wrapped.inside(SEQUENCE))?;
         outer.end()?;
-        let mut data = wrapped.inside(SEQUENCE)?;
-        wrapped.end()?;
         // RFC 5652, 5.1: content other than plain data.
         if data.small()? != 3 {
             return Err(form(PART, "its version is not 3"));
         }
-        let mut hashes = data.inside(SET)?;
-        let hash = HashKind::read(&mut hashes, SEQUENCE)?;
-        hashes.end()?;
+        let hash = data.within(SET, |hashes| HashKind::read(hashes, SEQUENCE))?;
         let mut about = data.inside(SEQUENCE)?;
         if about.object()? != certificate::STAMP {
             return Err(form(PART, "it is signed data, but not a time stamp"));
         }
-        let mut explicit = about.inside(context(0))?;
+        let content = about.within(context(0), |explicit| explicit.element(OCTETS))?.content;
         about.end()?;
-        let content = explicit.element(OCTETS)?.content;
-        explicit.end()?;
         let certificates = certificates(&mut data)?;
         if data.next_tag() == Some(context(1)) {
             return Err(form(PART, "it includes certificate revocation lists, which are not supported"));
         }
-        let mut signers = data.inside(SET)?;
+        let signer = data.within(SET, Signer::parse)?;
         data.end()?;
-        let signer = Signer::parse(&mut signers)?;
-        signers.end()?;
         if signer.hash != hash {
             return Err(form(PART, "it names a different hash than its signer does"));
         }
@@ -460,9 +444,8 @@ impl<'a> Signer<'a> {
         if one.small()? != 1 {
             return Err(form(SIGNER, "it does not name its certificate by issuer and serial number"));
         }
-        let mut sid = one.inside(SEQUENCE)?;
-        let (issuer, serial) = (sid.element(SEQUENCE)?.whole, sid.integer()?);
-        sid.end()?;
+        let (issuer, serial) =
+            one.within(SEQUENCE, |sid| Ok::<_, TimeError>((sid.element(SEQUENCE)?.whole, sid.integer()?)))?;
         let hash = HashKind::read(&mut one, SEQUENCE)?;
         let listed = one.element(context(0))?;
         let signed = std::iter::once(SET).chain(listed.whole.iter().skip(1).copied()).collect();
@@ -481,10 +464,8 @@ fn attributes(bytes: &[u8]) -> Result<Vec<(&[u8], Der<'_>)>, TimeError> {
     while !all.is_empty() {
         let mut one = all.inside(SEQUENCE)?;
         let name = one.object()?;
-        let mut values = one.inside(SET)?;
+        let value = Der::new(SIGNER, one.within(SET, |values| values.any())?.whole);
         one.end()?;
-        let value = Der::new(SIGNER, values.any()?.whole);
-        values.end()?;
         if found.len() >= MOST_ATTRIBUTES || found.iter().any(|(known, _)| *known == name) {
             return Err(form(SIGNER, "an attribute is a duplicate, or one too many"));
         }
@@ -541,7 +522,7 @@ impl StampTree {
         });
         let listed =
             Listed { format: FORMAT.to_owned(), top: self.tree.root(), count: self.count(), roots: roots.collect() };
-        Ok((Hash(self.imprint()), places_text(&listed)?))
+        Ok((Hash(self.imprint()), crate::manifest::to_json(ROOTS, &listed)?))
     }
 }
 
@@ -564,10 +545,6 @@ pub(crate) struct Listed {
     top: Hash,
     count: u64,
     roots: Vec<StampedRoot>,
-}
-
-fn places_text(listed: &Listed) -> Result<Vec<u8>, BundleError> {
-    serde_json::to_vec_pretty(listed).map_err(|error| BundleError::of(ROOTS, &error.to_string()))
 }
 
 /// The name of a token's file: half of its SHA-256, since names of members are no longer than 120 bytes.

@@ -16,19 +16,13 @@ pub(super) const MODULUS: Limbs = [u64::MAX, 0xffff_ffff_0000_0000, u64::MAX, 0x
 /// 2^512 modulo p.
 const SQUARE: Limbs = [0x2_0000_0003, 0x2_ffff_ffff, 0x1_0000_0001, 0x4_0000_0002];
 
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Zeroize)]
 pub(super) struct Element(Limbs);
 
 /// Leaves out the number, which may belong to a secret point.
 impl fmt::Debug for Element {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Element")
-    }
-}
-
-impl Zeroize for Element {
-    fn zeroize(&mut self) {
-        self.0.zeroize();
     }
 }
 

@@ -29,17 +29,10 @@ pub(super) const GENERATOR: Affine = Affine {
 };
 
 /// A point that is not infinity.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Zeroize)]
 pub(crate) struct Affine {
     pub(super) x: Element,
     pub(super) y: Element,
-}
-
-impl Zeroize for Affine {
-    fn zeroize(&mut self) {
-        self.x.zeroize();
-        self.y.zeroize();
-    }
 }
 
 impl Affine {
@@ -84,19 +77,11 @@ impl Affine {
 }
 
 /// The point (x / z^2, y / z^3); infinity where z is zero.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Zeroize)]
 pub(super) struct Jacobian {
     pub x: Element,
     pub y: Element,
     pub z: Element,
-}
-
-impl Zeroize for Jacobian {
-    fn zeroize(&mut self) {
-        self.x.zeroize();
-        self.y.zeroize();
-        self.z.zeroize();
-    }
 }
 
 impl From<Affine> for Jacobian {

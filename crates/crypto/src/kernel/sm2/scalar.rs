@@ -19,19 +19,13 @@ const RADIX: Limbs = [0xac44_0bf6_c62a_bedd, 0x8dfc_2094_de39_fad4, 0, 0x1_0000_
 const FACTOR: u64 = 0x327f_9e88_7235_0975;
 
 /// A number modulo n.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Zeroize)]
 pub(crate) struct Scalar(Limbs);
 
 /// Leaves out the number, which may be a secret.
 impl fmt::Debug for Scalar {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Scalar")
-    }
-}
-
-impl Zeroize for Scalar {
-    fn zeroize(&mut self) {
-        self.0.zeroize();
     }
 }
 
