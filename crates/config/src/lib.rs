@@ -279,7 +279,7 @@ impl Config {
 
     /// What ciphertext is kept, according to the setting and the rules of topics.
     pub fn keeping(&self) -> Keeping {
-        Keeping::new(self.topic_rules.clone(), self.retention.clone())
+        Keeping { topics: self.topic_rules.clone(), setting: self.retention.clone() }
     }
 
     /// All settings for display, with passwords and paths in URLs hidden.

@@ -1,16 +1,13 @@
-//! Proof that a record is anchored, carried with the record: where the chain has its digest or its batch's root, and
-//! the path from the record to that root.
+//! Proof that a record is anchored, carried with the record.
 
 use crate::merkle::{Inclusion, LONGEST_PATH};
-use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Hash};
+use crate::model::wire::{Reader, Wire, WireError, put_list, read_list};
+use crate::model::{Address, Hash, body, layout};
 
-/// The version written.
 const VERSION: u8 = 1;
 
-/// Where a record was anchored: version (1) || account (20) || transaction (32) || block (8) || block hash (32) ||
-/// batched (1). For a batched record it continues: index (8) || leaves (8) || root (32) || steps (1) || 32 bytes a
-/// step.
+/// version (1) || account (20) || transaction (32) || block (8) || block hash (32) || batched (1), and of a batched
+/// record: index (8) || leaves (8) || root (32) || steps (1) || 32 bytes a step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AnchorProof {
     /// Who anchored it.
@@ -25,57 +22,26 @@ pub struct AnchorProof {
     pub inclusion: Option<Inclusion>,
 }
 
-impl AnchorProof {
-    /// Its encoding.
-    pub fn encode(&self) -> Vec<u8> {
-        let mut out = vec![VERSION];
-        for part in [&self.account.0[..], &self.transaction.0, &self.block.to_be_bytes(), &self.block_hash.0] {
-            out.extend_from_slice(part);
-        }
-        out.push(u8::from(self.inclusion.is_some()));
-        if let Some(inclusion) = &self.inclusion {
-            let path = &inclusion.path[..inclusion.path.len().min(LONGEST_PATH)];
-            out.extend_from_slice(&inclusion.index.to_be_bytes());
-            out.extend_from_slice(&inclusion.count.to_be_bytes());
-            out.extend_from_slice(&inclusion.root.0);
-            out.push(u8::try_from(path.len()).unwrap_or(0));
-            path.iter().for_each(|step| out.extend_from_slice(&step.0));
-        }
-        out
+layout!(AnchorProof {
+    account: "account",
+    transaction: "transaction",
+    block: "block",
+    block_hash: "block hash",
+    inclusion: "batched",
+});
+body!(AnchorProof behind &[VERSION], "version");
+
+impl Wire for Inclusion {
+    fn put(&self, out: &mut Vec<u8>) {
+        (self.index, self.count, self.root).put(out);
+        put_list::<u8>(out, &self.path, LONGEST_PATH);
     }
 
-    /// From its encoding; each proof has exactly one.
-    ///
-    /// # Errors
-    /// [`WireError`], with the field that is wrong.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        if reader.u8("version")? != VERSION {
-            return Err(WireError::Value("version"));
-        }
-        let account = Address(reader.array("account")?);
-        let transaction = Hash(reader.array("transaction")?);
-        let block = reader.u64("block")?;
-        let block_hash = Hash(reader.array("block hash")?);
-        let inclusion = match reader.u8("batched")? {
-            0 => None,
-            1 => Some(inclusion(&mut reader)?),
-            _ => return Err(WireError::Value("batched")),
-        };
-        reader.end()?;
-        Ok(Self { account, transaction, block, block_hash, inclusion })
+    fn read(reader: &mut Reader<'_>, _: &'static str) -> Result<Self, WireError> {
+        let (index, count, root) = (reader.u64("index")?, reader.u64("leaves")?, Wire::read(reader, "root")?);
+        let path = read_list::<u8, _>(reader, 0..=LONGEST_PATH, ("steps", "step"))?;
+        Ok(Self { index, count, path, root })
     }
-}
-
-fn inclusion(reader: &mut Reader<'_>) -> Result<Inclusion, WireError> {
-    let (index, count) = (reader.u64("index")?, reader.u64("leaves")?);
-    let root = Hash(reader.array("root")?);
-    let steps = usize::from(reader.u8("steps")?);
-    if steps > LONGEST_PATH {
-        return Err(WireError::Value("steps"));
-    }
-    let path = (0..steps).map(|_| reader.array("step").map(Hash)).collect::<Result<_, _>>()?;
-    Ok(Inclusion { index, count, path, root })
 }
 
 #[cfg(test)]

@@ -1,5 +1,4 @@
-//! Lossless compression of each message before it is sealed, and bounded decompression. `pipeline` decides which
-//! messages are worth compressing; `ros` says where the matrix of a message lies.
+//! Lossless compression of each message before it is sealed, and bounded decompression.
 
 use crate::model::head::Compression;
 use crate::model::wire::{Reader, WireError};
@@ -48,7 +47,6 @@ fn pays(packed: &[u8], body: &[u8]) -> bool {
 }
 
 /// Restores a message of `length` bytes; the caller has bounded `length`. Allocates no more than that.
-///
 /// # Errors
 /// [`WireError`] if `packed` is not what [`pack`] produces for a message of that length.
 pub fn unpack(compression: Compression, packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
@@ -74,7 +72,6 @@ const ABOVE: u8 = 2;
 const AVERAGE: u8 = 3;
 const PAETH: u8 = 4;
 
-/// What both directions need.
 struct Shape {
     /// Distance between comparable neighbours in a row, in bytes or numbers.
     back: usize,
@@ -103,7 +100,6 @@ impl Shape {
     }
 }
 
-/// The rows above, the nearest first.
 struct Above<T> {
     rows: [Vec<T>; 2],
     apart: usize,
@@ -125,7 +121,6 @@ impl<T: Copy + Default> Above<T> {
     }
 }
 
-/// The rows before the one in work, which both directions keep.
 struct Rows {
     shape: Shape,
     bytes: Above<u8>,
@@ -146,7 +141,6 @@ impl Rows {
     }
 }
 
-/// Filters row after row.
 struct Filter {
     rows: Rows,
     now: Vec<u8>,
@@ -209,7 +203,6 @@ impl Filter {
     }
 }
 
-/// Bits per number.
 fn cost(number: u32) -> u64 {
     u64::from(32 - number.leading_zeros())
 }
@@ -286,7 +279,6 @@ fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     }
 }
 
-/// Takes green from the other colours of a picture, or gives it back.
 fn turn_green(row: &mut [u8], channels: usize, turn: impl Fn(u8, u8) -> u8) {
     if channels > 0 {
         for pixel in row.chunks_exact_mut(channels) {
@@ -385,11 +377,9 @@ pub const MOST_CHANNELS: usize = 64;
 /// Rows shorter than this are not treated as a matrix, bytes.
 const SHORTEST_ROW: usize = 16;
 
-/// Flag bits stored with the sample size.
 const BIG_ENDIAN: u8 = 0x80;
 const GREEN: u8 = 0x40;
 
-/// Rows sampled to see how the colours correlate.
 const LOOKED_AT: usize = 16;
 
 /// The most bytes that Deflate expands one byte to.
@@ -425,12 +415,10 @@ impl Matrix {
         self.rows.checked_mul(row).filter(|_| allowed && row >= SHORTEST_ROW)
     }
 
-    /// Offset just past its last byte.
     fn end(&self) -> Option<usize> {
         self.length()?.checked_add(self.start)
     }
 
-    /// Bytes in a row.
     fn row(&self) -> usize {
         self.columns * self.channels * self.sample
     }
@@ -502,7 +490,6 @@ fn is_grey(numbers: &[u8], matrix: &Matrix) -> bool {
     taken < plain
 }
 
-/// Restores what [`pack`] made of a message of `length` bytes, in place in the output buffer.
 fn unpack_matrix(packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
     let mut reader = Reader::new(packed);
     let (matrix, green) = Matrix::read(&mut reader)?;
@@ -521,7 +508,6 @@ fn unpack_matrix(packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
     Ok(out)
 }
 
-/// Fills `out` exactly.
 fn inflate(stream: &[u8], out: &mut [u8]) -> Result<(), WireError> {
     let mut coder = Decompressor::new();
     let (mut rest, mut filled) = (stream, 0);

@@ -1,10 +1,11 @@
-//! DER (X.690, 10 and 11), read strictly: only definite and shortest lengths, nothing left over, nothing copied. It has what
-//! SM2 needs (signatures of GB/T 35276, ciphertexts of GM/T 0009: integers are positive), and time stamps and certificates.
+//! DER (X.690, 10 and 11), read strictly: definite and shortest lengths only, nothing left over, nothing copied.
+//! Integers of SM2 structures (GB/T 35276, GM/T 0009) are positive.
 
 use crate::model::Signature;
 use crate::model::wire::WireError;
 
 use super::CryptoError;
+use super::secret::joined;
 
 /// A truth value.
 pub const BOOLEAN: u8 = 0x01;
@@ -131,6 +132,18 @@ impl<'a> Der<'a> {
         Ok(Self::new(self.part, self.element(tag)?.content))
     }
 
+    /// What is read of the next element's content, which is read to its end; it must have this tag.
+    pub fn within<T, E: From<DerError>>(
+        &mut self,
+        tag: u8,
+        read: impl FnOnce(&mut Self) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let mut inner = self.inside(tag)?;
+        let found = read(&mut inner)?;
+        inner.end()?;
+        Ok(found)
+    }
+
     /// The content of the next element if it has this tag.
     pub fn inside_optional(&mut self, tag: u8) -> Result<Option<Self>, DerError> {
         Ok(self.optional(tag)?.map(|element| Self::new(self.part, element.content)))
@@ -236,7 +249,6 @@ impl CipherParts {
     }
 
     /// Reads exactly one ciphertext.
-    ///
     /// # Errors
     /// [`CryptoError::Malformed`] if it is not canonical DER or its text is empty.
     pub fn parse(der: &[u8]) -> Result<Self, CryptoError> {
@@ -260,7 +272,6 @@ pub fn signature_der(signature: &Signature) -> Vec<u8> {
 }
 
 /// A signature from DER; its range is checked when it is verified.
-///
 /// # Errors
 /// [`CryptoError::Malformed`] if it is not canonical DER of two 256-bit integers.
 pub fn signature_from_der(der: &[u8]) -> Result<Signature, CryptoError> {
@@ -269,9 +280,7 @@ pub fn signature_from_der(der: &[u8]) -> Result<Signature, CryptoError> {
 
 fn parse_signature(der: &[u8]) -> Result<Signature, WireError> {
     let mut body = Der::only("SM2 signature", der, SEQUENCE).map_err(of("sequence"))?;
-    let mut raw = [0; 64];
-    raw[..32].copy_from_slice(&number(&mut body, "r")?);
-    raw[32..].copy_from_slice(&number(&mut body, "s")?);
+    let raw = joined(&number(&mut body, "r")?, &number(&mut body, "s")?);
     body.end().map_err(of("sequence"))?;
     Ok(Signature(raw))
 }

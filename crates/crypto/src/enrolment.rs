@@ -1,6 +1,5 @@
-//! What a robot gets from its owner: its own signing pair, its name and K_T at a gateway, and the keys to seal its
-//! records with, for some topics or for all. It never holds d_C, K_C or the EOA key, so a stolen robot is not a stolen
-//! identity; it holds IK only if it covers all topics. The file format is in `file`.
+//! What a robot gets from its owner: a signing pair, its name and K_T at a gateway, and keys to seal with. It never
+//! holds d_C, K_C or the EOA key, so a stolen robot is not a stolen identity; it holds IK only if it covers all topics.
 
 #[cfg(test)]
 mod tests;
@@ -11,12 +10,11 @@ use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
 use crate::error::shown;
-use crate::gateway_addresses::{encoded, read_addresses};
-use crate::keyring::read_pair;
-use crate::keystore::{FileKey, SaveKeys, SealedHead};
-use crate::model::wire::{Reader, WireError, put_text};
+use crate::gateway_addresses::{put_addresses, read_addresses};
+use crate::keystore::{FileKey, SaveKeys, SealedHead, of_version};
+use crate::model::wire::{Reader, Wire, WireError};
 use crate::model::{
-    Address, Domain, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp, Token, TopicId,
+    Address, Domain, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp, Token, TopicId, layout,
 };
 use crate::private_file::{create_private, read_private, write_private};
 use crate::{
@@ -94,45 +92,15 @@ impl Enrolment {
     /// P_C (64) || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token
     /// (32) || 0, or 1 || recorder (16) || number (8) || time (8), || keys; texts with their length (2) before them.
     fn encode(&self) -> Zeroizing<Vec<u8>> {
-        let keys = self.keys.encode();
         let places: usize = self.gateway.addresses.iter().map(|address| address.len() + 2).sum();
-        let mut out = Zeroizing::new(Vec::with_capacity(512 + places + keys.len()));
-        out.extend_from_slice(&self.domain.0);
-        out.extend_from_slice(&self.chain_id.to_be_bytes());
-        out.extend_from_slice(&encoded(&self.gateway.addresses));
-        out.extend_from_slice(&self.gateway.fingerprint.0);
-        out.extend_from_slice(self.gateway.transport.expose());
-        put_text(&mut out, self.name.as_str());
-        out.extend_from_slice(&self.owner.0);
-        out.extend_from_slice(&self.owner_key.0);
-        out.extend_from_slice(self.device.secret.expose());
-        match &self.index {
-            None => out.push(0),
-            Some(index) => {
-                out.push(1);
-                out.extend_from_slice(index.expose());
-            }
-        }
-        out.extend_from_slice(&self.notice_id.0);
-        out.extend_from_slice(self.notice_key.expose());
-        out.extend_from_slice(&self.token.0);
-        match self.last_notice {
-            None => out.push(0),
-            Some(LastNotice { recorder, number, at }) => {
-                out.push(1);
-                out.extend_from_slice(&recorder.0);
-                out.extend_from_slice(&number.to_be_bytes());
-                out.extend_from_slice(&at.0.to_be_bytes());
-            }
-        }
-        out.extend_from_slice(&keys);
+        // Reserved in one piece, tag included: growing the buffer would leave unwiped copies behind.
+        let mut out = Zeroizing::new(Vec::with_capacity(512 + places + self.keys.length()));
+        self.put(&mut out);
         out
     }
 
     fn parse(plain: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(plain);
-        let enrolment = Self::read(&mut reader)?;
-        reader.end()?;
+        let enrolment = Self::whole(plain)?;
         // Without IK, the only pseudonyms are those that were issued.
         let IssuedKeys { now, next } = &enrolment.keys;
         let mut issues = std::iter::once(now).chain(next.as_ref().map(|(_, next)| next));
@@ -141,64 +109,50 @@ impl Enrolment {
         }
         Ok(enrolment)
     }
+}
 
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        Ok(Self {
-            domain: Domain(reader.array("domain")?),
-            chain_id: reader.u64("chain id")?,
-            gateway: GatewayAccess {
-                addresses: read_addresses(reader)?,
-                fingerprint: SignerId(reader.array("fingerprint")?),
-                transport: TransportKey::new(reader.array("transport key")?),
-            },
-            name: reader.text("name")?.parse().map_err(|_| WireError::Value("name"))?,
-            owner: Address(reader.array("owner")?),
-            owner_key: PublicKey(reader.array("owner key")?),
-            device: read_pair(reader, "device key")?,
-            index: match reader.u8("index key")? {
-                0 => None,
-                1 => Some(IndexKey::new(reader.array("index key")?)),
-                _ => return Err(WireError::Value("index key")),
-            },
-            notice_id: TopicId(reader.array("notice id")?),
-            notice_key: TopicKey::new(reader.array("notice key")?),
-            token: Token(reader.array("token")?),
-            last_notice: match reader.u8("notice")? {
-                0 => None,
-                1 => Some(LastNotice {
-                    recorder: RecorderId(reader.array("recorder")?),
-                    number: reader.u64("number")?,
-                    at: Timestamp(reader.u64("time")?),
-                }),
-                _ => return Err(WireError::Value("notice")),
-            },
-            keys: IssuedKeys::read(reader)?,
-        })
+layout!(LastNotice { recorder: "recorder", number: "number", at: "time" });
+layout!(Enrolment {
+    domain: "domain",
+    chain_id: "chain id",
+    gateway: "gateway",
+    name: "name",
+    owner: "owner",
+    owner_key: "owner key",
+    device: "device key",
+    index: "index key",
+    notice_id: "notice id",
+    notice_key: "notice key",
+    token: "token",
+    last_notice: "notice",
+    keys: "keys",
+});
+
+impl Wire for GatewayAccess {
+    fn put(&self, out: &mut Vec<u8>) {
+        put_addresses(out, &self.addresses);
+        self.fingerprint.put(out);
+        self.transport.put(out);
+    }
+
+    fn read(reader: &mut Reader<'_>, _: &'static str) -> Result<Self, WireError> {
+        let (addresses, fingerprint) = (read_addresses(reader)?, Wire::read(reader, "fingerprint")?);
+        Ok(Self { addresses, fingerprint, transport: Wire::read(reader, "transport key")? })
     }
 }
 
-// An enrolment on disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and
-// length (4), then the enrolment under SM4-GCM with all of that as AAD. `file_key` says how the passphrase becomes the
-// key.
+// On disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and length (4), then
+// the enrolment under SM4-GCM with all of that as AAD.
 
 const MAGIC: [u8; 8] = *b"\x89AuthEnr";
 const LABEL: &str = "AuthROS/enrolment/1";
-/// The largest file accepted, bytes.
 const LARGEST: usize = 1024 * 1024;
-/// Length of the header, bytes.
 const HEADER: usize = SealedHead::LENGTH + 4;
 
-/// A file's bytes in parts: what it begins with, all of its header as AAD, the sealed enrolment.
 type Parts<'a> = (SealedHead, &'a [u8], &'a [u8]);
 
-/// The parts of a file's bytes; `path` is only for the words of an error.
 fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
-    read_parts(bytes).map_err(|error| match (error, bytes.get(MAGIC.len())) {
-        (WireError::Value("version"), Some(found)) => {
-            CryptoError::Version { path: shown(path), what: "an enrolment", found: *found }
-        }
-        _ => damaged(path),
-    })
+    read_parts(bytes).map_err(|why| of_version(path, "an enrolment", bytes, why).unwrap_or_else(|| damaged(path)))
 }
 
 fn read_parts(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
@@ -208,20 +162,6 @@ fn read_parts(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
     let sealed = reader.take(length, "sealed enrolment")?;
     reader.end()?;
     Ok((head, bytes.get(..HEADER).unwrap_or_default(), sealed))
-}
-
-fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
-    let mut sealed = enrolment.encode();
-    let (head, keys) = SealedHead::new(key, LABEL)?;
-    let length = sealed.len() + 16;
-    if HEADER + length > LARGEST {
-        return Err(CryptoError::Length { what: "enrolment", found: sealed.len(), allowed: "at most 1 MiB" });
-    }
-    let mut out = head.encode(&MAGIC);
-    out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_be_bytes());
-    provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &out, &mut sealed)?;
-    out.extend_from_slice(&sealed);
-    Ok(out)
 }
 
 fn open(keys: &SaveKeys, (_, aad, sealed): Parts<'_>) -> Option<Enrolment> {
@@ -243,7 +183,6 @@ pub struct SealedEnrolment {
 
 impl SealedEnrolment {
     /// A new enrolment; derives the passphrase's key (about 0.3 s).
-    ///
     /// # Errors
     /// [`CryptoError::Random`].
     pub fn new(enrolment: Enrolment, passphrase: &Passphrase) -> Result<Self, CryptoError> {
@@ -251,18 +190,25 @@ impl SealedEnrolment {
     }
 
     /// The bytes of the file.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] if it is too large, [`CryptoError::Random`].
     pub fn seal(&self) -> Result<Vec<u8>, CryptoError> {
-        seal(&self.enrolment, &self.key)
+        let mut sealed = self.enrolment.encode();
+        let (head, keys) = SealedHead::new(&self.key, LABEL)?;
+        let length = sealed.len() + 16;
+        if HEADER + length > LARGEST {
+            return Err(CryptoError::Length { what: "enrolment", found: sealed.len(), allowed: "at most 1 MiB" });
+        }
+        let mut out = head.encode(&MAGIC);
+        out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_be_bytes());
+        provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &out, &mut sealed)?;
+        out.extend_from_slice(&sealed);
+        Ok(out)
     }
 
     /// Reads and opens a file (about 0.3 s).
-    ///
     /// # Errors
-    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::NotAKey`], [`CryptoError::Version`] or
-    /// [`CryptoError::WrongPassphrase`].
+    /// [`CryptoError::NotAKey`], [`CryptoError::Version`], [`CryptoError::WrongPassphrase`], or as [`read_private`].
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         let bytes = read_private(path, LARGEST)?;
         let parts = split(path, &bytes)?;
@@ -272,9 +218,7 @@ impl SealedEnrolment {
         Ok(Self { enrolment, key })
     }
 
-    /// Takes over what a later save of the same enrolment holds, if there is one; needs no derivation. A file of
-    /// another enrolment changes nothing.
-    ///
+    /// Takes over a later save of the same enrolment, if there is one; needs no derivation.
     /// # Errors
     /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`].
     pub fn catch_up(&mut self, path: &Path) -> Result<(), CryptoError> {
@@ -294,7 +238,6 @@ impl SealedEnrolment {
     }
 
     /// Writes a new file, never over one that is there.
-    ///
     /// # Errors
     /// [`CryptoError::Write`], also if the file exists.
     pub fn create(&self, path: &Path) -> Result<(), CryptoError> {
@@ -302,7 +245,6 @@ impl SealedEnrolment {
     }
 
     /// Replaces the file in one step.
-    ///
     /// # Errors
     /// [`CryptoError::Write`]; the old file is then still intact.
     pub fn save(&self, path: &Path) -> Result<(), CryptoError> {
@@ -314,11 +256,6 @@ impl SealedEnrolment {
         directory.join("enrolment")
     }
 }
-
-// The keys of an epoch as an owner issues them to a device, and their encoding.
-
-/// The most topics whose keys are issued at once, including those for statements.
-const MOST_ISSUED: usize = MOST_TOPICS;
 
 const EPOCH: u8 = 0;
 const TOPICS: u8 = 1;
@@ -382,39 +319,33 @@ impl IssuedKeys {
     /// (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic, topic id (16),
     /// filter key (32) and key (32) each.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
-        let length = self.now.length() + self.next.as_ref().map_or(1, |(_, next)| 9 + next.length());
         // Reserved in one piece, tag included: growing the buffer would leave unwiped copies behind.
-        let mut out = Zeroizing::new(Vec::with_capacity(length + 16));
-        self.now.put(&mut out);
-        match &self.next {
-            None => out.push(0),
-            Some((moment, next)) => {
-                out.push(1);
-                out.extend_from_slice(&moment.0.to_be_bytes());
-                next.put(&mut out);
-            }
-        }
+        let mut out = Zeroizing::new(Vec::with_capacity(self.length() + 16));
+        self.put(&mut out);
         out
     }
 
+    fn length(&self) -> usize {
+        self.now.length() + self.next.as_ref().map_or(1, |(_, next)| 9 + next.length())
+    }
+
     /// From the body of a notice.
-    ///
     /// # Errors
     /// [`WireError`] if it is malformed.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(body);
-        let issued = Self::read(&mut reader)?;
-        reader.end()?;
-        Ok(issued)
+        Self::whole(body)
+    }
+}
+
+impl Wire for IssuedKeys {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.now.put(out);
+        self.next.put(out);
     }
 
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let now = EpochIssue::read(reader)?;
-        let next = match reader.u8("next epoch")? {
-            0 => None,
-            1 => Some((Timestamp(reader.u64("moment")?), EpochIssue::read(reader)?)),
-            _ => return Err(WireError::Value("next epoch")),
-        };
+    fn read(reader: &mut Reader<'_>, _: &'static str) -> Result<Self, WireError> {
+        let now = EpochIssue::read(reader, "keys")?;
+        let next: Option<(Timestamp, EpochIssue)> = Wire::read(reader, "next epoch")?;
         if next.as_ref().is_some_and(|(_, next)| next.epoch <= now.epoch) {
             return Err(WireError::Value("next epoch"));
         }
@@ -429,38 +360,39 @@ impl EpochIssue {
             SealingKey::Topics(keys) => 2 + keys.keys().map(|topic| topic.len() + 82).sum::<usize>(),
         }
     }
+}
 
+layout!(IssuedTopic { id: "topic id", filters: "filter key", key: "topic key" });
+
+impl Wire for EpochIssue {
     fn put(&self, out: &mut Vec<u8>) {
-        out.extend_from_slice(&self.epoch.to_be_bytes());
-        out.extend_from_slice(&self.token.0);
-        out.extend_from_slice(&self.ends.map_or(0, |ends| ends.0).to_be_bytes());
+        (self.epoch, self.token).put(out);
+        self.ends.unwrap_or_default().put(out);
         match &self.key {
             SealingKey::Epoch(key) => {
-                out.push(EPOCH);
-                out.extend_from_slice(key.expose());
+                EPOCH.put(out);
+                key.put(out);
             }
             SealingKey::Topics(keys) => {
-                out.push(TOPICS);
-                let count = keys.len().min(MOST_ISSUED);
-                out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
+                TOPICS.put(out);
+                let count = keys.len().min(MOST_TOPICS);
+                u16::try_from(count).unwrap_or(0).put(out);
                 for (topic, issued) in keys.iter().take(count) {
-                    put_text(out, topic);
-                    out.extend_from_slice(&issued.id.0);
-                    out.extend_from_slice(issued.filters.expose());
-                    out.extend_from_slice(issued.key.expose());
+                    topic.put(out);
+                    issued.put(out);
                 }
             }
         }
     }
 
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let (epoch, token) = (reader.u64("epoch")?, Token(reader.array("token")?));
+    fn read(reader: &mut Reader<'_>, _: &'static str) -> Result<Self, WireError> {
+        let (epoch, token) = (reader.u64("epoch")?, Wire::read(reader, "token")?);
         if epoch == 0 {
             return Err(WireError::Value("epoch"));
         }
         let ends = Some(Timestamp(reader.u64("end")?)).filter(|ends| ends.0 > 0);
         let key = match reader.u8("key")? {
-            EPOCH => SealingKey::Epoch(EpochKey::new(reader.array("epoch key")?)),
+            EPOCH => SealingKey::Epoch(Wire::read(reader, "epoch key")?),
             TOPICS => SealingKey::Topics(read_topics(reader)?),
             _ => return Err(WireError::Value("key")),
         };
@@ -470,7 +402,7 @@ impl EpochIssue {
 
 fn read_topics(reader: &mut Reader<'_>) -> Result<BTreeMap<String, IssuedTopic>, WireError> {
     let count = usize::from(reader.u16("topic count")?);
-    if count > MOST_ISSUED {
+    if count > MOST_TOPICS {
         return Err(WireError::Value("topic count"));
     }
     let mut keys = BTreeMap::new();
@@ -480,19 +412,12 @@ fn read_topics(reader: &mut Reader<'_>) -> Result<BTreeMap<String, IssuedTopic>,
         if keys.last_key_value().is_some_and(|(last, _)| *last >= topic) {
             return Err(WireError::Value("topic"));
         }
-        let issued = IssuedTopic {
-            id: TopicId(reader.array("topic id")?),
-            filters: FilterKey::new(reader.array("filter key")?),
-            key: TopicKey::new(reader.array("topic key")?),
-        };
-        keys.insert(topic, issued);
+        keys.insert(topic, IssuedTopic::read(reader, "topic key")?);
     }
     Ok(keys)
 }
 
-// The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
-// is far below 2^56), 1 for another P_C of the owner, 2 for its gateway's addresses, 3 for a span of the device's ring, 4 for its
-// policy; further kinds take the next numbers.
+// A notice begins with its kind. 0 (keys) is the first byte of an epoch, which is far below 2^56.
 
 /// What an owner tells a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -512,15 +437,10 @@ pub enum Notice {
 }
 
 impl Notice {
-    /// The kind of [`Self::Keys`].
     const KEYS: u8 = 0;
-    /// The kind of [`Self::OwnerKey`].
     const OWNER_KEY: u8 = 1;
-    /// The kind of [`Self::Addresses`].
     const ADDRESSES: u8 = 2;
-    /// The kind of [`Self::Pull`].
     const PULL: u8 = 3;
-    /// The kind of [`Self::Policy`].
     const POLICY: u8 = 4;
 
     /// Its encoding, the body of the record.
@@ -536,7 +456,6 @@ impl Notice {
     }
 
     /// From the body of a record.
-    ///
     /// # Errors
     /// [`WireError`] if it is malformed.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {

@@ -1,15 +1,14 @@
-//! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around the terms and keys, signed by the owner's d_C.
-//! Whether the grant exists is for the chain to say; the terms inside must be exactly those of its event. And an owner's new
-//! SM2 pairs for the holder of its earlier keys, so that an old backup of the keyring leads to the newest: salt (32) ||
-//! SM4-GCM(d_C || d_E) (80), under a key that only the account's own key gives, all of it encrypted to the P_E that the
-//! pairs replace. So d_E alone, exposed, opens no later pair.
+//! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around terms and keys, signed by the owner's d_C.
+//! The terms must be exactly those of the chain's event. And an owner's new SM2 pairs for the holder of the former
+//! ones, so that an old keyring leads to the newest: salt (32) || SM4-GCM(d_C || d_E) (80) under a key that only the
+//! account's own key gives, encrypted to the former P_E. So an exposed d_E alone opens no later pair.
 
 use std::collections::BTreeSet;
 
 use crate::kdf::{Info, key_and_nonce};
 use crate::model::grant::MOST_TOPICS;
-use crate::model::wire::{Reader, WireError, put_text};
-use crate::model::{Address, Domain, GrantTerms, Identity, PublicKey, Scope, Signature, Timestamp, TopicId, TopicName};
+use crate::model::wire::{Reader, Wire, WireError, put_list, read_list};
+use crate::model::{Domain, GrantTerms, Identity, PublicKey, Scope, Signature, Timestamp, TopicId, TopicName};
 use crate::sm3::sm3;
 use crate::{CryptoError, EoaSecret, EpochKey, IndexKey, Provider, SmKeyPair, SmSecret, TopicKey, random_bytes};
 use zeroize::Zeroizing;
@@ -46,10 +45,8 @@ pub struct WrappedKeys {
 }
 
 /// Seals keys for a grantee: version || length (4) || SM2 ciphertext (DER) || signature (64).
-///
 /// # Errors
-/// [`CryptoError::Inconsistent`] if keys and terms do not match, [`CryptoError::PublicPoint`], [`CryptoError::Length`]
-/// if the envelope would exceed [`LARGEST_ENVELOPE`].
+/// [`CryptoError::Inconsistent`], [`CryptoError::PublicPoint`], or [`CryptoError::Length`] beyond [`LARGEST_ENVELOPE`].
 pub fn wrap(
     provider: &dyn Provider,
     domain: &Domain,
@@ -72,10 +69,8 @@ pub fn wrap(
 }
 
 /// Checks the owner's signature, opens the envelope and compares every field with the chain's event.
-///
 /// # Errors
-/// [`CryptoError::Malformed`], [`CryptoError::BadSignature`], [`CryptoError::BadCiphertext`], or
-/// [`CryptoError::NotAccepted`] naming the field that differs.
+/// `Malformed`, `BadSignature`, `BadCiphertext`, or [`CryptoError::NotAccepted`] naming the field that differs.
 pub fn unwrap(
     provider: &dyn Provider,
     domain: &Domain,
@@ -125,8 +120,7 @@ fn compare(domain: &Domain, named: &Domain, expected: &GrantTerms, terms: &Grant
     differing.map_or(Ok(()), |(field, _)| Err(CryptoError::NotAccepted { what: WHAT, field }))
 }
 
-/// Checks that keys match terms: same kind of scope, no epoch beyond the grant's, the grant's own covered, nothing
-/// twice, only topics of the scope, only valid names.
+/// Same kind of scope, no epoch beyond the grant's, its own covered, nothing twice, only valid names of the scope.
 fn check_fit(wrapped: &WrappedKeys) -> Result<(), CryptoError> {
     let epoch = wrapped.terms.epoch;
     let fits = match (&wrapped.keys, &wrapped.terms.scope) {
@@ -154,7 +148,6 @@ fn is_range(numbers: &BTreeSet<u64>, epoch: u64) -> bool {
 const LABEL: &[u8] = b"AuthROS/envelope/1";
 const ALL: u8 = 1;
 const TOPICS: u8 = 2;
-/// The longest key entry: epoch, name with its length, id and key.
 const LONGEST_ENTRY: usize = 8 + 2 + 255 + 16 + 32;
 
 fn encode(domain: &Domain, wrapped: &WrappedKeys) -> Zeroizing<Vec<u8>> {
@@ -166,123 +159,57 @@ fn encode(domain: &Domain, wrapped: &WrappedKeys) -> Zeroizing<Vec<u8>> {
     let mut out = Zeroizing::new(Vec::with_capacity(1024 + entries * LONGEST_ENTRY));
     let terms = &wrapped.terms;
     out.extend_from_slice(LABEL);
-    out.extend_from_slice(&domain.0);
-    out.extend_from_slice(&terms.owner.0);
-    out.extend_from_slice(&terms.grantee.0);
-    out.extend_from_slice(&terms.epoch.to_be_bytes());
-    put_expiry(&mut out, terms.expiry);
-    put_scope(&mut out, &terms.scope);
-    put_keys(&mut out, &wrapped.keys, entries);
+    (*domain, terms.owner, terms.grantee, terms.epoch).put(&mut out);
+    (terms.expiry.is_some(), terms.expiry.unwrap_or_default()).put(&mut out);
+    match &terms.scope {
+        Scope::All => ALL.put(&mut out),
+        Scope::Topics(topics) => {
+            TOPICS.put(&mut out);
+            put_list::<u16>(&mut out, topics, usize::MAX);
+        }
+    }
+    match &wrapped.keys {
+        GrantedKeys::All { epochs, index_key } => {
+            ALL.put(&mut out);
+            index_key.put(&mut out);
+            put_list::<u16>(&mut out, epochs, usize::MAX);
+        }
+        GrantedKeys::Topics { keys } => {
+            TOPICS.put(&mut out);
+            put_list::<u16>(&mut out, keys, usize::MAX);
+        }
+    }
     out
 }
 
-fn put_expiry(out: &mut Vec<u8>, expiry: Option<Timestamp>) {
-    out.push(u8::from(expiry.is_some()));
-    out.extend_from_slice(&expiry.map_or(0, |moment| moment.0).to_be_bytes());
-}
-
-fn put_scope(out: &mut Vec<u8>, scope: &Scope) {
-    match scope {
-        Scope::All => out.push(ALL),
-        Scope::Topics(topics) => {
-            out.push(TOPICS);
-            out.extend_from_slice(&u16::try_from(topics.len()).unwrap_or(u16::MAX).to_be_bytes());
-            topics.iter().for_each(|topic| out.extend_from_slice(&topic.0));
-        }
-    }
-}
-
-fn put_keys(out: &mut Vec<u8>, keys: &GrantedKeys, entries: usize) {
-    let count = u16::try_from(entries).unwrap_or(u16::MAX).to_be_bytes();
-    match keys {
-        GrantedKeys::All { epochs, index_key } => {
-            out.push(ALL);
-            out.extend_from_slice(index_key.expose());
-            out.extend_from_slice(&count);
-            for (epoch, key) in epochs {
-                out.extend_from_slice(&epoch.to_be_bytes());
-                out.extend_from_slice(key.expose());
-            }
-        }
-        GrantedKeys::Topics { keys } => {
-            out.push(TOPICS);
-            out.extend_from_slice(&count);
-            for (epoch, name, id, key) in keys {
-                out.extend_from_slice(&epoch.to_be_bytes());
-                put_text(out, name);
-                out.extend_from_slice(&id.0);
-                out.extend_from_slice(key.expose());
-            }
-        }
-    }
-}
-
 fn parse(plain: &[u8]) -> Result<(Domain, WrappedKeys), WireError> {
-    let mut reader = Reader::new(plain);
-    if reader.take(LABEL.len(), "label")? != LABEL {
-        return Err(WireError::Value("label"));
-    }
-    let domain = Domain(reader.array("domain")?);
+    let mut reader = Reader::new(plain.strip_prefix(LABEL).ok_or(WireError::Value("label"))?);
+    let domain = Wire::read(&mut reader, "domain")?;
     let terms = GrantTerms {
-        owner: Address(reader.array("owner")?),
-        grantee: Address(reader.array("grantee")?),
+        owner: Wire::read(&mut reader, "owner")?,
+        grantee: Wire::read(&mut reader, "grantee")?,
         epoch: reader.u64("epoch")?,
-        expiry: read_expiry(&mut reader)?,
-        scope: read_scope(&mut reader)?,
+        expiry: match Wire::read(&mut reader, "expiry")? {
+            (false, Timestamp(0)) => None,
+            (true, moment) => Some(moment),
+            _ => return Err(WireError::Value("expiry")),
+        },
+        scope: match reader.u8("scope")? {
+            ALL => Scope::All,
+            TOPICS => Scope::Topics(read_list::<u16, _>(&mut reader, 0..=MOST_TOPICS, ("scope", "scope"))?),
+            _ => return Err(WireError::Value("scope")),
+        },
     };
-    let keys = read_keys(&mut reader)?;
+    let kind = reader.u8("kind of keys")?;
+    let index_key = if kind == ALL { Some(Wire::read(&mut reader, "index key")?) } else { None };
+    let (any, words) = (0..=usize::from(u16::MAX), ("number of keys", "key"));
+    let keys = match (kind, index_key) {
+        (ALL, Some(index_key)) => GrantedKeys::All { epochs: read_list::<u16, _>(&mut reader, any, words)?, index_key },
+        (TOPICS, _) => GrantedKeys::Topics { keys: read_list::<u16, _>(&mut reader, any, words)? },
+        _ => return Err(WireError::Value("kind of keys")),
+    };
     reader.end()?;
     Ok((domain, WrappedKeys { terms, keys }))
-}
-
-fn read_expiry(reader: &mut Reader<'_>) -> Result<Option<Timestamp>, WireError> {
-    match (reader.u8("expiry")?, reader.u64("expiry")?) {
-        (0, 0) => Ok(None),
-        (1, moment) => Ok(Some(Timestamp(moment))),
-        _ => Err(WireError::Value("expiry")),
-    }
-}
-
-fn read_scope(reader: &mut Reader<'_>) -> Result<Scope, WireError> {
-    match reader.u8("scope")? {
-        ALL => Ok(Scope::All),
-        TOPICS => {
-            let count = usize::from(reader.u16("scope")?);
-            if count > MOST_TOPICS {
-                return Err(WireError::Value("scope"));
-            }
-            let topics: Result<_, WireError> = (0..count).map(|_| reader.array("scope").map(TopicId)).collect();
-            topics.map(Scope::Topics)
-        }
-        _ => Err(WireError::Value("scope")),
-    }
-}
-
-fn read_keys(reader: &mut Reader<'_>) -> Result<GrantedKeys, WireError> {
-    match reader.u8("kind of keys")? {
-        ALL => {
-            let index_key = IndexKey::new(reader.array("index key")?);
-            let count = reader.u16("number of keys")?;
-            let epochs: Result<_, WireError> =
-                (0..count).map(|_| Ok((reader.u64("epoch")?, EpochKey::new(reader.array("epoch key")?)))).collect();
-            Ok(GrantedKeys::All { epochs: epochs?, index_key })
-        }
-        TOPICS => {
-            let count = reader.u16("number of keys")?;
-            let keys: Result<_, WireError> = (0..count).map(|_| read_topic(reader)).collect();
-            Ok(GrantedKeys::Topics { keys: keys? })
-        }
-        _ => Err(WireError::Value("kind of keys")),
-    }
-}
-
-fn read_topic(reader: &mut Reader<'_>) -> Result<(u64, String, TopicId, TopicKey), WireError> {
-    Ok((
-        reader.u64("epoch")?,
-        reader.text("topic")?,
-        TopicId(reader.array("topic id")?),
-        TopicKey::new(reader.array("topic key")?),
-    ))
 }
 
 const HAND_OVER: &str = "hand-over of SM2 keys";
@@ -299,7 +226,6 @@ fn context(domain: &Domain, eoa: &EoaSecret, signing: &PublicKey, envelope: &Pub
 }
 
 /// Wraps the new (d_C, P_C) and (d_E, P_E) for the P_E that they replace.
-///
 /// # Errors
 /// [`CryptoError::Random`], or [`CryptoError::PublicPoint`] if `former` is not a valid key.
 pub fn hand_over(
@@ -320,10 +246,8 @@ pub fn hand_over(
 }
 
 /// The pairs of `identity`, from the envelope in its event: (d_C, P_C) and (d_E, P_E).
-///
 /// # Errors
-/// [`CryptoError::BadCiphertext`] if `former` or `eoa` is not the key it was wrapped for, [`CryptoError::Malformed`], or
-/// [`CryptoError::NotAccepted`] if the pairs are not those of `identity`.
+/// `BadCiphertext` with another `former` or `eoa`, `Malformed`, or [`CryptoError::NotAccepted`] for other pairs.
 pub fn take_over(
     provider: &dyn Provider,
     domain: &Domain,
@@ -338,11 +262,9 @@ pub fn take_over(
     let (key, nonce) = sealing_key(eoa, &salt, domain);
     let bound = context(domain, eoa, &identity.signing, &identity.envelope);
     let plain = provider.gcm_open(&key, &nonce, &bound, reader.rest())?;
-    let (first, second) = plain
-        .split_at_checked(32)
-        .filter(|(_, second)| second.len() == 32)
-        .ok_or(WireError::Value("secrets"))
-        .map_err(CryptoError::malformed(HAND_OVER))?;
+    let ([first, second], []) = plain.as_chunks::<32>() else {
+        return Err(CryptoError::malformed(HAND_OVER)(WireError::Value("secrets")));
+    };
     let signing = SmKeyPair::from_secret(provider, SmSecret::from_slice(first)?)?;
     let pair = SmKeyPair::from_secret(provider, SmSecret::from_slice(second)?)?;
     if (signing.public, pair.public) == (identity.signing, identity.envelope) {

@@ -1,9 +1,7 @@
-//! What an owner states of a record that it had erased: for readers who never had it, beside the header, the signature and
-//! the proof that stay. Signed by d_C, so no gateway can say it of a record that it only withholds. Where others are to
-//! erase their copies, the owner's account signs, too: a thief who has only one of the keys destroys nothing.
+//! An owner's statement that a record was erased. Signed by d_C, so no gateway can state it of a record that it
+//! withholds; where others are to erase copies, the account signs, too: a thief with one of the keys destroys nothing.
 
-use crate::model::wire::{Reader, WireError};
-use crate::model::{Digest, Header, PublicKey, Signature, Timestamp};
+use crate::model::{Digest, Header, PublicKey, Signature, Timestamp, body, layout};
 
 use super::identity::check_account;
 use super::{AccountSignature, CryptoError, EoaSecret, Provider, SmKeyPair, TypedStructure, sign_hash};
@@ -13,8 +11,8 @@ const LABEL: &[u8] = b"AuthROS/erased/1";
 const TYPE: &str = "Erasure(address owner,bytes32 record,bytes32 header,bytes32 report,uint64 time)";
 const WHAT: &str = "statement of an erased record";
 
-/// `report (32) || time (8) || P_C (64) || signature (64)`, big endian. The signature is SM2 over `"AuthROS/erased/1" || domain
-/// || owner || digest || SM3(public header) || report || time`.
+/// `report (32) || time (8) || P_C (64) || signature (64)`, big endian. The signature is SM2 over
+/// `"AuthROS/erased/1" || domain || owner || digest || SM3(public header) || report || time`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ErasedStatement {
     /// The digest of the retention record that names the record.
@@ -27,12 +25,14 @@ pub struct ErasedStatement {
     pub signature: Signature,
 }
 
+layout!(ErasedStatement { report: "retention record", at: "time", signer: "signer", signature: "signature" });
+body!(ErasedStatement);
+
 impl ErasedStatement {
     /// Length of its encoding, bytes.
     pub const LENGTH: usize = 32 + 8 + 64 + 64;
 
     /// States that the record with this digest and public header was erased.
-    ///
     /// # Errors
     /// [`CryptoError::DamagedRecord`] if the header is none, errors of signing.
     pub fn sign(
@@ -47,7 +47,6 @@ impl ErasedStatement {
     }
 
     /// Whether its key signed it for the record with this digest and public header.
-    ///
     /// # Errors
     /// [`CryptoError::DamagedRecord`] or [`CryptoError::NotAccepted`].
     pub fn check(&self, provider: &dyn Provider, digest: &Digest, header: &[u8]) -> Result<(), CryptoError> {
@@ -56,8 +55,7 @@ impl ErasedStatement {
         verified.map_err(|_| CryptoError::NotAccepted { what: WHAT, field: "signature" })
     }
 
-    /// The same stated by the owner's account, for whoever has a copy. It does not name the SM2 key, so it outlasts that.
-    ///
+    /// The same by the owner's account, for others with a copy. It names no SM2 key, so it outlasts a change of that.
     /// # Errors
     /// [`CryptoError::DamagedRecord`] if the header is none, [`CryptoError::Internal`].
     pub fn sign_by_account(
@@ -70,7 +68,6 @@ impl ErasedStatement {
     }
 
     /// Whether the account of the header's owner signed it for the record with this digest and public header.
-    ///
     /// # Errors
     /// [`CryptoError::DamagedRecord`] or [`CryptoError::NotAccepted`].
     pub fn check_account(
@@ -92,27 +89,6 @@ impl ErasedStatement {
         let structure = TypedStructure::new(TYPE).address(&parsed.owner).word(&digest.0);
         let structure = structure.word(&provider.sm3(&[header])).word(&self.report.0).number(self.at.0);
         Ok(structure.signing_hash(&parsed.domain))
-    }
-
-    /// Encodes it.
-    pub fn encode(&self) -> Vec<u8> {
-        [&self.report.0[..], &self.at.0.to_be_bytes(), &self.signer.0, &self.signature.0].concat()
-    }
-
-    /// From its encoding; only the form is checked.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        let statement = Self {
-            report: Digest(reader.array("retention record")?),
-            at: Timestamp(reader.u64("time")?),
-            signer: PublicKey(reader.array("signer")?),
-            signature: Signature(reader.array("signature")?),
-        };
-        reader.end()?;
-        Ok(statement)
     }
 }
 

@@ -10,43 +10,30 @@ use crate::model::{ErrorKind, clean};
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum CryptoError {
-    /// The operating system's random source failed.
     #[error("the operating system returned no random bytes; nothing was sealed or generated, try again")]
     Random,
-    /// An algorithm refused input it should accept.
     #[error("{0} failed inside the crypto provider; try another one with crypto.provider")]
     Internal(&'static str),
-    /// A private key out of range.
     #[error("the {0} private key is out of range; use one made for this curve")]
     SecretRange(&'static str),
-    /// A public key that is not a point of the curve.
     #[error("the SM2 public key is not a point on the curve; ask its owner to register again")]
     PublicPoint,
-    /// A signature that does not verify.
     #[error("the SM2 signature is invalid; do not trust the data it came with, and fetch it again")]
     BadSignature,
-    /// An account signature that recovers to no address.
     #[error("the account's signature is invalid; do not trust the data it came with, and ask the sender to sign again")]
     BadAccountSignature,
-    /// A GCM tag or an SM2 check value that does not match.
     #[error("the ciphertext does not belong to this key or was altered; fetch it again")]
     BadCiphertext,
-    /// More or fewer bytes than the format allows.
     #[error("the {what} is {found} bytes long, but {allowed} are allowed; split it or make it smaller")]
     Length { what: &'static str, found: usize, allowed: &'static str },
-    /// Bytes that do not have the expected structure.
     #[error("the {what} is malformed ({why}); get it again from its source")]
     Malformed { what: &'static str, why: WireError },
-    /// A field whose value contradicts another.
     #[error("the {0} does not match the rest; correct it and try again")]
     Inconsistent(&'static str),
-    /// A record that does not parse.
     #[error("the record is damaged ({0}); fetch it again, or ask its owner for an intact copy")]
     DamagedRecord(WireError),
-    /// A record whose bytes differ from those anchored, signed or sealed.
     #[error("the record was tampered with: its {0} does not match; keep it as evidence and fetch it again")]
     Tampered(&'static str),
-    /// A record that is intact but is not the one requested.
     #[error("the record is not the one asked for: its {0} differs; the store may have swapped it")]
     NotAsked(&'static str),
     /// A record that is as it was sealed, but whose signer wrote a name into it that belongs to another pseudonym.
@@ -55,55 +42,41 @@ pub enum CryptoError {
          filed under; `authros uploads show` names the signer: if it is a device of yours, recall it"
     )]
     FalseName(&'static str),
-    /// The topic key does not open the record.
     #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]
     WrongKey,
-    /// An envelope or identity whose terms differ from those on the chain.
     #[error("the {what} was rejected: its {field} does not match the chain; ask its owner to issue it again")]
     NotAccepted { what: &'static str, field: &'static str },
-    /// The keyring's passphrase is wrong.
     #[error("wrong passphrase for {0}; try again, nothing was changed")]
     WrongPassphrase(String),
     /// A keyring whose keys were wiped from memory.
     #[error("the keyring {0} is locked; unlock it with its passphrase, nothing was changed")]
     Locked(String),
-    /// A passphrase that is too short.
     #[error("the passphrase has {0} characters; use 8 or more")]
     ShortPassphrase(usize),
-    /// A protected key file without a passphrase.
     #[error("{0} is protected by a passphrase; pass it with --passphrase-file or --passphrase-fd")]
     PassphraseNeeded(String),
-    /// A file or directory that others can read.
     #[error("{path} is accessible to others (mode {mode:04o}); run: chmod {wanted:o} {path}")]
     OpenToOthers { path: String, mode: u32, wanted: u32 },
-    /// A file of the wrong kind or form.
     #[error("{path} is not {wanted}: {found}")]
     NotAKey { path: String, wanted: &'static str, found: String },
-    /// A file of another version of its form.
     #[error(
         "{path} is {what} of version {found}, but this program reads only version 1; use the authros that wrote it"
     )]
     Version { path: String, what: &'static str, found: u8 },
-    /// A file that cannot be read.
     #[error("{path} cannot be read ({source}); check the path and its permissions")]
     Read { path: String, source: std::io::Error },
-    /// A file that cannot be written.
     #[error("{path} cannot be written ({source}); check the directory, its permissions and the free space")]
     Write { path: String, source: std::io::Error },
-    /// A file that is never overwritten, and stands there already.
     #[error("{0} already exists and is never overwritten; choose another file")]
     Exists(String),
-    /// A keyring whose bytes were altered.
     #[error("the keyring {0} is damaged; restore it from its backup")]
     DamagedKeyring(String),
-    /// A keyring file that is no longer the one that was read.
     #[error(
         "the keyring {path} was changed by another program after this one read it (it has generation {found}, read was \
          {read}); nothing was written and no key is lost: run the command again, and if it still fails, stop the site of \
          this home and start it again"
     )]
     Superseded { path: String, read: u64, found: u64 },
-    /// A keyring that lacks an epoch.
     #[error("the keyring has no key for epoch {0} on this chain; it may be out of date, restore a newer one")]
     NoEpoch(u64),
 }

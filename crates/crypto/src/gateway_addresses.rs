@@ -1,7 +1,7 @@
-//! The notice of where a robot finds its gateway. The notice is signed by d_C, and its content by the owner's account: a
-//! thief who has only one of them cannot cut a robot off from its gateway.
+//! Where a robot finds its gateway. The notice is signed by d_C, and its content by the owner's account: a thief with
+//! only one of them cannot cut a robot off.
 
-use crate::model::wire::{Reader, WireError, put_text};
+use crate::model::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::model::{Address, Domain, SignerId};
 
 use super::enrolment::{LONGEST_ADDRESS, MOST_ADDRESSES};
@@ -25,7 +25,6 @@ pub struct GatewayAddresses {
 
 impl GatewayAddresses {
     /// The owner's list for a device, signed by the account.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] for too many or none, [`CryptoError::Internal`].
     pub fn sign(
@@ -41,9 +40,7 @@ impl GatewayAddresses {
         Ok(Self { gateway, addresses, account_signature: sign_hash(account, &hash)? })
     }
 
-    /// Whether the owner's account signed this list for this device. The signer of the notice was checked with the
-    /// record.
-    ///
+    /// Whether the owner's account signed this list for this device. The record shows who signed the notice.
     /// # Errors
     /// [`CryptoError::NotAccepted`].
     pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
@@ -53,11 +50,13 @@ impl GatewayAddresses {
 
     /// Fingerprint (32), count (1, 1 to 8), each address with its length (2), the account's signature (65).
     pub fn encode(&self) -> Vec<u8> {
-        [&self.gateway.0[..], &encoded(&self.addresses), &self.account_signature.0].concat()
+        let mut out = self.gateway.0.to_vec();
+        put_addresses(&mut out, &self.addresses);
+        self.account_signature.put(&mut out);
+        out
     }
 
     /// From its encoding; only the form is checked.
-    ///
     /// # Errors
     /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
@@ -70,29 +69,15 @@ impl GatewayAddresses {
     }
 }
 
-/// Count (1), each address with its length (2).
-pub(super) fn encoded(addresses: &[String]) -> Vec<u8> {
-    let addresses = &addresses[..addresses.len().min(MOST_ADDRESSES)];
-    let mut out = vec![u8::try_from(addresses.len()).unwrap_or(0)];
-    addresses.iter().for_each(|address| put_text(&mut out, address));
-    out
+pub(super) fn put_addresses(out: &mut Vec<u8>, addresses: &[String]) {
+    put_list::<u8>(out, addresses, MOST_ADDRESSES);
 }
 
 /// At least one, at most [`MOST_ADDRESSES`], each of at most [`LONGEST_ADDRESS`] bytes.
 pub(super) fn read_addresses(reader: &mut Reader<'_>) -> Result<Vec<String>, WireError> {
-    let count = usize::from(reader.u8("address count")?);
-    if !(1..=MOST_ADDRESSES).contains(&count) {
-        return Err(WireError::Value("address count"));
-    }
-    let mut addresses = Vec::with_capacity(count);
-    for _ in 0..count {
-        let address = reader.text("address")?;
-        if address.is_empty() || address.len() > LONGEST_ADDRESS {
-            return Err(WireError::Value("address"));
-        }
-        addresses.push(address);
-    }
-    Ok(addresses)
+    let addresses: Vec<String> = read_list::<u8, _>(reader, 1..=MOST_ADDRESSES, ("address count", "address"))?;
+    let is_usable = |address: &String| (1..=LONGEST_ADDRESS).contains(&address.len());
+    if addresses.iter().all(is_usable) { Ok(addresses) } else { Err(WireError::Value("address")) }
 }
 
 fn signed_hash(
@@ -101,8 +86,10 @@ fn signed_hash(
     gateway: &SignerId,
     addresses: &[String],
 ) -> [u8; 32] {
+    let mut encoded = Vec::new();
+    put_addresses(&mut encoded, addresses);
     let structure = TypedStructure::new(TYPE).address(owner).word(&device.0).word(&gateway.0);
-    structure.bytes(&encoded(addresses)).signing_hash(domain)
+    structure.bytes(&encoded).signing_hash(domain)
 }
 
 #[cfg(test)]

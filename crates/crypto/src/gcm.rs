@@ -1,5 +1,4 @@
-//! SM4-GCM (RFC 8998, GB/T 36624): counter mode and GHASH over any SM4 block; the kernels have their own version.
-//! Nonces are 96 bits, tags 128; keys and nonces are chosen elsewhere.
+//! SM4-GCM (RFC 8998, GB/T 36624) over any SM4 block, nonces of 96 bits, tags of 128; kernels have their own.
 
 use ghash::universal_hash::UniversalHash as _;
 use ghash::{Block, GHash};
@@ -8,14 +7,11 @@ use zeroize::Zeroizing;
 
 use super::{CryptoError, fault};
 
-/// The tag's length, bytes.
 pub const TAG: usize = 16;
 /// The longest text under one nonce: 2^32 - 2 blocks (NIST SP 800-38D, 5.2.1.1).
 pub(super) const LONGEST: u64 = ((1 << 32) - 2) * 16;
 
-/// One SM4 key, ready to encrypt.
 pub(super) trait BlockCipher {
-    /// Encrypts one block.
     fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError>;
 
     /// XORs `data` with the blocks `counter`, `counter` + 1, ... (32-bit counter at the end).
@@ -39,23 +35,24 @@ fn counter(nonce: &[u8; 12], number: u8) -> [u8; 16] {
     block
 }
 
+/// The last block that is hashed: both lengths in bits.
+pub(super) fn lengths(aad: usize, text: usize) -> [u8; 16] {
+    let bits = |bytes: usize| u128::from(u64::try_from(bytes).unwrap_or(u64::MAX).wrapping_mul(8));
+    (bits(aad) << 64 | bits(text)).to_be_bytes()
+}
+
 fn tag(cipher: &impl BlockCipher, nonce: &[u8; 12], aad: &[u8], text: &[u8]) -> Result<[u8; 16], CryptoError> {
     let key = Zeroizing::new(cipher.encrypt_block(&[0; 16])?);
     let mut hash = GHash::new(&Block::from(*key));
     hash.update_padded(aad);
     hash.update_padded(text);
-    let bits = |bytes: &[u8]| (u64::try_from(bytes.len()).unwrap_or(u64::MAX).wrapping_mul(8)).to_be_bytes();
-    let mut lengths = [0; 16];
-    lengths[..8].copy_from_slice(&bits(aad));
-    lengths[8..].copy_from_slice(&bits(text));
-    hash.update(&[Block::from(lengths)]);
+    hash.update(&[Block::from(lengths(aad.len(), text.len()))]);
     let mask = cipher.encrypt_block(&counter(nonce, 1))?;
     let mut tag: [u8; 16] = hash.finalize().into();
     tag.iter_mut().zip(mask).for_each(|(byte, mask)| *byte ^= mask);
     Ok(tag)
 }
 
-/// Encrypts `text` in place and returns the tag.
 pub(super) fn seal(
     cipher: &impl BlockCipher,
     nonce: &[u8; 12],

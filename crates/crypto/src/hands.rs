@@ -4,9 +4,7 @@ use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
-/// Write permission for group and others.
 const WRITTEN_BY_OTHERS: u32 = 0o022;
-/// Write permission for others alone.
 const WRITTEN_BY_ANYBODY: u32 = 0o002;
 /// The mode bit of a folder in which users can change only their own files.
 const STICKY: u32 = 0o1000;
@@ -21,16 +19,13 @@ pub enum Fault {
 }
 
 /// How somebody other than `user` and root could change a file or folder, or replace it through a folder above it.
-///
 /// # Errors
 /// If the file or a folder cannot be examined.
 pub fn fault(file: &Path, user: u32) -> std::io::Result<Option<Fault>> {
     find_fault(file, user, WRITTEN_BY_OTHERS)
 }
 
-/// The same for a home. The group may write to the folders above it, as is usual where each user has a group of his own:
-/// what somebody else put in the home's place would belong to him, and not be taken for it.
-///
+/// Like [`fault`], but the group may write to the folders above: a home put there by somebody else would belong to him.
 /// # Errors
 /// See [`fault`].
 pub fn fault_of_home(home: &Path, user: u32) -> std::io::Result<Option<Fault>> {

@@ -1,5 +1,4 @@
-//! The proof that an identity registered on the chain was made by the holder of its keys. The contract cannot verify
-//! SM2, so every client does, and treats an identity without a valid proof as unregistered.
+//! Identities on the chain with the proof of their keys: the contract cannot verify SM2, so every client does.
 
 use std::fmt;
 
@@ -11,7 +10,6 @@ use crate::model::{Address, Domain, Identity, PublicKey, Token};
 use crate::{CryptoError, EoaSecret, Provider, SmKeyPair, SmSecret, sm2};
 
 /// An identity with its proof: an SM2 signature by d_C over label, domain, address, P_C, P_E and token.
-///
 /// # Errors
 /// [`CryptoError::PublicPoint`] if P_E is not a point, [`CryptoError::Random`].
 pub fn prove(
@@ -29,10 +27,8 @@ pub fn prove(
 }
 
 /// Checks an identity read from the chain: both keys are points, they differ, and the proof is valid.
-///
 /// # Errors
-/// [`CryptoError::PublicPoint`], [`CryptoError::BadSignature`], or [`CryptoError::NotAccepted`] if one key is used for
-/// both purposes.
+/// `PublicPoint`, `BadSignature`, or [`CryptoError::NotAccepted`] if one key is used for both purposes.
 pub fn check_identity(
     provider: &dyn Provider,
     domain: &Domain,
@@ -58,8 +54,6 @@ fn signed_bytes(
     [&b"AuthROS/identity/1"[..], &domain.0, &address.0, &signing.0, &envelope.0, &token.0].concat()
 }
 
-// Signatures of an externally owned account over typed data (EIP-712), and the address that signed.
-
 /// Keccak-256 of the concatenation of `parts`.
 pub fn keccak256(parts: &[&[u8]]) -> [u8; 32] {
     let mut hasher = Keccak256::new();
@@ -72,6 +66,8 @@ pub fn keccak256(parts: &[&[u8]]) -> [u8; 32] {
 /// r || s || v of secp256k1, v 27 or 28, as Ethereum writes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AccountSignature(pub [u8; 65]);
+
+crate::model::layout!(AccountSignature(0));
 
 impl AccountSignature {
     /// Length in bytes.
@@ -130,7 +126,6 @@ impl TypedStructure {
 }
 
 /// Signs a 32-byte hash; s is in the lower half, as Ethereum demands.
-///
 /// # Errors
 /// [`CryptoError::Internal`] if the algorithm fails.
 pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature, CryptoError> {
@@ -144,15 +139,12 @@ pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature
 }
 
 /// The account whose key signed `hash`.
-///
 /// # Errors
-/// [`CryptoError::BadAccountSignature`] if this is not a signature: r or s out of range, s in the upper half (anyone
-/// could flip it), or v neither 27 nor 28.
+/// [`CryptoError::BadAccountSignature`]: r or s out of range, s in the upper half (malleable), or v not 27 or 28.
 pub fn recover_account(hash: &[u8; 32], signature: &AccountSignature) -> Result<Address, CryptoError> {
     recovered(hash, signature).ok_or(CryptoError::BadAccountSignature)
 }
 
-/// Checks that an account signed `hash`; `what` names what it stands under.
 pub(crate) fn check_account(
     hash: &[u8; 32],
     signature: &AccountSignature,
@@ -178,50 +170,42 @@ fn recovered(hash: &[u8; 32], signature: &AccountSignature) -> Option<Address> {
     point.as_bytes().get(1..)?.try_into().ok().map(Address::from_public_key)
 }
 
-// Diffie-Hellman on the SM2 curve with keys that live for one session only. The standard's own key exchange (GB/T
-// 32918.3) uses long-lived keys; here the transcript is signed instead.
+// Diffie-Hellman on the SM2 curve with keys of one session. GB/T 32918.3 uses long-lived ones; we sign the transcript.
 
 /// A private key for one session, wiped when it is used or dropped.
-pub struct Ephemeral {
-    secret: SmSecret,
-    public: PublicKey,
-}
+pub struct Ephemeral(SmKeyPair);
 
 impl Ephemeral {
     /// Fresh, from the operating system's random source.
-    ///
     /// # Errors
     /// [`CryptoError::Random`] if that fails.
     pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
-        Self::from_secret(provider, SmSecret::generate()?)
+        SmKeyPair::generate(provider).map(Self)
     }
 
     /// From a secret drawn elsewhere; only test vectors need this.
-    ///
     /// # Errors
     /// [`CryptoError::Internal`] if the algorithm fails.
     pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
-        let public = *secret.public_key(provider)?;
-        Ok(Self { secret, public })
+        SmKeyPair::from_secret(provider, secret).map(Self)
     }
 
     /// The point to send, x || y.
     pub fn public(&self) -> PublicKey {
-        self.public
+        self.0.public
     }
 
     /// The x coordinate of `[d]peer`, 32 bytes big endian, in constant time. Consumes the secret.
-    ///
     /// # Errors
     /// [`CryptoError::PublicPoint`] if `peer` is not a point of the curve in its canonical encoding.
     pub fn agree(self, peer: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
-        sm2::shared_x(self.secret.expose(), peer)
+        sm2::shared_x(self.0.secret.expose(), peer)
     }
 }
 
 impl fmt::Debug for Ephemeral {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "Ephemeral({})", self.public)
+        write!(formatter, "Ephemeral({})", self.public())
     }
 }
 

@@ -1,6 +1,5 @@
-//! HKDF-SM3 (RFC 5869 over SM3) and HMAC-SM3 (GM/T 0042-2015), and how keys, tokens and pseudonyms are derived from each
-//! other (docs/format.md, section 3). An info is a label, fixed-width parts raw, variable parts with a two-byte big-endian
-//! length before them. Every derivation begins with its own label; none reads a clock, a file or a random source.
+//! HKDF-SM3 (RFC 5869) and HMAC-SM3 (GM/T 0042-2015), and how keys, tokens and pseudonyms are derived (docs/format.md,
+//! 3). An info is a label, fixed-width parts raw, and variable parts with a two-byte big-endian length before them.
 
 use crate::model::{Address, Domain, FilterId, Hash, PublicKey, SignerId, Token, TopicId};
 use crate::secret::uncompressed;
@@ -12,7 +11,6 @@ use sm3::Sm3;
 use zeroize::Zeroizing;
 
 /// Fills `out` from input key material, salt and info (RFC 5869, extract and expand).
-///
 /// # Errors
 /// [`CryptoError::Length`] if `out` is longer than 255 hashes (8,160 bytes).
 pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -> Result<(), CryptoError> {
@@ -25,9 +23,6 @@ pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -
 }
 
 /// `N` bytes of HKDF-SM3; that `N` is allowed is checked at compile time.
-///
-/// # Panics
-/// Cannot happen: a length that HKDF refuses does not compile.
 pub fn derived<const N: usize>(key_material: &[u8], salt: &[u8], info: &Info) -> [u8; N] {
     const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
     let mut out = [0; N];
@@ -38,9 +33,6 @@ pub fn derived<const N: usize>(key_material: &[u8], salt: &[u8], info: &Info) ->
 }
 
 /// Like [`derived`], from key material and salt already extracted (RFC 5869, expand only).
-///
-/// # Panics
-/// Cannot happen: a length that HKDF refuses does not compile.
 pub fn expanded<const N: usize>(extracted: &[u8; 32], info: &Info) -> [u8; N] {
     const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
     let mut out = [0; N];
@@ -102,8 +94,7 @@ impl Info {
     }
 }
 
-/// Binds everything signed, derived and hashed to one chain and contract: SM3(label || chain id (8) || genesis hash ||
-/// contract).
+/// Binds everything signed, derived and hashed to a network: SM3(label || chain id (8) || genesis hash || contract).
 pub fn domain(chain_id: u64, genesis: &Hash, contract: &Address) -> Domain {
     Domain(sm3(&[b"AuthROS/domain/1", &chain_id.to_be_bytes(), &genesis.0, &contract.0]))
 }
@@ -119,8 +110,7 @@ pub fn token(domain: &Domain, owner: &Address, epoch: u64, key: &EpochKey) -> To
     Token(sm3(&[b"AuthROS/token/1", &domain.0, &owner.0, &epoch.to_be_bytes(), key.expose()]))
 }
 
-/// The key of a topic in an epoch, derived from its pseudonym, which every header carries: anyone who has EK can open a
-/// record without knowing the topic's name.
+/// The key of a topic in an epoch, from the pseudonym in every header: who has EK needs no topic name to open a record.
 pub fn topic_key(key: &EpochKey, topic: &TopicId) -> TopicKey {
     TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/1").fixed(&topic.0)))
 }
@@ -146,7 +136,6 @@ pub fn topic_filter_id(key: &FilterKey, kind: &str, value: &str) -> FilterId {
 }
 
 /// The key of an owner's `index`-th extra anchoring account on a network, from the owner's EOA key.
-///
 /// # Errors
 /// [`CryptoError::SecretRange`] if the derived number is not a valid key (probability about 2^-127).
 pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret, CryptoError> {
@@ -167,8 +156,7 @@ pub(super) fn kept_key(keeper: &SmSecret) -> Zeroizing<[u8; 16]> {
     Zeroizing::new(derived(keeper.expose(), &[], &Info::new("AuthROS/binding/1")))
 }
 
-/// The key that seals an owner's notices to a device, derived from the owner's EOA key: the owner need not store it,
-/// the device gets it at enrolment, and nobody else has it.
+/// The key that seals an owner's notices to a device: from the owner's EOA key, given to the device at enrolment.
 pub fn notice_key(owner: &EoaSecret, domain: &Domain, device: &SignerId) -> TopicKey {
     let info = Info::new("AuthROS/notice/1").fixed(&domain.0).fixed(&device.0);
     TopicKey::new(derived(owner.expose(), &[], &info))

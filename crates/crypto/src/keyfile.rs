@@ -1,5 +1,5 @@
-//! Key files that users import and export: SM4 as bytes or hex, SM2 as PEM (PKCS#8 or SEC1) or hex, EOA as hex or Ethereum
-//! keystore. What stands beside the one key that is meant (a byte order mark, white space, a public key) is passed over. Files must not be accessible to others; errors say what was found instead.
+//! Key files that users import and export: SM4 as bytes or hex, SM2 as PEM (PKCS#8 or SEC1) or hex, EOA as hex or
+//! Ethereum keystore. A byte order mark, white space or a public key beside the one key are passed over.
 
 use std::path::Path;
 
@@ -14,12 +14,10 @@ use crate::model::bytes::hex;
 use crate::private_file::read_private;
 use crate::{CryptoError, EoaSecret, Sm4Key, SmSecret, keystore, provider};
 
-/// The longest key file read, bytes.
 const LONGEST: usize = 64 * 1024;
 const SM4_KEY: &str = "an SM4 key";
 const SM2_KEY: &str = "an SM2 private key";
 const EOA_KEY: &str = "the key of an Ethereum account";
-/// The labels of private keys in PEM that are not encrypted.
 const PKCS8: &str = "PRIVATE KEY";
 const SEC1: [&str; 2] = ["SM2 PRIVATE KEY", "EC PRIVATE KEY"];
 /// The labels of the curve that OpenSSL writes before a key in SEC1.
@@ -28,14 +26,12 @@ const PARAMETERS: [&str; 2] = ["SM2 PARAMETERS", "EC PARAMETERS"];
 const CURVE: [u8; 10] = [0x06, 0x08, 0x2a, 0x81, 0x1c, 0xcf, 0x55, 0x01, 0x82, 0x2d];
 /// Keys on any curve, 1.2.840.10045.2.1, as DER.
 const ANY_CURVE: [u8; 9] = [0x06, 0x07, 0x2a, 0x86, 0x48, 0xce, 0x3d, 0x02, 0x01];
-/// UTF-8's byte order mark.
 const MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// What is wrong with the content of a key file: what was expected, what was found.
 type Found = (&'static str, String);
 
 /// Reads an SM4 key: exactly 16 raw bytes, or 32 hex characters (0x and white space are optional).
-///
 /// # Errors
 /// [`CryptoError::NotAKey`] saying what was found, or what [`read_private`] returns.
 pub fn load_sm4(path: &Path) -> Result<Sm4Key, CryptoError> {
@@ -43,19 +39,15 @@ pub fn load_sm4(path: &Path) -> Result<Sm4Key, CryptoError> {
 }
 
 /// Reads an SM2 private key: the one in PEM (PKCS#8 or SEC1), or 64 hex characters (0x and white space are optional).
-///
 /// # Errors
 /// [`CryptoError::NotAKey`] saying what was found, or what [`read_private`] returns.
 pub fn load_sm2(path: &Path) -> Result<SmSecret, CryptoError> {
     parse_sm2(&read_private(path, LONGEST)?).map_err(not_a_key(path))
 }
 
-/// Reads an EOA key: 64 hex characters (0x and white space are optional), or an Ethereum V3 keystore, which needs
-/// its passphrase.
-///
+/// Reads an EOA key: 64 hex characters (0x and white space are optional), or a V3 keystore, which needs its passphrase.
 /// # Errors
-/// [`CryptoError::NotAKey`], [`CryptoError::PassphraseNeeded`], [`CryptoError::WrongPassphrase`], or
-/// what [`read_private`] returns.
+/// `NotAKey`, `PassphraseNeeded`, [`CryptoError::WrongPassphrase`], or what [`read_private`] returns.
 pub fn load_eoa(path: &Path, passphrase: Option<&str>) -> Result<EoaSecret, CryptoError> {
     let bytes = read_private(path, LONGEST)?;
     if !is_keystore(&bytes) {
@@ -68,7 +60,6 @@ pub fn load_eoa(path: &Path, passphrase: Option<&str>) -> Result<EoaSecret, Cryp
     })
 }
 
-/// Whether bytes look like a JSON keystore rather than hex.
 fn is_keystore(bytes: &[u8]) -> bool {
     bytes.trim_ascii_start().first() == Some(&b'{')
 }
@@ -151,7 +142,6 @@ fn sm2_of_pem(text: &str) -> Result<sm2::SecretKey, &'static str> {
 const ENCRYPTED: &str = "it is encrypted; decrypt it first with openssl pkcs8";
 const OTHER_CURVE: &str = "its PEM contains no SM2 key, but one of another curve";
 
-/// Each block of a text with PEM: its label, and all of it.
 fn pem_blocks(text: &str) -> Vec<(&str, &str)> {
     const BEGIN: &str = "-----BEGIN ";
     let (mut found, mut rest) = (Vec::new(), text);
@@ -191,7 +181,6 @@ fn parse_eoa_hex(bytes: &[u8]) -> Result<EoaSecret, Found> {
     EoaSecret::from_slice(&*key).map_err(|_| (EOA_KEY, "its value is outside the range 1 to n - 1".to_owned()))
 }
 
-/// Without one trailing line break.
 fn line(bytes: &[u8]) -> &[u8] {
     let line = bytes.strip_suffix(b"\n").unwrap_or(bytes);
     line.strip_suffix(b"\r").unwrap_or(line)
@@ -201,8 +190,7 @@ fn is_text(bytes: &[u8]) -> bool {
     std::str::from_utf8(bytes).is_ok_and(|text| !text.chars().any(char::is_control))
 }
 
-/// Exactly `2 N` hex digits, without leaving a copy behind; 0x before them, white space and a byte order mark are passed
-/// over.
+/// Exactly `2 N` hex digits, without leaving a copy behind; 0x, white space and a byte order mark are passed over.
 fn hex_of<const N: usize>(text: &[u8]) -> Option<Zeroizing<[u8; N]>> {
     let text = text.strip_prefix(MARK).unwrap_or(text).trim_ascii();
     let text = text.strip_prefix(b"0x").or_else(|| text.strip_prefix(b"0X")).unwrap_or(text);
@@ -221,7 +209,6 @@ pub fn sm4_hex(key: &Sm4Key) -> Zeroizing<String> {
 }
 
 /// An SM2 private key as PKCS#8 PEM, as `openssl pkey` reads it.
-///
 /// # Errors
 /// [`CryptoError::Internal`] if encoding fails.
 pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
@@ -232,7 +219,6 @@ pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
 }
 
 /// An SM2 public key as SPKI PEM, as `openssl pkey -pubin` reads it.
-///
 /// # Errors
 /// [`CryptoError::PublicPoint`] if it is not a point of the curve.
 pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
@@ -241,7 +227,6 @@ pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
 }
 
 /// An SM2 public key from SPKI PEM.
-///
 /// # Errors
 /// [`CryptoError::PublicPoint`] if the text holds no such key.
 pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
@@ -250,7 +235,6 @@ pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
 }
 
 /// An EOA key as an Ethereum V3 keystore (JSON); derives a key from the passphrase (about 0.3 s).
-///
 /// # Errors
 /// [`CryptoError::Random`] if the random source fails.
 pub fn eoa_keystore(secret: &EoaSecret, passphrase: &str) -> Result<String, CryptoError> {

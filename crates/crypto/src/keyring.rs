@@ -1,23 +1,22 @@
-//! The keys of one profile (EOA, the two SM2 pairs, K_C, IK, and the key of every epoch on every network), and their file: a
-//! public header, then the secrets under SM4-GCM with the header as AAD. What is registered on the chain is not known here.
+//! The keys of one profile, and their file: a public header, then the secrets under SM4-GCM with the header as AAD.
 //!
-//! Every write raises the generation in the header by one, and only over the very write that was read: of two copies in
-//! memory, the one that did not see the other's keys never replaces them.
+//! Every write raises the generation by one, and only over the very write that was read: a copy in memory that did not
+//! see another's keys never replaces them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::error::shown;
-use crate::keystore::{FileKey, SaveKeys, put_work, read_work};
-use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Domain, PublicKey, Token};
+use crate::keystore::{FileKey, SaveKeys, of_version};
+use crate::model::wire::{Reader, Wire, WireError};
+use crate::model::{Address, Domain, PublicKey, Token, layout};
 use crate::private_file::{
     change_private, check_private_directory, create_private, directory_of, make_private_directory, read_private,
 };
 use crate::secret::Work;
 use crate::{
     CryptoError, EoaSecret, EpochKey, EpochSalt, IndexKey, Passphrase, Provider, ProviderName, Sm4Key, SmKeyPair,
-    SmSecret, epoch_key, fault, provider, random_bytes, token,
+    epoch_key, fault, provider, random_bytes, token,
 };
 use zeroize::Zeroizing;
 
@@ -41,7 +40,6 @@ pub struct EpochSecret {
 
 impl EpochSecret {
     /// The key of an epoch that begins, from K_C and a fresh salt, which is needed only here.
-    ///
     /// # Errors
     /// [`CryptoError::Random`] if the random source fails.
     pub fn begin(sm4: &Sm4Key, domain: &Domain, owner: &Address, epoch: u64) -> Result<Self, CryptoError> {
@@ -104,7 +102,6 @@ pub struct Keyring {
 
 impl Keyring {
     /// Fresh keys, with no network yet.
-    ///
     /// # Errors
     /// [`CryptoError::Random`] if the random source fails.
     pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
@@ -125,7 +122,6 @@ impl Keyring {
     }
 
     /// Notes that the chain confirmed an epoch's token.
-    ///
     /// # Errors
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
     pub fn confirm_epoch(&mut self, domain: &Domain, epoch: u64) -> Result<(), CryptoError> {
@@ -136,7 +132,6 @@ impl Keyring {
     }
 
     /// EK of any past or present epoch, derived again.
-    ///
     /// # Errors
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
     pub fn epoch_key(&self, domain: &Domain, epoch: u64) -> Result<EpochKey, CryptoError> {
@@ -145,7 +140,6 @@ impl Keyring {
     }
 
     /// The token of an epoch.
-    ///
     /// # Errors
     /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
     pub fn token(&self, domain: &Domain, epoch: u64) -> Result<Token, CryptoError> {
@@ -158,7 +152,6 @@ const VERSION: u8 = 1;
 const LABEL: &str = "AuthROS/keyring/1";
 /// The largest keyring accepted, bytes: about 400,000 epochs.
 const LARGEST: usize = 16 * 1024 * 1024;
-/// Length of the header, bytes.
 const HEADER: usize = 266;
 
 /// Identifies one write of a keyring file.
@@ -171,122 +164,73 @@ struct Stamp {
 }
 
 impl Stamp {
-    /// Of the write that replaces this one.
     fn next(self) -> Result<Self, CryptoError> {
         Ok(Self { generation: self.generation.saturating_add(1), save_salt: random_bytes()? })
     }
 }
 
-/// The header, in the order of writing.
 struct FileHeader {
     stamp: Stamp,
     work: Work,
     salt: [u8; 32],
     public: PublicIdentity,
     commit: [u8; 32],
-    length: usize,
+    length: u32,
 }
 
-impl FileHeader {
-    fn encode(&self) -> Vec<u8> {
-        let mut out = Vec::with_capacity(HEADER);
-        out.extend_from_slice(&MAGIC);
-        out.push(VERSION);
-        out.extend_from_slice(&self.stamp.generation.to_be_bytes());
-        out.extend_from_slice(&self.stamp.save_salt);
-        put_work(&mut out, self.work);
-        out.extend_from_slice(&self.salt);
-        out.extend_from_slice(&self.public.address.0);
-        out.extend_from_slice(&self.public.signing.0);
-        out.extend_from_slice(&self.public.envelope.0);
-        out.extend_from_slice(&self.commit);
-        out.extend_from_slice(&u32::try_from(self.length).unwrap_or(u32::MAX).to_be_bytes());
-        out
-    }
-
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        Ok(Self {
-            stamp: Stamp { generation: reader.u64("generation")?, save_salt: reader.array("salt of the save")? },
-            work: read_work(reader)?,
-            salt: reader.array("salt")?,
-            public: PublicIdentity {
-                address: Address(reader.array("address")?),
-                signing: PublicKey(reader.array("signing key")?),
-                envelope: PublicKey(reader.array("envelope key")?),
-            },
-            commit: reader.array("commitment")?,
-            length: usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?,
-        })
-    }
-}
+layout!(Stamp { generation: "generation", save_salt: "salt of the save" });
+layout!(PublicIdentity { address: "address", signing: "signing key", envelope: "envelope key" });
+layout!(FileHeader {
+    stamp: "stamp",
+    work: "work",
+    salt: "salt",
+    public: "identity",
+    commit: "commitment",
+    length: "length",
+});
 
 fn seal(keyring: &Keyring, key: &FileKey, stamp: Stamp) -> Result<Vec<u8>, CryptoError> {
     let mut sealed = encode(keyring);
     let keys = SaveKeys::derive(key, &stamp.save_salt, LABEL);
-    let length = sealed.len() + 16;
-    if length + HEADER > LARGEST {
-        return Err(CryptoError::Length { what: "keyring", found: length, allowed: "at most 16 MiB" });
-    }
+    let found = sealed.len() + 16;
+    let too_long = CryptoError::Length { what: "keyring", found, allowed: "at most 16 MiB" };
+    let length = u32::try_from(found).ok().filter(|_| found + HEADER <= LARGEST).ok_or(too_long)?;
     let public = keyring.public();
     let header = FileHeader { stamp, work: key.work, salt: key.salt, public, commit: keys.commit, length };
-    let header = header.encode();
+    let header = header.behind(&[&MAGIC[..], &[VERSION]].concat());
     provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &header, &mut sealed)?;
     Ok([&header[..], &sealed].concat())
 }
 
-/// A file's bytes in parts: header, the same as AAD, sealed secrets.
 type Parts<'a> = (FileHeader, &'a [u8], &'a [u8]);
 
-fn split(bytes: &[u8]) -> Result<Parts<'_>, Refusal> {
-    let mut reader = Reader::new(bytes);
-    if reader.array("magic")? != MAGIC {
-        return Err(Refusal::Damaged);
+fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
+    read_parts(bytes).map_err(|why| of_version(path, "a keyring", bytes, why).unwrap_or_else(|| damaged(path)))
+}
+
+fn read_parts(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
+    let mut reader = Reader::new(bytes.strip_prefix(&MAGIC).ok_or(WireError::Value("magic"))?);
+    if reader.u8("version")? != VERSION {
+        return Err(WireError::Value("version"));
     }
-    match reader.u8("version")? {
-        VERSION => {}
-        found => return Err(Refusal::Version(found)),
-    }
-    let header = FileHeader::read(&mut reader)?;
-    let sealed = reader.take(header.length, "sealed keys")?;
+    let header = FileHeader::read(&mut reader, "header")?;
+    let length = usize::try_from(header.length).map_err(|_| WireError::Value("length"))?;
+    let sealed = reader.take(length, "sealed keys")?;
     reader.end()?;
     Ok((header, bytes.get(..HEADER).unwrap_or_default(), sealed))
 }
 
-fn stamp_of(bytes: &[u8], path: &Path) -> Result<Stamp, CryptoError> {
-    split(bytes).map(|(header, _, _)| header.stamp).map_err(|refusal| refusal.of(path))
+fn damaged(path: &Path) -> CryptoError {
+    CryptoError::DamagedKeyring(shown(path))
 }
 
-/// Why a file did not open.
-enum Refusal {
-    Passphrase,
-    Damaged,
-    Version(u8),
-}
-
-impl Refusal {
-    fn of(self, path: &Path) -> CryptoError {
-        match self {
-            Self::Passphrase => CryptoError::WrongPassphrase(shown(path)),
-            Self::Damaged => CryptoError::DamagedKeyring(shown(path)),
-            Self::Version(found) => CryptoError::Version { path: shown(path), what: "a keyring", found },
-        }
-    }
-}
-
-impl From<WireError> for Refusal {
-    fn from(_: WireError) -> Self {
-        Self::Damaged
-    }
-}
-
-fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
-    let (header, aad, sealed) = split(bytes)?;
-    let keys = SaveKeys::committed(key, &header.stamp.save_salt, LABEL, &header.commit).ok_or(Refusal::Passphrase)?;
-    let plain = provider(ProviderName::RustCrypto)
-        .gcm_open(&keys.key, &keys.nonce, aad, sealed)
-        .map_err(|_| Refusal::Damaged)?;
-    let keyring = parse(&plain)?;
-    if keyring.public() == header.public { Ok(keyring) } else { Err(Refusal::Damaged) }
+fn open(path: &Path, bytes: &[u8], key: &FileKey) -> Result<Keyring, CryptoError> {
+    let (header, aad, sealed) = split(path, bytes)?;
+    let keys = SaveKeys::committed(key, &header.stamp.save_salt, LABEL, &header.commit);
+    let keys = keys.ok_or_else(|| CryptoError::WrongPassphrase(shown(path)))?;
+    let plain = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, aad, sealed);
+    let keyring = plain.ok().and_then(|plain| parse(&plain).ok());
+    keyring.filter(|keyring| keyring.public() == header.public).ok_or_else(|| damaged(path))
 }
 
 fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
@@ -295,19 +239,16 @@ fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
     Ok(bytes)
 }
 
-/// The profile that a keyring file states in its public header, read without the passphrase. An altered file may lie
-/// here, but then it no longer opens.
-///
+/// A keyring's public header, read without the passphrase. An altered file may lie here, but does not open.
 /// # Errors
 /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::DamagedKeyring`] or [`CryptoError::Version`].
 pub fn read_public(path: &Path) -> Result<PublicIdentity, CryptoError> {
     let bytes = read(path)?;
-    split(&bytes).map(|(header, _, _)| header.public).map_err(|refusal| refusal.of(path))
+    split(path, &bytes).map(|(header, _, _)| header.public)
 }
 
 impl Keyring {
     /// Reads and opens a keyring; derives the passphrase's key (about 0.3 s).
-    ///
     /// # Errors
     /// See [`UnlockedKeyring::open`].
     pub fn load(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
@@ -330,7 +271,6 @@ pub struct UnlockedKeyring {
 impl UnlockedKeyring {
     /// Wipes from memory the keys that open envelopes and old records, grant, and begin epochs: d_E, K_C, the secrets
     /// of all epochs, and the key of the file; the file itself keeps everything. EOA, (d_C, P_C) and IK stay in memory.
-    ///
     /// # Errors
     /// [`CryptoError::Random`]; nothing is wiped then.
     pub fn strip(&mut self, provider: &dyn Provider) -> Result<(), CryptoError> {
@@ -354,7 +294,6 @@ impl UnlockedKeyring {
     }
 
     /// Writes a new keyring file, never over one that exists.
-    ///
     /// # Errors
     /// [`CryptoError::Exists`], [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
     pub fn create(keyring: Keyring, path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
@@ -366,23 +305,19 @@ impl UnlockedKeyring {
     }
 
     /// Reads and opens a keyring file.
-    ///
     /// # Errors
-    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::WrongPassphrase`],
-    /// [`CryptoError::DamagedKeyring`] or [`CryptoError::Version`].
+    /// `Read`, `OpenToOthers`, [`CryptoError::WrongPassphrase`], `DamagedKeyring` or [`CryptoError::Version`].
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         let bytes = read(path)?;
-        let (header, _, _) = split(&bytes).map_err(|refusal| refusal.of(path))?;
+        let (header, _, _) = split(path, &bytes)?;
         let key = FileKey::with(passphrase, header.work, header.salt)?;
-        let keyring = open(&bytes, &key).map_err(|refusal| refusal.of(path))?;
+        let keyring = open(path, &bytes, &key)?;
         Ok(Self { keyring, path: path.to_owned(), key, stamp: header.stamp, stripped: false })
     }
 
     /// Changes the keys, in the file first and then here; if `change` or the write fails, neither is changed.
-    ///
     /// # Errors
-    /// What `change` returns; [`CryptoError::Superseded`] if the file is not the one that was read,
-    /// [`CryptoError::Locked`], [`CryptoError::Read`] or [`CryptoError::Write`].
+    /// Those of `change`; [`CryptoError::Superseded`] for a file that was not read; `Locked`, `Read`, `Write`.
     pub fn change<T>(&mut self, change: impl FnOnce(&mut Keyring) -> Result<T, CryptoError>) -> Result<T, CryptoError> {
         let mut keyring = self.keyring.clone();
         let value = change(&mut keyring)?;
@@ -392,7 +327,6 @@ impl UnlockedKeyring {
     }
 
     /// Changes the passphrase and saves.
-    ///
     /// # Errors
     /// See [`Self::change`].
     pub fn change_passphrase(&mut self, passphrase: &Passphrase) -> Result<(), CryptoError> {
@@ -409,9 +343,10 @@ impl UnlockedKeyring {
         }
         let (path, read, next) = (&self.path, self.stamp, self.stamp.next()?);
         let bytes = seal(keyring, key, next)?;
+        let stamp_of = |there: Zeroizing<Vec<u8>>| split(path, &there).map(|parts| parts.0.stamp);
         let written = change_private(path, LARGEST, |there| {
             let there = there.ok_or_else(|| CryptoError::read(path)(std::io::ErrorKind::NotFound.into()))?;
-            let there = stamp_of(there, path)?;
+            let there = split(path, there)?.0.stamp;
             if there != read {
                 let (read, found) = (read.generation, there.generation);
                 return Err(CryptoError::Superseded { path: shown(path), read, found });
@@ -420,7 +355,7 @@ impl UnlockedKeyring {
             Ok(Some(bytes))
         });
         // A write can fail after the file was replaced, if its directory is not synced: the file is still ours.
-        if written.is_ok() || read_private(path, LARGEST).and_then(|there| stamp_of(&there, path)).ok() == Some(next) {
+        if written.is_ok() || read_private(path, LARGEST).and_then(stamp_of).ok() == Some(next) {
             self.stamp = next;
         }
         written?;
@@ -444,8 +379,6 @@ impl std::fmt::Debug for UnlockedKeyring {
 // (domain, current epoch, counted epochs of number, EK and state), then the number of further pairs (4) and for
 // each its use (1: former d_E, 2: next d_C, 3: next d_E, 4: gateway) and its secret (32), ordered by use.
 
-const PENDING: u8 = 0;
-const ACTIVE: u8 = 1;
 const FORMER_ENVELOPE: u8 = 1;
 const NEXT_SIGNING: u8 = 2;
 const NEXT_ENVELOPE: u8 = 3;
@@ -470,7 +403,7 @@ fn encode(keyring: &Keyring) -> Zeroizing<Vec<u8>> {
         for (epoch, secret) in &network.epochs {
             out.extend_from_slice(&epoch.to_be_bytes());
             out.extend_from_slice(secret.key.expose());
-            out.push(if secret.state == EpochState::Active { ACTIVE } else { PENDING });
+            (secret.state == EpochState::Active).put(&mut out);
         }
     }
     put_count(&mut out, further.len());
@@ -497,10 +430,10 @@ fn parse(plain: &[u8]) -> Result<Keyring, WireError> {
     let mut reader = Reader::new(plain);
     let keyring = Keyring {
         eoa: EoaSecret::from_slice(reader.take(32, "EOA key")?).map_err(|_| WireError::Value("EOA key"))?,
-        signing: read_pair(&mut reader, "signing key")?,
-        envelope: read_pair(&mut reader, "envelope key")?,
-        sm4: Sm4Key::new(reader.array("SM4 key")?),
-        index: IndexKey::new(reader.array("index key")?),
+        signing: Wire::read(&mut reader, "signing key")?,
+        envelope: Wire::read(&mut reader, "envelope key")?,
+        sm4: Wire::read(&mut reader, "SM4 key")?,
+        index: Wire::read(&mut reader, "index key")?,
         networks: read_networks(&mut reader)?,
         further: read_further(&mut reader)?,
     };
@@ -508,19 +441,12 @@ fn parse(plain: &[u8]) -> Result<Keyring, WireError> {
     Ok(keyring)
 }
 
-/// The pair of a private key (32).
-pub(super) fn read_pair(reader: &mut Reader<'_>, field: &'static str) -> Result<SmKeyPair, WireError> {
-    SmSecret::from_slice(reader.take(32, field)?)
-        .and_then(|secret| SmKeyPair::from_secret(provider(ProviderName::RustCrypto), secret))
-        .map_err(|_| WireError::Value(field))
-}
-
 fn read_further(reader: &mut Reader<'_>) -> Result<FurtherPairs, WireError> {
     let count = reader.u32("number of further pairs")?;
     let (mut further, mut before) = (FurtherPairs::default(), FORMER_ENVELOPE);
     for _ in 0..count {
         let usage = reader.u8("use of a pair")?;
-        let pair = read_pair(reader, "further pair")?;
+        let pair = SmKeyPair::read(reader, "further pair")?;
         // Ordered by use, each use but the first at most once, so that every value has exactly one encoding.
         if usage < before || (usage == before && usage != FORMER_ENVELOPE) {
             return Err(WireError::Value("use of a pair"));
@@ -550,14 +476,8 @@ fn read_network(reader: &mut Reader<'_>) -> Result<NetworkKeys, WireError> {
 }
 
 fn read_epoch(reader: &mut Reader<'_>) -> Result<EpochSecret, WireError> {
-    Ok(EpochSecret {
-        key: EpochKey::new(reader.array("epoch key")?),
-        state: match reader.u8("epoch state")? {
-            PENDING => EpochState::Pending,
-            ACTIVE => EpochState::Active,
-            _ => return Err(WireError::Value("epoch state")),
-        },
-    })
+    let (key, is_active) = (Wire::read(reader, "epoch key")?, bool::read(reader, "epoch state")?);
+    Ok(EpochSecret { key, state: if is_active { EpochState::Active } else { EpochState::Pending } })
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
-//! The Ethereum V3 keystore: an EOA key under scrypt or PBKDF2 and AES-128-CTR with a Keccak MAC, as JSON. Written with
-//! scrypt n = 2^17; foreign files are read within bounds.
+//! The Ethereum V3 keystore: an EOA key under scrypt or PBKDF2 and AES-128-CTR with a Keccak MAC, as JSON.
+
+use std::path::Path;
 
 use aes::Aes128;
 use ctr_legacy::Ctr128BE;
@@ -11,11 +12,12 @@ use sha3::{Digest as _, Keccak256};
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
+use crate::error::shown;
 use crate::identity::check_account;
 use crate::kdf::{self, Info, kept_key};
 use crate::model::bytes::{hex, unhex};
-use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Domain, PublicKey, clean};
+use crate::model::wire::{Reader, Wire, WireError};
+use crate::model::{Address, Domain, PublicKey, body, clean, layout};
 use crate::secret::{Work, stretch};
 use crate::{
     AccountSignature, CryptoError, EoaSecret, Passphrase, Provider, SmSecret, TransportKey, TypedStructure,
@@ -68,12 +70,9 @@ struct Pbkdf2Params {
 /// The most iterations of PBKDF2 that a foreign file may ask for: some seconds.
 const MOST_ITERATIONS: u32 = 4_000_000;
 
-/// Why a keystore did not open.
 #[derive(Debug)]
 pub(super) enum Refusal {
-    /// The MAC does not match.
     Passphrase,
-    /// The file is not a valid keystore.
     Content(String),
 }
 
@@ -81,7 +80,6 @@ fn content(found: &str) -> Refusal {
     Refusal::Content(format!("{found}; export it again as a V3 keystore with scrypt"))
 }
 
-/// Opens a keystore.
 pub(super) fn open(bytes: &[u8], passphrase: &str) -> Result<EoaSecret, Refusal> {
     let store: Keystore = serde_json::from_slice(bytes).map_err(|_| content("its JSON is not a keystore"))?;
     let sealed = &store.crypto;
@@ -101,7 +99,6 @@ pub(super) fn open(bytes: &[u8], passphrase: &str) -> Result<EoaSecret, Refusal>
     Ok(secret)
 }
 
-/// The key under which the file is sealed, by the derivation that it names.
 fn derived(sealed: &Sealed, passphrase: &str) -> Result<Zeroizing<[u8; 32]>, Refusal> {
     let incomplete = |_| content("its kdfparams are incomplete");
     let salt = |text: &str| unhex(text).ok_or_else(|| content("its salt is not hex"));
@@ -167,7 +164,6 @@ fn unmasked(key: &[u8; 32], iv: &[u8; 16], masked: &[u8; 32]) -> Option<EoaSecre
     EoaSecret::from_slice(&*secret).ok()
 }
 
-/// Seals a key.
 pub(super) fn seal(secret: &EoaSecret, passphrase: &str) -> Result<String, CryptoError> {
     let (salt, iv) = (random_bytes::<32>()?, random_bytes::<16>()?);
     let key = stretch::<32>(passphrase, &salt, Work::WRITTEN)?;
@@ -200,14 +196,13 @@ fn uuid(mut bytes: [u8; 16]) -> String {
     [&text[..8], &text[8..12], &text[12..16], &text[16..20], &text[20..]].join("-")
 }
 
-// The notice that an owner's signing key has changed. The notice is signed by the old key, and its content by the
-// owner's account, so a thief who has only one of them cannot take a robot over.
+// The notice of a new P_C is signed by the old key, its content by the account: a thief needs both.
 
 /// The EIP-712 type that the account signs.
 const TYPE: &str = "OwnerKey(address owner,bytes oldKey,bytes newKey)";
 const WHAT: &str = "owner's new key";
 
-/// A change from one P_C to another.
+/// A change from one P_C to another: old (64) || new (64) || signature of the account (65).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OwnerKeyChange {
     /// The P_C until now, which signs the notice.
@@ -218,12 +213,14 @@ pub struct OwnerKeyChange {
     pub account_signature: AccountSignature,
 }
 
+layout!(OwnerKeyChange { old: "old key", new: "new key", account_signature: "account's signature" });
+body!(OwnerKeyChange);
+
 impl OwnerKeyChange {
     /// Length of the encoding, bytes.
     pub const LENGTH: usize = 193;
 
     /// The owner's change from `old` to `new`, signed by the account.
-    ///
     /// # Errors
     /// [`CryptoError::Internal`].
     pub fn sign(domain: &Domain, account: &EoaSecret, old: PublicKey, new: PublicKey) -> Result<Self, CryptoError> {
@@ -232,10 +229,8 @@ impl OwnerKeyChange {
     }
 
     /// Whether the owner may change the `known` key to this one. The signer of the notice was checked with the record.
-    ///
     /// # Errors
-    /// [`CryptoError::NotAccepted`] if it replaces a key other than the known one, or the account did not sign it;
-    /// [`CryptoError::PublicPoint`].
+    /// [`CryptoError::NotAccepted`] for another key or an unsigned one; [`CryptoError::PublicPoint`].
     pub fn check(
         &self,
         provider: &dyn Provider,
@@ -249,26 +244,6 @@ impl OwnerKeyChange {
         provider.check_public_key(&self.new)?;
         let hash = signed_hash(domain, owner, &self.old, &self.new);
         check_account(&hash, &self.account_signature, owner, WHAT)
-    }
-
-    /// Old P_C (64) || new P_C (64) || signature of the account (65).
-    pub fn encode(&self) -> Vec<u8> {
-        [&self.old.0[..], &self.new.0, &self.account_signature.0].concat()
-    }
-
-    /// From its encoding; only the form is checked.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not exactly [`Self::LENGTH`] bytes.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        let change = Self {
-            old: PublicKey(reader.array("old key")?),
-            new: PublicKey(reader.array("new key")?),
-            account_signature: AccountSignature(reader.array("account's signature")?),
-        };
-        reader.end()?;
-        Ok(change)
     }
 }
 
@@ -288,31 +263,15 @@ pub(super) struct FileKey {
 }
 
 impl FileKey {
-    /// For a new file.
     pub fn new(passphrase: &Passphrase) -> Result<Self, CryptoError> {
         Self::with(passphrase, Work::WRITTEN, random_bytes()?)
     }
 
-    /// For a file whose header gives salt and work.
     pub fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self, CryptoError> {
         Ok(Self { work, salt, key: stretch(passphrase.expose(), &salt, work)? })
     }
 }
 
-/// The work as stored in headers: log2 n (1), r (4), p (4).
-pub(super) fn put_work(out: &mut Vec<u8>, work: Work) {
-    out.push(work.log_n);
-    out.extend_from_slice(&work.r.to_be_bytes());
-    out.extend_from_slice(&work.p.to_be_bytes());
-}
-
-/// Reads the work and refuses unreasonable values.
-pub(super) fn read_work(reader: &mut Reader<'_>) -> Result<Work, WireError> {
-    let work = Work { log_n: reader.u8("work")?, r: reader.u32("work")?, p: reader.u32("work")? };
-    if work.is_bearable() { Ok(work) } else { Err(WireError::Value("work")) }
-}
-
-/// Key, nonce and commitment of one save.
 pub(super) struct SaveKeys {
     pub key: Zeroizing<[u8; 16]>,
     pub nonce: [u8; 12],
@@ -346,37 +305,27 @@ pub(super) struct SealedHead {
     pub commit: [u8; 32],
 }
 
+layout!(SealedHead { work: "work", salt: "salt", save_salt: "salt of the save", commit: "commitment" });
+
 impl SealedHead {
-    /// Length of its encoding, bytes.
     pub const LENGTH: usize = 106;
     const VERSION: u8 = 1;
 
-    /// For a new save under a file's key, with the keys of that save.
     pub fn new(key: &FileKey, label: &str) -> Result<(Self, SaveKeys), CryptoError> {
         let save_salt = random_bytes()?;
         let keys = SaveKeys::derive(key, &save_salt, label);
         Ok((Self { work: key.work, salt: key.salt, save_salt, commit: keys.commit }, keys))
     }
 
-    /// The keys of the save; `None` if the file has another key.
     pub fn keys(&self, key: &FileKey, label: &str) -> Option<SaveKeys> {
         SaveKeys::committed(key, &self.save_salt, label, &self.commit)
     }
 
-    /// Its encoding.
     pub fn encode(&self, magic: &[u8; 8]) -> Vec<u8> {
-        let mut out = [&magic[..], &[Self::VERSION]].concat();
-        put_work(&mut out, self.work);
-        out.extend_from_slice(&self.salt);
-        out.extend_from_slice(&self.save_salt);
-        out.extend_from_slice(&self.commit);
-        out
+        self.behind(&[&magic[..], &[Self::VERSION]].concat())
     }
 
-    /// From its encoding; each head has exactly one.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed, or asks for an unreasonable amount of work; of `version`, if that is another.
+    /// Refuses an unreasonable amount of work; of `version`, if that is another.
     pub fn read(reader: &mut Reader<'_>, magic: &[u8; 8]) -> Result<Self, WireError> {
         if reader.array("magic")? != *magic {
             return Err(WireError::Value("magic"));
@@ -384,22 +333,21 @@ impl SealedHead {
         if reader.u8("version")? != Self::VERSION {
             return Err(WireError::Value("version"));
         }
-        Ok(Self {
-            work: read_work(reader)?,
-            salt: reader.array("salt")?,
-            save_salt: reader.array("salt of the save")?,
-            commit: reader.array("commitment")?,
-        })
+        Wire::read(reader, "head")
     }
+}
+
+/// Why a file that begins with a magic (8) and a version (1) was refused, if it is of another version.
+pub(super) fn of_version(path: &Path, what: &'static str, bytes: &[u8], why: WireError) -> Option<CryptoError> {
+    let found = bytes.get(8).filter(|_| why == WireError::Value("version"))?;
+    Some(CryptoError::Version { path: shown(path), what, found: *found })
 }
 
 // A gateway's transport keys at rest, sealed under a key derived from its keeper's d_E, which no grant gives away.
 
-/// Bytes of the nonce in front of the ciphertext.
 const NONCE: usize = 12;
 
 /// Seals the transport key of a name: nonce (12) || SM4-GCM (32 + 16), with the name as AAD.
-///
 /// # Errors
 /// From the random source.
 pub fn seal_transport_key(
@@ -413,7 +361,6 @@ pub fn seal_transport_key(
 }
 
 /// Opens what [`seal_transport_key`] sealed for this name.
-///
 /// # Errors
 /// [`CryptoError::BadCiphertext`] if it was sealed for another name, by another keeper, or altered.
 pub fn open_transport_key(
@@ -427,7 +374,6 @@ pub fn open_transport_key(
     TransportKey::from_slice(&plain).ok_or(CryptoError::BadCiphertext)
 }
 
-/// A transport key under another key: SM4-GCM (32 + 16).
 pub(super) fn sealed_key(
     provider: &dyn Provider,
     (sealing, nonce): (&[u8; 16], &[u8; 12]),

@@ -1,7 +1,5 @@
-//! Merkle batches: RFC 6962's tree with SM3 (docs/format.md, section 6).
-//!
-//! leaf = SM3(0x00 || owner || signer || recorder || topic id || seq || D), node = SM3(0x01 || left || right);
-//! seq is 8 bytes, big endian. The root goes on the chain; each record keeps its path.
+//! Merkle batches: RFC 6962's tree with SM3 (docs/format.md, section 6); seq is 8 bytes, big endian.
+//! leaf = SM3(0x00 || owner || signer || recorder || topic id || seq || D), node = SM3(0x01 || left || right).
 
 use super::sm3::{sm3, sm3_many};
 use crate::model::{Address, Digest, Hash, Header, RecorderId, SignerId, TopicId};
@@ -50,7 +48,6 @@ impl Leaf {
         hashes(leaves.iter().map(Self::hashed))
     }
 
-    /// The bytes that its hash covers.
     fn hashed(&self) -> Vec<u8> {
         let seq = self.seq.to_be_bytes();
         [LEAF, &self.owner.0, &self.signer.0, &self.recorder.0, &self.topic_id.0, &seq, &self.digest.0].concat()
@@ -68,14 +65,12 @@ pub fn node(left: &Hash, right: &Hash) -> Hash {
     Hash(sm3(&[NODE, &left.0, &right.0]))
 }
 
-/// The hash of a topic with its highest number, as a leaf of a recorder's head:
-/// SM3(0x00 || `AuthROS/height/1` || topic id || number).
+/// A topic's leaf in a recorder's head: SM3(0x00 || `AuthROS/height/1` || topic id || number).
 pub fn height_hash(topic: &TopicId, number: u64) -> Hash {
     Hash(sm3(&[LEAF, HEIGHT, &topic.0, &number.to_be_bytes()]))
 }
 
-/// The hash of a batch's root as a leaf of the tree stamped by time stamp authorities: SM3(0x00 || `AuthROS/stamp/1` ||
-/// root).
+/// A batch root's leaf in the tree that authorities stamp: SM3(0x00 || `AuthROS/stamp/1` || root).
 pub fn stamp_hash(root: &Hash) -> Hash {
     Hash(sm3(&[LEAF, STAMP, &root.0]))
 }
@@ -122,7 +117,6 @@ pub struct Climber {
     /// The place of the node, and of the last node, at its height.
     place: u64,
     last: u64,
-    /// The node's hash.
     hash: Hash,
 }
 

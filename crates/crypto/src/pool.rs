@@ -1,32 +1,26 @@
-//! Works on several records at once, on the caller's thread and as many helper threads as it can get. Their number is
-//! limited for the whole process, so that sealer, verifier and gateway together never have more helpers than there are
-//! cores.
+//! Works on several records at once. Helper threads are limited for the whole process: sealer, verifier and gateway
+//! together never have more of them than there are cores.
 
 use std::panic::resume_unwind;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::{Builder, available_parallelism, scope};
 
-/// The most helpers of all callers together.
 const MOST: usize = 7;
 /// Work that outweighs the start of a helper several times over, nanoseconds.
 const WORTH: usize = 200_000;
-/// The approximate cost of a signature or its verification, nanoseconds; `authros-bench sm2` measures 20 to 50
-/// microseconds.
+/// The approximate cost of a signature or its verification, nanoseconds (`authros-bench sm2`: 20 to 50 microseconds).
 const PER_RECORD: usize = 35_000;
 /// The approximate cost of a byte, nanoseconds: almost all of it SM3.
 const PER_BYTE: usize = 4;
 
 /// The most helpers: one for each core but the caller's.
 static PLACES: LazyLock<usize> = LazyLock::new(|| available_parallelism().map_or(0, |cores| cores.get() - 1).min(MOST));
-/// Helpers in use.
 static TAKEN: AtomicUsize = AtomicUsize::new(0);
 
-/// A reservation of some helpers, released when dropped.
 struct Places(usize);
 
 impl Places {
-    /// Reserves up to `wanted` helpers, as many as are free.
     fn take(wanted: usize) -> Self {
         let mut found = 0;
         let taken = TAKEN.fetch_update(Ordering::AcqRel, Ordering::Acquire, |taken| {

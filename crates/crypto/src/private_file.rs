@@ -14,10 +14,8 @@ use super::{CryptoError, fault, unfinished};
 const OTHERS: u32 = 0o077;
 
 /// Reads a file of at most `most` bytes that only its owner may read.
-///
 /// # Errors
-/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] if group or others have any permission, or
-/// [`CryptoError::Length`] if it is longer.
+/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], or [`CryptoError::Length`] if it is longer.
 pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
     // Checked before it is opened, because opening a pipe would wait for its writer.
     let metadata = fs::metadata(path).map_err(CryptoError::read(path))?;
@@ -39,9 +37,7 @@ pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, Cryp
     Ok(bytes)
 }
 
-/// Writes a file that only its owner may read: a temporary file beside it, fsync, rename, fsync of the directory. After
-/// a crash the file has either the old content or the new.
-///
+/// Writes a file that only its owner may read, in one step: after a crash it has either the old content or the new.
 /// # Errors
 /// [`CryptoError::Write`].
 pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
@@ -49,17 +45,14 @@ pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
 }
 
 /// Like [`write_private`], but never over an existing file.
-///
 /// # Errors
 /// [`CryptoError::Exists`] if there is one, else [`CryptoError::Write`].
 pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
     replace(path, bytes, false)
 }
 
-/// Replaces a file by what `change` makes of its present bytes, `None` if there is no file; what it returns as `None`
-/// leaves the file as it is, and so does an error. The door for every file that more than one process or task reads,
-/// changes and writes: changes of files in one directory happen one after the other.
-///
+/// Replaces a file by what `change` makes of its bytes (`None`: no file); `None` or an error leaves it as it is. For
+/// every file that several processes or tasks change: changes in one directory happen one after the other.
 /// # Errors
 /// What `change` returns, or those of [`read_private`] and [`write_private`].
 pub fn change_private(
@@ -112,7 +105,6 @@ fn lock_directory(path: &Path) -> Result<File, CryptoError> {
 }
 
 /// Makes a directory with mode 0700, or checks that an existing one is closed to others.
-///
 /// # Errors
 /// [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
 pub fn make_private_directory(directory: &Path) -> Result<(), CryptoError> {
@@ -121,7 +113,6 @@ pub fn make_private_directory(directory: &Path) -> Result<(), CryptoError> {
 }
 
 /// Checks that group and others have no permission on a directory.
-///
 /// # Errors
 /// [`CryptoError::Read`] or [`CryptoError::OpenToOthers`].
 pub fn check_private_directory(directory: &Path) -> Result<(), CryptoError> {
@@ -129,7 +120,6 @@ pub fn check_private_directory(directory: &Path) -> Result<(), CryptoError> {
     check_mode(directory, metadata.permissions().mode(), 0o700)
 }
 
-/// The directory that holds a file.
 pub(super) fn directory_of(path: &Path) -> PathBuf {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),

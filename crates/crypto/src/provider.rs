@@ -1,7 +1,6 @@
-//! The interface to the SM algorithms: three providers that agree on every byte. The setting `crypto.provider` selects one.
-//!
-//! libsm panics on malformed input, accepts private keys 0 and n and non-canonical points, and writes C1 || C2 || C3, so
-//! lengths, ranges and points are checked here first. It is not constant-time and wipes no secret.
+//! The interface to the SM algorithms: three providers that agree on every byte. libsm panics on malformed input,
+//! accepts private keys 0 and n and non-canonical points, and writes C1 || C2 || C3, so lengths, ranges and points are
+//! checked here first. It is not constant-time and wipes no secret.
 
 use std::sync::{LazyLock, Once};
 
@@ -9,7 +8,7 @@ use crate::der::CipherParts;
 use crate::gcm::{self, BlockCipher};
 use crate::kernel::Available;
 use crate::model::{PublicKey, Signature, clean};
-use crate::secret::{ORDER, random_bytes, uncompressed, unprefixed};
+use crate::secret::{ORDER, joined, random_bytes, uncompressed};
 use crate::{CryptoError, SmSecret, sm2 as kernels, sm4_gcm};
 use getrandom::SysRng;
 use libsm::sm2::encrypt::{DecryptCtx, EncryptCtx};
@@ -23,8 +22,7 @@ use sm2::elliptic_curve::sec1::ToSec1Point as _;
 use sm2::pke::{Cipher, DecryptingKey, EncryptingKey, Mode};
 use zeroize::Zeroizing;
 
-/// SM2, SM3 and SM4-GCM as this program uses them. All providers accept and refuse the same inputs. SM3 and SM4-GCM
-/// come from our own kernels unless a provider brings its own.
+/// All providers accept and refuse the same inputs; SM3 and SM4-GCM are our own unless a provider brings its own.
 pub trait Provider: Send + Sync {
     /// `authros`, `rustcrypto` or `libsm`.
     fn name(&self) -> &'static str;
@@ -40,7 +38,6 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `text` in place and returns the tag that follows it.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] if the text is longer than GCM allows.
     fn gcm_seal_in_place(
@@ -54,7 +51,6 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `buffer` in place and appends the 16-byte tag.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] if the buffer is longer than GCM allows.
     fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
@@ -64,7 +60,6 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM4-GCM: checks the tag in constant time, then decrypts.
-    ///
     /// # Errors
     /// [`CryptoError::BadCiphertext`] if key, nonce, AAD or a byte differ; nothing is decrypted then.
     fn gcm_open(
@@ -78,37 +73,31 @@ pub trait Provider: Send + Sync {
     }
 
     /// SM2 signature (GB/T 32918.2-2016, 6.1) under the ID 1234567812345678, raw r || s.
-    ///
     /// # Errors
     /// [`CryptoError`] if the random source or the algorithm fails.
     fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError>;
 
     /// SM2 verification (GB/T 32918.2-2016, 7.1) under the ID 1234567812345678.
-    ///
     /// # Errors
     /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
     fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError>;
 
     /// SM2 encryption (GB/T 32918.4-2016, 6.1) as GM/T 0009 DER, order C1 || C3 || C2.
-    ///
     /// # Errors
     /// [`CryptoError::PublicPoint`], or [`CryptoError::Length`] if `plain` is empty or over 1 MiB.
     fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError>;
 
     /// SM2 decryption (GB/T 32918.4-2016, 7.1) of GM/T 0009 DER.
-    ///
     /// # Errors
     /// [`CryptoError::Malformed`], [`CryptoError::PublicPoint`] or [`CryptoError::BadCiphertext`].
     fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError>;
 
     /// The public key of `secret`.
-    ///
     /// # Errors
     /// [`CryptoError::Internal`] if the algorithm fails.
     fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError>;
 
     /// Checks that `public` is a point of the curve in its canonical encoding.
-    ///
     /// # Errors
     /// [`CryptoError::PublicPoint`] if it is not.
     fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError>;
@@ -117,7 +106,6 @@ pub trait Provider: Send + Sync {
 /// The most bytes that SM2 encrypts at once.
 pub const LARGEST_SM2_PLAIN: usize = 1024 * 1024;
 
-/// Refuses what SM2 encryption cannot or should not take: nothing at all, or more than it is meant for.
 fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
     if (1..=LARGEST_SM2_PLAIN).contains(&plain.len()) {
         return Ok(());
@@ -176,8 +164,7 @@ pub fn provider(name: ProviderName) -> &'static dyn Provider {
     }
 }
 
-// The `RustCrypto` crate sm2 with our own kernels for SM3 and SM4-GCM. Nonces of signatures are hedged: derived
-// (RFC 6979) from key, message and fresh random bytes.
+// Nonces of the crate's signatures are hedged: derived (RFC 6979) from key, message and fresh random bytes.
 
 /// The signer's distinguishing identifier (GM/T 0009-2012, 10).
 pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
@@ -194,12 +181,10 @@ fn warm_up(started: &'static Once, name: &str, build: impl FnOnce() + Send + 'st
     });
 }
 
-/// The point of a public key, checked to be on the curve.
 pub(super) fn point(public: &PublicKey) -> Result<sm2::PublicKey, CryptoError> {
     sm2::PublicKey::from_sec1_bytes(&uncompressed(public)).map_err(|_| CryptoError::PublicPoint)
 }
 
-/// The signing key of a secret, with its public point and ZA.
 pub(super) fn signing_key(secret: &[u8; 32]) -> Result<SigningKey, CryptoError> {
     SigningKey::from_slice(DISTINGUISHED_ID, secret).map_err(|_| CryptoError::SecretRange("SM2"))
 }
@@ -226,19 +211,14 @@ impl Provider for RustCryptoProvider {
         let key = EncryptingKey::new_with_mode(point(public)?, Mode::C1C3C2);
         let cipher: Cipher<'_> =
             key.encrypt_cipher::<_, sm3::Sm3>(&mut SysRng, plain).map_err(|_| CryptoError::Random)?;
-        let (x, y) = cipher
-            .c1()
-            .to_sec1_point(false)
-            .as_bytes()
-            .get(1..)
-            .and_then(halves)
-            .ok_or(CryptoError::Internal("SM2 encryption"))?;
+        let c1 = cipher.c1().to_sec1_point(false);
+        let (x, y) = c1.as_bytes().get(1..).and_then(halves).ok_or(CryptoError::Internal("SM2 encryption"))?;
         Ok(CipherParts { x, y, check: (*cipher.c3()).into(), text: cipher.c2().to_vec() }.encode())
     }
 
     fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
         let CipherParts { x, y, check, text } = CipherParts::parse(der)?;
-        point(&unprefixed(&x, &y))?;
+        point(&PublicKey(joined(&x, &y)))?;
         let raw = [&[4], &x[..], &y, &check, &text].concat();
         let cipher = Cipher::from_slice(&raw, Mode::C1C3C2).map_err(|_| CryptoError::PublicPoint)?;
         let key = DecryptingKey::from_slice(secret.expose()).map_err(|_| CryptoError::SecretRange("SM2"))?;
@@ -262,9 +242,6 @@ fn halves(point: &[u8]) -> Option<([u8; 32], [u8; 32])> {
     let (x, y) = point.split_at_checked(32)?;
     Some((x.try_into().ok()?, y.try_into().ok()?))
 }
-
-// The default provider: SM2, SM3 and SM4-GCM by our own kernels. The crate's SM2 (`rustcrypto`) and libsm remain
-// available, as alternatives and for comparison.
 
 /// The default provider.
 #[derive(Debug, Clone, Copy)]
@@ -314,7 +291,6 @@ const MODULUS: [u8; 32] = [
     0xff, 0, 0, 0, 0, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff,
 ];
 
-/// One SM4 key.
 pub(super) struct Sm4Block(Sm4Cipher);
 
 impl Sm4Block {
@@ -351,7 +327,6 @@ fn in_range(number: &[u8]) -> bool {
     number.iter().any(|byte| *byte != 0) && number < &ORDER[..]
 }
 
-/// A number of at most 32 bytes, padded with leading zeros.
 fn padded(big_endian: &[u8]) -> Result<[u8; 32], CryptoError> {
     let mut out = [0; 32];
     let start = 32usize.checked_sub(big_endian.len()).ok_or(CryptoError::Internal("SM2 signature"))?;
@@ -405,10 +380,8 @@ impl Provider for LibsmProvider {
         let public = libsm_point(secret.public_key(self)?)?;
         let signature =
             CONTEXT.sign(message, &scalar(secret)?, &public).map_err(|_| CryptoError::Internal("SM2 signature"))?;
-        let mut raw = [0; 64];
-        raw[..32].copy_from_slice(&padded(&signature.get_r().to_bytes_be())?);
-        raw[32..].copy_from_slice(&padded(&signature.get_s().to_bytes_be())?);
-        Ok(Signature(raw))
+        let (r, s) = (signature.get_r().to_bytes_be(), signature.get_s().to_bytes_be());
+        Ok(Signature(joined(&padded(&r)?, &padded(&s)?)))
     }
 
     fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
@@ -433,7 +406,7 @@ impl Provider for LibsmProvider {
 
     fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
         let CipherParts { x, y, check, text } = CipherParts::parse(der)?;
-        libsm_point(&unprefixed(&x, &y))?;
+        libsm_point(&PublicKey(joined(&x, &y)))?;
         let raw = [&[4], &x[..], &y, &text, &check].concat();
         DecryptCtx::new(text.len(), scalar(secret)?)
             .decrypt(&raw)

@@ -1,7 +1,5 @@
-//! Sealing and opening of records (docs/format.md, section 4). Opening checks in one fixed order and shows nothing
-//! before the last check: parse, digest, signature, commitment, tags, what was requested,
-//! names that belong to their pseudonyms. Where blobs come from and
-//! whether a signer may sign for an owner is decided elsewhere.
+//! Sealing and opening of records (docs/format.md, section 4). Opening shows nothing before the last check: parse,
+//! digest, signature, commitment, tags, what was requested, names that belong to their pseudonyms.
 
 use crate::compression::unpack;
 use crate::kdf::{Info, derived, expanded, hmac_sm3};
@@ -19,7 +17,9 @@ use crate::{
     topic_filter_id, topic_id,
 };
 use subtle::ConstantTimeEq as _;
-use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
+use zeroize::{Zeroize as _, Zeroizing};
+
+pub use crate::secret::RecordSecret;
 
 /// Everything that is sealed into one record.
 #[derive(Debug)]
@@ -66,16 +66,13 @@ pub struct SealedRecord {
 }
 
 /// Seals one record under a fresh random salt.
-///
 /// # Errors
-/// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] if a field is out of bounds, [`CryptoError::Random`] if the
-/// random source fails.
+/// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] if a field is out of bounds, [`CryptoError::Random`].
 pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord, CryptoError> {
     seal_in_steps(provider, request, &mut |_| ())
 }
 
 /// Like [`seal`]; `done` is called after each step.
-///
 /// # Errors
 /// See [`seal`].
 pub fn seal_in_steps(
@@ -180,7 +177,6 @@ pub fn signed_bytes(domain: &Domain, digest: &Digest) -> Vec<u8> {
     [&b"AuthROS/signature/1"[..], &domain.0, &digest.0].concat()
 }
 
-/// The working keys of one record.
 struct RecordKeys {
     body_key: Zeroizing<[u8; 16]>,
     body_nonce: [u8; 12],
@@ -190,7 +186,6 @@ struct RecordKeys {
 }
 
 impl RecordKeys {
-    /// From the topic key, and the header's salt and names.
     fn derive(key: &TopicKey, header: &Header) -> Self {
         Self::of(&Zeroizing::new(derived::<88>(key.expose(), &header.salt.0, &record_info(header))))
     }
@@ -212,7 +207,6 @@ impl RecordKeys {
     }
 }
 
-/// What binds the keys of a record, besides its salt.
 fn record_info(header: &Header) -> Info {
     Info::new("AuthROS/record/1")
         .fixed(&header.domain.0)
@@ -226,8 +220,7 @@ fn part<const N: usize>(bytes: &[u8; 88], start: usize) -> [u8; N] {
     std::array::from_fn(|index| bytes[start + index])
 }
 
-// Whether a record may bear the names in its sealed head. The holder of a topic key writes both the names and the
-// pseudonyms of the header; a name counts only if the pseudonym is the one derived from it.
+// The holder of a topic key writes both names and pseudonyms: a name counts only if its pseudonym is derived from it.
 
 /// What a reader compares the names in a sealed head with.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -241,7 +234,6 @@ pub enum Names {
 
 impl Names {
     /// Compares the names in a head with the header that it is sealed under.
-    ///
     /// # Errors
     /// [`CryptoError::FalseName`] with the first name that does not belong to its pseudonym.
     pub fn check(&self, header: &Header, head: &Head) -> Result<(), CryptoError> {
@@ -324,7 +316,6 @@ pub struct OpenedRecord {
     pub verdict: Verdict,
 }
 
-/// A blob split into its three parts.
 struct Parts<'a> {
     pub header: Header,
     prefix: &'a [u8],
@@ -348,7 +339,6 @@ fn parse(blob: &[u8]) -> Result<Parts<'_>, WireError> {
 }
 
 /// The checks that need no key: bounded parse, digest against the anchor, signature.
-///
 /// # Errors
 /// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
 pub fn check(
@@ -357,15 +347,16 @@ pub fn check(
     signature: &Signature,
     signer: &PublicKey,
     anchor: Anchor,
-) -> Result<(Header, Digest, Verdict), CryptoError> {
-    let digest_of = |blob: &[u8]| Digest(provider.sm3(&[blob]));
-    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, &mut |_| ())?;
+) -> Checked {
+    check_one(provider, Unchecked { blob, signature, signer, anchor }, None)
+}
+
+fn check_one(provider: &dyn Provider, record: Unchecked<'_>, digest: Option<Digest>) -> Checked {
+    let (parts, digest, verdict) = checked(provider, record, digest, &mut |_| ())?;
     Ok((parts.header, digest, verdict))
 }
 
-/// Checks a record whose stored bytes retention has deleted: its public header is the signer's, and the signature
-/// covers the digest that is left of it.
-///
+/// Checks a record whose stored bytes were deleted: the signature covers its digest, the public header is the signer's.
 /// # Errors
 /// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
 pub fn check_deleted(
@@ -381,19 +372,16 @@ pub fn check_deleted(
     if signed { Ok(header) } else { Err(CryptoError::Tampered("signature")) }
 }
 
-/// The check itself; `digest_of` computes the SM3 of the blob, `done` is called after each step.
+/// The check itself; `digest` is the SM3 of the blob, if it is computed already, `done` is called after each step.
 fn checked<'a>(
     provider: &dyn Provider,
-    blob: &'a [u8],
-    signature: &Signature,
-    signer: &PublicKey,
-    anchor: Anchor,
-    digest_of: impl FnOnce(&[u8]) -> Digest,
+    Unchecked { blob, signature, signer, anchor }: Unchecked<'a>,
+    digest: Option<Digest>,
     done: &mut impl FnMut(Step),
 ) -> Result<(Parts<'a>, Digest, Verdict), CryptoError> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
     done(Step::Fields);
-    let digest = digest_of(blob);
+    let digest = digest.unwrap_or_else(|| Digest(provider.sm3(&[blob])));
     done(Step::Digest);
     let verdict = match anchor {
         Anchor::Chain(anchored) if anchored == digest || fault::is_off("digest") => Verdict::Verified,
@@ -411,10 +399,8 @@ fn checked<'a>(
 }
 
 /// Checks and opens a record; no plaintext is returned unless every check passed.
-///
 /// # Errors
-/// [`CryptoError::DamagedRecord`], [`CryptoError::Tampered`], [`CryptoError::WrongKey`],
-/// [`CryptoError::NotAsked`] or [`CryptoError::FalseName`], from the first check that failed.
+/// From the first check that failed: `DamagedRecord`, `Tampered`, `WrongKey`, `NotAsked` or [`CryptoError::FalseName`].
 pub fn open(
     provider: &dyn Provider,
     blob: &[u8],
@@ -428,7 +414,6 @@ pub fn open(
 }
 
 /// Like [`open`] of (blob, signature, signer); `done` is called after each step.
-///
 /// # Errors
 /// See [`open`].
 pub fn open_in_steps(
@@ -439,8 +424,7 @@ pub fn open_in_steps(
     expected: &Expected,
     done: &mut impl FnMut(Step),
 ) -> Result<OpenedRecord, CryptoError> {
-    let digest_of = |blob: &[u8]| Digest(provider.sm3(&[blob]));
-    let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, done)?;
+    let (parts, digest, verdict) = checked(provider, Unchecked { blob, signature, signer, anchor }, None, done)?;
     let keys = RecordKeys::derive(topic_key, &parts.header).committed(&parts.header)?;
     done(Step::Keys);
     let (head, body) = unseal(provider, &keys, &parts, done)?;
@@ -452,7 +436,6 @@ pub fn open_in_steps(
     Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
 }
 
-/// Head and body, still compressed, opened with the record's own keys.
 fn unseal(
     provider: &dyn Provider,
     keys: &RecordKeys,
@@ -474,9 +457,7 @@ fn unseal(
     Ok((head, std::mem::take(&mut *body)))
 }
 
-/// Public header and sealed head of a record, from its first bytes. The seal of the head covers the header: both are as
-/// the holder of the topic key wrote them. Body, digest and signature are not checked.
-///
+/// Header and head from a record's first bytes, as the holder of the topic key wrote them. The rest is not checked.
 /// # Errors
 /// [`CryptoError::DamagedRecord`], [`CryptoError::WrongKey`], [`CryptoError::Tampered`] or [`CryptoError::FalseName`].
 pub fn open_front(
@@ -521,8 +502,7 @@ fn compare(expected: &Expected, header: &Header) -> Result<(), CryptoError> {
     fields.into_iter().find(|(_, differs)| *differs).map_or(Ok(()), |(name, _)| Err(CryptoError::NotAsked(name)))
 }
 
-// Checks several records at once: the digests of short ones side by side in the lanes of SM3, the signatures on
-// several cores. The results are those of [`check`] for each record.
+// Like [`check`], with the digests of short records side by side in the lanes of SM3, and signatures on several cores.
 
 /// One record to check.
 #[derive(Debug, Clone, Copy)]
@@ -556,48 +536,20 @@ fn check_by(provider: &dyn Provider, records: &[Unchecked<'_>], helpers: usize) 
     let mut digests = provider.sm3_many(&short).into_iter().map(Digest);
     let hashed: Vec<_> =
         records.iter().map(|record| (record, if record.blob.len() < LONG { digests.next() } else { None })).collect();
-    each(&hashed, helpers, |(record, digest)| {
-        let digest_of = |blob: &[u8]| digest.unwrap_or_else(|| Digest(provider.sm3(&[blob])));
-        let Unchecked { blob, signature, signer, anchor } = **record;
-        let (parts, digest, verdict) = checked(provider, blob, signature, signer, anchor, digest_of, &mut |_| ())?;
-        Ok((parts.header, digest, verdict))
-    })
+    each(&hashed, helpers, |(record, digest)| check_one(provider, **record, *digest))
 }
 
-// Disclosure of one record: the 32 bytes from which its keys, and no others, are derived.
-//
-// They are HKDF's extract of topic key and salt, so nothing leads from them to the topic key or to another record. The
-// record's commitment is expanded from the same bytes, so neither a wrong secret nor another message can be passed
-// off.
-
-/// The secret from which the keys of one record are derived.
-#[derive(Clone, Zeroize, ZeroizeOnDrop)]
-pub struct RecordSecret([u8; 32]);
-
-impl std::fmt::Debug for RecordSecret {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("RecordSecret(secret)")
-    }
-}
+// A record is disclosed by HKDF's extract of topic key and salt, from which neither the topic key nor another record's
+// keys follow. The commitment is expanded from it, so neither a wrong secret nor another message can be passed off.
 
 impl RecordSecret {
     /// For the record with this header, sealed under this topic key.
     pub fn of(key: &TopicKey, header: &Header) -> Self {
-        Self(hmac_sm3(&header.salt.0, &[key.expose()]))
-    }
-
-    /// From exactly 32 bytes: with other lengths, HMAC would take different texts for the same key.
-    pub fn from_slice(bytes: &[u8]) -> Option<Self> {
-        bytes.try_into().ok().map(Self)
-    }
-
-    /// The bytes. Anyone who has them can read this record, forever, and no other.
-    pub fn expose(&self) -> &[u8; 32] {
-        &self.0
+        Self::new(hmac_sm3(&header.salt.0, &[key.expose()]))
     }
 
     fn keys(&self, header: &Header) -> RecordKeys {
-        RecordKeys::of(&Zeroizing::new(expanded(&self.0, &record_info(header))))
+        RecordKeys::of(&Zeroizing::new(expanded(self.expose(), &record_info(header))))
     }
 }
 
@@ -613,7 +565,6 @@ pub struct Revealed {
 }
 
 /// Opens a stored record with its own secret. Digest, signature and anchor are checked elsewhere.
-///
 /// # Errors
 /// [`CryptoError::WrongKey`] if the record does not commit to this secret, otherwise as for opening.
 pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret) -> Result<Revealed, CryptoError> {
@@ -621,9 +572,7 @@ pub fn open_revealed(provider: &dyn Provider, blob: &[u8], secret: &RecordSecret
     open_revealed_within(provider, blob, secret, &mut budget)?.ok_or(CryptoError::Tampered("plain length"))
 }
 
-/// Like [`open_revealed`], for many untrusted records: the length of each message is subtracted from `budget`, in
-/// bytes, before the message is allocated; `None` if the budget is too small.
-///
+/// For many untrusted records: takes each message's length from `budget` (bytes) first; `None` if that is too small.
 /// # Errors
 /// See [`open_revealed`].
 pub fn open_revealed_within(
@@ -645,8 +594,6 @@ pub fn open_revealed_within(
 pub fn reveal_bytes(domain: &Domain, digest: &Digest, secret: &RecordSecret) -> Zeroizing<Vec<u8>> {
     Zeroizing::new([&b"AuthROS/reveal/1"[..], &domain.0, &digest.0, secret.expose()].concat())
 }
-
-// The steps of sealing and opening a record, for measuring them.
 
 /// The step just done. A step may be reported more than once for a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,5 +1,5 @@
-//! The policy of a robot as its owner sends it. The notice is signed by d_C, and its content by the owner's account: a
-//! thief who has only one of them cannot tell a robot what not to capture.
+//! A robot's policy. The notice is signed by d_C, and its content by the owner's account: a thief with only one of them
+//! cannot tell a robot what not to capture.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Domain, SignerId};
@@ -27,7 +27,6 @@ pub struct SignedPolicy {
 
 impl SignedPolicy {
     /// The owner's policy for a device, signed by the account.
-    ///
     /// # Errors
     /// [`CryptoError::Length`] if it is too long, [`CryptoError::Internal`].
     pub fn sign(
@@ -45,7 +44,6 @@ impl SignedPolicy {
     }
 
     /// Whether the owner's account signed it for this device.
-    ///
     /// # Errors
     /// [`CryptoError::NotAccepted`].
     pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
@@ -59,7 +57,6 @@ impl SignedPolicy {
     }
 
     /// From its encoding; only the form is checked.
-    ///
     /// # Errors
     /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {

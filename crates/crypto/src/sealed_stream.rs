@@ -14,7 +14,6 @@ const MAGIC: [u8; 8] = *b"\x89AuthBak";
 const LABEL: &str = "AuthROS/backup/1";
 /// Length of the header, bytes.
 pub const HEADER: usize = SealedHead::LENGTH;
-/// Plaintext of a full chunk, bytes.
 const CHUNK: usize = 1 << 20;
 const TAG: usize = 16;
 
@@ -29,7 +28,6 @@ impl StreamHeader {
     }
 
     /// From its encoding; each header has exactly one.
-    ///
     /// # Errors
     /// [`WireError`] if it is malformed, or asks for an unreasonable amount of work.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
@@ -40,7 +38,6 @@ impl StreamHeader {
     }
 }
 
-/// State that both ends keep.
 struct Line {
     header: Vec<u8>,
     keys: SaveKeys,
@@ -52,7 +49,6 @@ impl Line {
         provider(ProviderName::RustCrypto)
     }
 
-    /// Nonce and AAD of the next chunk.
     fn next(&mut self, last: bool, length: u32) -> ([u8; 12], Vec<u8>) {
         let mut nonce = self.keys.nonce;
         nonce[4..].iter_mut().zip(self.number.to_be_bytes()).for_each(|(byte, bits)| *byte ^= bits);
@@ -75,7 +71,6 @@ pub struct SealedWriter<W: Write> {
 
 impl<W: Write> SealedWriter<W> {
     /// Begins a stream; derives the passphrase's key (about 0.3 s).
-    ///
     /// # Errors
     /// Errors from writing the header or deriving the key.
     pub fn new(inner: W, passphrase: &Passphrase) -> io::Result<Self> {
@@ -105,7 +100,6 @@ impl<W: Write> SealedWriter<W> {
     }
 
     /// Writes the last chunk; returns the inner writer.
-    ///
     /// # Errors
     /// Errors from writing.
     pub fn finish(mut self) -> io::Result<W> {
@@ -145,10 +139,8 @@ fn damaged(what: &'static str) -> io::Error {
 
 impl<R: Read> SealedReader<R> {
     /// Reads the header; derives the passphrase's key (about 0.3 s).
-    ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidData`] if this is not such a stream, [`io::ErrorKind::Unsupported`] if it is one of another
-    /// version, [`io::ErrorKind::PermissionDenied`] if the passphrase is wrong, or errors from reading.
+    /// `InvalidData` if it is none, `Unsupported` of another version, `PermissionDenied` for the passphrase.
     pub fn open(inner: R, passphrase: &Passphrase) -> io::Result<Self> {
         Self::with(inner, |header| FileKey::with(passphrase, header.0.work, header.0.salt))
     }

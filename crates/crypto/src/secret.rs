@@ -1,6 +1,6 @@
-//! Secret keys as types: range-checked on construction, wiped on drop, never printed; and the passphrase that opens a
-//! keyring, with the slow derivation of a key from it (scrypt, RFC 7914). `kdf` says how keys are derived from each other,
-//! `keyring` how they are stored on disk.
+//! Secret keys as types: range-checked on construction, wiped on drop, never printed; and the passphrase of a keyring,
+//! with the slow derivation of a key from it (scrypt, RFC 7914).
+#![allow(clippy::missing_errors_doc, reason = "`CryptoError` says whether the random source or the key's range failed")]
 
 use std::fmt;
 use std::hint::black_box;
@@ -8,13 +8,33 @@ use std::str::FromStr;
 use std::sync::{LazyLock, OnceLock};
 
 use crate::model::bytes::{hex, unhex};
+use crate::model::wire::{Reader, Wire, WireError};
 use crate::model::{Address, PublicKey, SignerId, clean};
-use crate::provider::{self, Provider};
+use crate::provider::{self, Provider, ProviderName};
 use crate::{CryptoError, kdf, sm2 as kernels};
 use scrypt::Params;
 use sm2::dsa::SigningKey;
 use subtle::ConstantTimeEq as _;
 use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
+
+/// Compared in constant time, never printed.
+macro_rules! guarded {
+    ($name:ident.$field:tt) => {
+        impl PartialEq for $name {
+            fn eq(&self, other: &Self) -> bool {
+                self.$field[..].ct_eq(&other.$field[..]).into()
+            }
+        }
+
+        impl Eq for $name {}
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str(concat!(stringify!($name), "(secret)"))
+            }
+        }
+    };
+}
 
 macro_rules! secret_bytes {
     ($($(#[$doc:meta])* $name:ident($size:literal);)*) => {$(
@@ -32,9 +52,6 @@ macro_rules! secret_bytes {
             }
 
             /// Fresh, from the operating system's random source.
-            ///
-            /// # Errors
-            /// [`CryptoError::Random`] if that fails.
             pub fn generate() -> Result<Self, CryptoError> {
                 random_bytes().map(Self)
             }
@@ -50,20 +67,8 @@ macro_rules! secret_bytes {
             }
         }
 
-        /// In constant time.
-        impl PartialEq for $name {
-            fn eq(&self, other: &Self) -> bool {
-                self.0.ct_eq(&other.0).into()
-            }
-        }
-
-        impl Eq for $name {}
-
-        impl fmt::Debug for $name {
-            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-                formatter.write_str(concat!(stringify!($name), "(secret)"))
-            }
-        }
+        guarded!($name.0);
+        crate::model::layout!($name(0));
     )*};
 }
 
@@ -76,13 +81,14 @@ secret_bytes! {
     TopicKey(32);
     /// IK: turns topic names and tags into pseudonyms; stable across epochs.
     IndexKey(32);
-    /// Turns the types and tags of one topic's records into pseudonyms; derived from IK, which cannot be derived from
-    /// it.
+    /// Turns the types and tags of one topic's records into pseudonyms; derived from IK, not the other way round.
     FilterKey(32);
     /// K_T: the key a client and its gateway mix into every session; it opens no record.
     TransportKey(32);
     /// r: the secret random salt of an epoch, drawn when it begins and not kept.
     EpochSalt(32);
+    /// The secret from which the keys of one record are derived; who has it can read this record, and no other.
+    RecordSecret(32);
 }
 
 /// Fresh random bytes, drawn again until they are in range.
@@ -93,8 +99,6 @@ fn drawn<T>(of: impl Fn(&[u8]) -> Result<T, CryptoError>) -> Result<T, CryptoErr
         }
     }
 }
-
-// The secp256k1 key of an Ethereum account.
 
 /// The private key of an externally owned account.
 #[derive(Clone, Zeroize, ZeroizeOnDrop)]
@@ -107,17 +111,11 @@ pub struct EoaSecret {
 
 impl EoaSecret {
     /// Fresh, from the operating system's random source.
-    ///
-    /// # Errors
-    /// [`CryptoError::Random`] if that fails.
     pub fn generate() -> Result<Self, CryptoError> {
         drawn(Self::from_slice)
     }
 
     /// From 32 bytes, big endian, 1 to n - 1 of secp256k1.
-    ///
-    /// # Errors
-    /// [`CryptoError::SecretRange`] if it is out of range or of another length.
     pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
         let range = CryptoError::SecretRange("secp256k1");
         let Ok(secret) = <[u8; 32]>::try_from(bytes) else { return Err(range) };
@@ -138,22 +136,7 @@ impl EoaSecret {
     }
 }
 
-/// In constant time.
-impl PartialEq for EoaSecret {
-    fn eq(&self, other: &Self) -> bool {
-        self.secret.ct_eq(&other.secret).into()
-    }
-}
-
-impl Eq for EoaSecret {}
-
-impl fmt::Debug for EoaSecret {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "EoaSecret({})", self.address())
-    }
-}
-
-// SM2 private keys and pairs, and the fingerprint of a public key that people compare.
+guarded!(EoaSecret.secret);
 
 /// The order n of the SM2 group (GB/T 32918.5-2017, 4), big endian.
 pub(crate) const ORDER: [u8; 32] = [
@@ -168,12 +151,12 @@ pub(crate) fn uncompressed(public: &PublicKey) -> [u8; 65] {
     bytes
 }
 
-/// x || y as a public key, not yet checked.
-pub(crate) fn unprefixed(x: &[u8; 32], y: &[u8; 32]) -> PublicKey {
-    let mut bytes = [0; 64];
-    bytes[..32].copy_from_slice(x);
-    bytes[32..].copy_from_slice(y);
-    PublicKey(bytes)
+/// A point or a signature of its two numbers, not yet checked.
+pub(crate) fn joined(one: &[u8; 32], other: &[u8; 32]) -> [u8; 64] {
+    let mut both = [0; 64];
+    both[..32].copy_from_slice(one);
+    both[32..].copy_from_slice(other);
+    both
 }
 
 /// Whether `number` + 1 < n and `number` > 0, in constant time.
@@ -187,9 +170,7 @@ fn is_secret(number: &[u8; 32]) -> bool {
     borrow == 1 && any != 0
 }
 
-/// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1).
-///
-/// The signing keys derived from it (public point, ZA), ours and the crate's, are computed once and wiped with it.
+/// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1). Keys derived from it are computed once, wiped with it.
 pub struct SmSecret {
     bytes: Zeroizing<[u8; 32]>,
     kernel: OnceLock<Box<kernels::SigningKey>>,
@@ -199,17 +180,11 @@ pub struct SmSecret {
 
 impl SmSecret {
     /// Fresh, from the operating system's random source.
-    ///
-    /// # Errors
-    /// [`CryptoError::Random`] if that fails.
     pub fn generate() -> Result<Self, CryptoError> {
         drawn(Self::from_slice)
     }
 
     /// From 32 bytes, big endian.
-    ///
-    /// # Errors
-    /// [`CryptoError::SecretRange`] if it is out of range or of another length.
     pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
         let array = <[u8; 32]>::try_from(bytes).map(Zeroizing::new).map_err(|_| CryptoError::SecretRange("SM2"))?;
         if !is_secret(&array) {
@@ -223,7 +198,6 @@ impl SmSecret {
         &self.bytes
     }
 
-    /// The signing key for our own kernels.
     pub(crate) fn kernel_key(&self) -> Result<&kernels::SigningKey, CryptoError> {
         if self.kernel.get().is_none() {
             // Another thread may have been first; its key is the same, and the second one wipes itself.
@@ -232,7 +206,6 @@ impl SmSecret {
         self.kernel.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
     }
 
-    /// The signing key for the crate.
     pub(crate) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
         if self.signing.get().is_none() {
             // Another thread may have been first; its key is the same.
@@ -276,20 +249,7 @@ fn wipe(key: &mut SigningKey) {
     }
 }
 
-/// In constant time.
-impl PartialEq for SmSecret {
-    fn eq(&self, other: &Self) -> bool {
-        self.bytes.ct_eq(&*other.bytes).into()
-    }
-}
-
-impl Eq for SmSecret {}
-
-impl fmt::Debug for SmSecret {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("SmSecret(secret)")
-    }
-}
+guarded!(SmSecret.bytes);
 
 /// An SM2 private key and its public key.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -302,17 +262,11 @@ pub struct SmKeyPair {
 
 impl SmKeyPair {
     /// A fresh pair.
-    ///
-    /// # Errors
-    /// [`CryptoError::Random`] if the random source fails.
     pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
         Self::from_secret(provider, SmSecret::generate()?)
     }
 
     /// The pair of a private key.
-    ///
-    /// # Errors
-    /// [`CryptoError::Internal`] if the algorithm fails.
     pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
         let public = *secret.public_key(provider)?;
         Ok(Self { secret, public })
@@ -321,6 +275,19 @@ impl SmKeyPair {
     /// The fingerprint of the public key.
     pub fn fingerprint(&self) -> Fingerprint {
         Fingerprint::of(&self.public)
+    }
+}
+
+/// By the private key (32) alone.
+impl Wire for SmKeyPair {
+    fn put(&self, out: &mut Vec<u8>) {
+        self.secret.bytes.put(out);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        SmSecret::from_slice(reader.take(32, field)?)
+            .and_then(|secret| Self::from_secret(provider::provider(ProviderName::RustCrypto), secret))
+            .map_err(|_| WireError::Value(field))
     }
 }
 
@@ -350,8 +317,7 @@ impl Fingerprint {
     }
 }
 
-/// Reads the form that is shown, other separators of the groups (none, `:`, `-`) and capitals. A part of a fingerprint
-/// is refused: the rest could differ.
+/// Also takes capitals and other separators (none, `:`, `-`). A part is refused: the rest could differ.
 impl FromStr for Fingerprint {
     type Err = FingerprintError;
 
@@ -380,9 +346,6 @@ pub struct Passphrase(Zeroizing<String>);
 
 impl Passphrase {
     /// From what a person typed or a file holds, without the trailing line break.
-    ///
-    /// # Errors
-    /// [`CryptoError::ShortPassphrase`] if it has too few characters.
     pub fn new(text: String) -> Result<Self, CryptoError> {
         let text = Zeroizing::new(text);
         let line = text.strip_suffix('\n').unwrap_or(&text);
@@ -395,9 +358,6 @@ impl Passphrase {
     }
 
     /// A random one of 128 bits, in hex.
-    ///
-    /// # Errors
-    /// [`CryptoError::Random`] if the random source fails.
     pub fn random() -> Result<Self, CryptoError> {
         let bytes = Zeroizing::new(random_bytes::<16>()?);
         Ok(Self(Zeroizing::new(hex(&*bytes))))
@@ -423,6 +383,17 @@ pub(super) struct Work {
     pub p: u32,
 }
 
+impl Wire for Work {
+    fn put(&self, out: &mut Vec<u8>) {
+        (self.log_n, self.r, self.p).put(out);
+    }
+
+    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+        let (log_n, r, p) = Wire::read(reader, field)?;
+        Some(Self { log_n, r, p }).filter(|work| work.is_bearable()).ok_or(WireError::Value(field))
+    }
+}
+
 impl Work {
     /// The parameters this program writes: 128 MiB, about 0.3 s.
     pub const WRITTEN: Self = Self { log_n: 17, r: 8, p: 1 };
@@ -435,7 +406,6 @@ impl Work {
     }
 }
 
-/// Derives `N` bytes from a passphrase.
 pub(super) fn stretch<const N: usize>(
     passphrase: &str,
     salt: &[u8],
@@ -450,9 +420,6 @@ pub(super) fn stretch<const N: usize>(
 // Random bytes from the operating system; the only source of randomness in this crate.
 
 /// `N` fresh random bytes.
-///
-/// # Errors
-/// [`CryptoError::Random`] if the operating system provides none.
 pub fn random_bytes<const N: usize>() -> Result<[u8; N], CryptoError> {
     let mut bytes = [0; N];
     getrandom::fill(&mut bytes).map_err(|_| CryptoError::Random)?;

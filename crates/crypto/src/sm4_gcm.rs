@@ -4,7 +4,7 @@
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
-use super::gcm::{LONGEST, TAG};
+use super::gcm::{LONGEST, TAG, lengths};
 use super::kernel::{Available, FIRST, Ghash, Sm4};
 use super::{CryptoError, fault};
 
@@ -17,7 +17,6 @@ const STRETCH: usize = 4096;
 /// The same in blocks.
 const STRETCH_BLOCKS: u32 = 256;
 
-/// One key and one nonce in use.
 struct Gcm<'a> {
     cipher: Sm4,
     nonce: &'a [u8; 12],
@@ -41,18 +40,13 @@ impl<'a> Gcm<'a> {
     }
 
     fn tag(&mut self, aad: usize, text: usize) -> [u8; TAG] {
-        let bits = |bytes: usize| u64::try_from(bytes).unwrap_or(u64::MAX).wrapping_mul(8).to_be_bytes();
-        let mut lengths = [0; 16];
-        lengths[..8].copy_from_slice(&bits(aad));
-        lengths[8..].copy_from_slice(&bits(text));
-        self.hash.update(&lengths);
+        self.hash.update(&lengths(aad, text));
         let mut tag = self.hash.finish();
         tag.iter_mut().zip(&self.first[16..32]).for_each(|(byte, mask)| *byte ^= mask);
         tag
     }
 }
 
-/// Encrypts `text` in place and returns the tag.
 pub(super) fn seal(
     kernel: Available,
     key: &[u8; 16],

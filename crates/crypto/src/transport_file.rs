@@ -32,7 +32,6 @@ fn sealing_key(secret: &SmSecret, salt: &[u8; 32], usage: TransportUse<'_>) -> (
 }
 
 /// Writes K_T to disk, sealed under d_E.
-///
 /// # Errors
 /// [`CryptoError::Write`] or [`CryptoError::Random`].
 pub fn save_transport_key(
@@ -49,7 +48,6 @@ pub fn save_transport_key(
 }
 
 /// K_T from its file; `None` if there is none, or if it is for something else: the caller allocates a new one.
-///
 /// # Errors
 /// [`CryptoError::OpenToOthers`] or [`CryptoError::Read`].
 pub fn load_transport_key(

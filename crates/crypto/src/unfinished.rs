@@ -1,7 +1,6 @@
-//! What is written under a temporary name first: made here alone, so that what a killed process leaves is found again.
-//!
-//! Its maker holds a lock on it as long as it lives. Whoever sweeps a folder takes the lock before it removes anything, so
-//! it never removes what a living process writes.
+//! Temporary names are made here alone, so that what a killed process leaves is found again. Their maker holds a lock,
+//! which a sweep takes first: it never removes what a living process writes.
+#![allow(clippy::missing_errors_doc, reason = "errors of the file system")]
 
 use std::fs::{self, File, Permissions, TryLockError};
 use std::io;
@@ -16,9 +15,6 @@ pub const PREFIX: &str = ".authros-new-";
 const TRIES: usize = 16;
 
 /// A new file (mode 0600) in a folder; removed on drop, unless it was moved to its place.
-///
-/// # Errors
-/// Errors of the file system.
 pub fn new_file(folder: &Path) -> io::Result<NamedTempFile> {
     for _ in 0..TRIES {
         let permissions = Permissions::from_mode(0o600);
@@ -39,9 +35,6 @@ pub struct UnfinishedFolder {
 
 impl UnfinishedFolder {
     /// In `parent`.
-    ///
-    /// # Errors
-    /// Errors of the file system.
     pub fn new(parent: &Path) -> io::Result<Self> {
         for _ in 0..TRIES {
             let permissions = Permissions::from_mode(0o700);
@@ -57,9 +50,6 @@ impl UnfinishedFolder {
     }
 
     /// Removes it with its contents.
-    ///
-    /// # Errors
-    /// Errors of the file system.
     pub fn close(self) -> io::Result<()> {
         self.folder.close()
     }
@@ -80,9 +70,6 @@ fn holds(made: &File) -> io::Result<bool> {
 
 /// Removes what killed processes left unfinished in a folder; returns how many files and folders. What cannot be removed
 /// stays until the next sweep.
-///
-/// # Errors
-/// If the folder cannot be listed.
 pub fn sweep(folder: &Path) -> io::Result<usize> {
     let mut removed = 0;
     for entry in fs::read_dir(folder)?.flatten() {

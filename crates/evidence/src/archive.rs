@@ -1,6 +1,5 @@
-//! A ZIP archive in one form only: members stored uncompressed, `mimetype` first and the others by name, no dates, no
-//! extra fields, no gaps. What is read is written again and compared, so that two archives with the same members are
-//! the same bytes, and nothing hides between them.
+//! A ZIP archive in one form only: members stored uncompressed, `mimetype` first, the others by name, no dates, extra
+//! fields or gaps. Reading writes it again and compares, so that nothing hides between members.
 
 use std::collections::BTreeMap;
 
@@ -36,7 +35,6 @@ pub fn is_name(name: &str) -> bool {
 }
 
 /// The archive of these members.
-///
 /// # Errors
 /// [`BundleError`] if they are too many or too long, or a name is not valid.
 pub fn write(members: &Members) -> Result<Vec<u8>, BundleError> {
@@ -77,7 +75,6 @@ pub fn write(members: &Members) -> Result<Vec<u8>, BundleError> {
 }
 
 /// The members of an archive of this form.
-///
 /// # Errors
 /// [`BundleError`] if it has any other form.
 pub fn read(bytes: &[u8]) -> Result<Members, BundleError> {
@@ -134,7 +131,6 @@ fn put(out: &mut Vec<u8>, words: &[u16]) {
     words.iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
 }
 
-/// A length or offset within the bounds.
 fn number(length: usize) -> Result<u32, BundleError> {
     u32::try_from(length).ok().filter(|length| u64::from(*length) <= LARGEST).ok_or_else(|| {
         BundleError::whole(&format!("it is longer than {} MiB; choose fewer records", LARGEST / (1024 * 1024)))

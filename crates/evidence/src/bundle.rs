@@ -1,6 +1,5 @@
-//! A bundle in its parts: records with their signatures and anchors, keys, identities, headers of blocks, nodes of the
-//! state. Every part is within its bounds and well-formed, or the bundle is refused with the part's name. The exporter
-//! packs such parts into a file; with level (e), the owner signs the disclosure, and its secret is the record's.
+//! A bundle in its parts: each is within its bounds and well-formed, or the bundle is refused with the part's name.
+#![allow(clippy::missing_errors_doc, reason = "`BundleError` and `PackingError` say what is wrong")]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
@@ -24,7 +23,6 @@ use serde::{Deserialize, Serialize};
 
 /// The trust file that a bundle may suggest, and that is never trusted.
 pub const SUGGESTED: &str = "trust.toml";
-/// Nodes of the state.
 pub const NODES: &str = "chain/nodes.rlp";
 /// Instructions for somebody who finds the file without us.
 pub const READ_ME: &str = "VERIFY.txt";
@@ -32,11 +30,8 @@ pub const READ_ME: &str = "VERIFY.txt";
 pub const REPORT: &str = "report.html";
 /// The most records in a bundle.
 pub const MOST_RECORDS: usize = 10_000;
-/// The format name of an anchor's file.
 const ANCHOR_FORMAT: &str = "authros-anchor/1";
-/// The longest page for people, bytes.
 const LONGEST_REPORT: usize = 16 << 20;
-/// The longest of the small members, bytes.
 const LONGEST_SMALL: usize = 64 * 1024;
 
 /// Why a bundle cannot be checked.
@@ -66,7 +61,7 @@ impl BundleError {
 #[serde(deny_unknown_fields, rename_all = "snake_case", tag = "mode")]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Anchoring {
-    /// Its digest by itself, by its owner. The braces refuse further lines, which serde takes beside a bare word.
+    /// Its digest alone, by its owner. The braces refuse further lines, which serde takes beside a bare word.
     Each {},
     /// The root of its batch: the leaf's index from 0, the number of leaves, and the hashes from the leaf up.
     Batch { account: Address, root: Hash, index: u64, count: u64, path: Vec<Hash> },
@@ -166,7 +161,6 @@ pub struct Bundle {
     pub suggested: Option<String>,
 }
 
-/// Records and stamps, whose files are read one by one.
 #[derive(Default)]
 struct Drafts {
     records: BTreeMap<Digest, Draft>,
@@ -175,9 +169,6 @@ struct Drafts {
 
 impl Bundle {
     /// Reads a bundle: the file, or the folder that it was unpacked into.
-    ///
-    /// # Errors
-    /// [`BundleError`] with what is wrong.
     pub fn read(path: &Path, provider: &dyn Provider) -> Result<Self, BundleError> {
         if path.is_dir() {
             return Self::of_members(&folder(path)?, provider);
@@ -186,17 +177,11 @@ impl Bundle {
     }
 
     /// From a file's bytes.
-    ///
-    /// # Errors
-    /// See [`Bundle::read`].
     pub fn parse(bytes: &[u8], provider: &dyn Provider) -> Result<Self, BundleError> {
         Self::of_members(&archive::read(bytes)?, provider)
     }
 
     /// From its members.
-    ///
-    /// # Errors
-    /// See [`Bundle::read`].
     pub fn of_members(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
         let manifest = Manifest::read(members, provider)?;
         let (mut drafts, mut bundle) = (Drafts::default(), Self::empty(manifest));
@@ -234,7 +219,6 @@ impl Bundle {
         }
     }
 
-    /// Adds one member, by its name.
     fn take(
         &mut self,
         name: &str,
@@ -244,6 +228,8 @@ impl Bundle {
     ) -> Result<(), BundleError> {
         let wrong = |why: &str| BundleError::of(name, why);
         let parts: Vec<&str> = name.split('/').collect();
+        let file = parts.last().copied().unwrap_or_default();
+        let filed = |under: String, why: &str| if file == under { Ok(()) } else { Err(wrong(why)) };
         let longest = match parts.as_slice() {
             ["records", _, "record.bin"]
             | ["chain", "nodes.rlp"]
@@ -270,42 +256,34 @@ impl Bundle {
                 let imprint = filed.ok_or_else(|| wrong("is filed under a name that is not an imprint"))?;
                 drafts.stamps.entry(imprint).or_default().take(name, part, bytes)?;
             }
-            ["keys", file] => {
+            ["keys", _] => {
                 let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());
                 let key = pem.ok_or_else(|| wrong("contains no SM2 public key"))?;
                 if keyfile::sm2_public_pem(&key).ok().is_none_or(|written| written.as_bytes() != bytes) {
                     return Err(wrong("contains an SM2 public key that is not written in a bundle's one form"));
                 }
                 let id = signer_id(&key);
-                if *file != format!("{}.pem", id.to_hex()) {
-                    return Err(wrong("is filed under another key's name"));
-                }
+                filed(format!("{}.pem", id.to_hex()), "is filed under another key's name")?;
                 self.keys.insert(id, key);
             }
-            ["identities", file] => {
+            ["identities", _] => {
                 let hash = Hash(authros_crypto::keccak256(&[bytes]));
                 let identity = Identity::parse(bytes).map_err(|error| wrong(&error.to_string()))?;
-                if *file != format!("{}.bin", hash.to_hex()) {
-                    return Err(wrong("is filed under another identity's name"));
-                }
+                filed(format!("{}.bin", hash.to_hex()), "is filed under another identity's name")?;
                 self.identities.insert(hash, identity);
             }
             ["chain", "nodes.rlp"] => {
                 self.nodes = Nodes::parse(bytes)
                     .ok_or_else(|| wrong("is not a list of distinct nodes in order of their hashes"))?;
             }
-            ["chain", file] => {
+            ["chain", _] => {
                 let header = BlockHeader::parse(bytes).ok_or_else(|| wrong("is not a block header"))?;
-                if *file != format!("{}.rlp", header.number) {
-                    return Err(wrong("is filed under the number of another block"));
-                }
+                filed(format!("{}.rlp", header.number), "is filed under the number of another block")?;
                 self.headers.insert(header.number, header);
             }
-            ["definitions", file] => {
+            ["definitions", _] => {
                 let digest = Digest(provider.sm3(&[bytes]));
-                if *file != format!("{}.txt", digest.to_hex()) {
-                    return Err(wrong("is filed under another text's name"));
-                }
+                filed(format!("{}.txt", digest.to_hex()), "is filed under another text's name")?;
                 self.definitions.insert(digest, text(name, bytes)?);
             }
             _ => return Err(wrong("does not belong in a bundle")),
@@ -314,7 +292,6 @@ impl Bundle {
     }
 }
 
-/// A record whose files are read one by one.
 #[derive(Default)]
 struct Draft {
     record: Option<Vec<u8>>,
@@ -365,7 +342,6 @@ fn text(name: &str, bytes: &[u8]) -> Result<String, BundleError> {
     std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| BundleError::of(name, "is not text"))
 }
 
-/// A plain file within the bounds of a bundle.
 fn file(path: &Path, name: &str) -> Result<Vec<u8>, BundleError> {
     let failed = |error: std::io::Error| BundleError::of(name, &format!("cannot be read: {error}"));
     // Checked before it is opened, since opening a pipe would wait for its writer.
@@ -439,16 +415,12 @@ pub enum PackingError {
 
 impl Packing {
     /// Adds a record.
-    ///
-    /// # Errors
-    /// None, except for a fault of this program.
     pub fn record(&mut self, digest: Digest, record: BundledRecord) -> Result<(), PackingError> {
         let mut put = |part: &str, bytes: Vec<u8>| {
             self.members.insert(format!("records/{}/{part}", digest.to_hex()), bytes);
         };
         if let Some(anchor) = &record.anchor {
-            let text = serde_json::to_vec_pretty(anchor);
-            put("anchor.json", text.map_err(|error| BundleError::of("anchor.json", &error.to_string()))?);
+            put("anchor.json", manifest::to_json("anchor.json", anchor)?);
         }
         if let Some(disclosure) = &record.disclosure {
             put("reveal.bin", disclosure.secret.expose().to_vec());
@@ -460,9 +432,6 @@ impl Packing {
     }
 
     /// Adds a signer's key.
-    ///
-    /// # Errors
-    /// If it is not a point on the curve.
     pub fn key(&mut self, key: &PublicKey) -> Result<(), PackingError> {
         let pem = keyfile::sm2_public_pem(key)?;
         self.members.insert(format!("keys/{}.pem", signer_id(key).to_hex()), pem.into_bytes());
@@ -493,18 +462,12 @@ impl Packing {
     }
 
     /// Adds the paths from heads of recorders to the highest numbers of topics.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
         self.members.insert(HEIGHTS.to_owned(), completeness::to_text(heights)?);
         Ok(())
     }
 
     /// Adds an authority's stamps over these roots; all of them were stamped together.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn stamps(&mut self, tree: &StampTree, wanted: &[Hash], tokens: &[Vec<u8>]) -> Result<(), PackingError> {
         if !tokens.is_empty() {
             self.members.extend(time::members(tree, wanted, tokens)?);
@@ -518,9 +481,6 @@ impl Packing {
     }
 
     /// Suggests what to pin.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn suggest(&mut self, trust: &Trust) -> Result<(), PackingError> {
         let text = trust.to_text().map_err(|error| BundleError::of(SUGGESTED, &error.to_string()))?;
         let note = "# What the exporter says. Compare each line with what you know from an independent source, then \
@@ -530,9 +490,6 @@ impl Packing {
     }
 
     /// The members with the manifest, signed by its exporter.
-    ///
-    /// # Errors
-    /// If the key cannot sign.
     pub fn sign(
         mut self,
         chain: ClaimedChain,
@@ -545,8 +502,7 @@ impl Packing {
         self.members.insert(READ_ME.to_owned(), READ_ME_TEXT.as_bytes().to_vec());
         let exporter = Exporter { account, key: signer_id(&signer.public) };
         let manifest = Manifest::of(&self.members, chain, exporter, provider);
-        let mut text =
-            serde_json::to_vec_pretty(&manifest).map_err(|error| BundleError::of(MANIFEST, &error.to_string()))?;
+        let mut text = manifest::to_json(MANIFEST, &manifest)?;
         text.push(b'\n');
         let signature = provider.sign(&signer.secret, &signed_bytes(&text))?;
         self.members.insert(SIGNATURE.to_owned(), signature_der(&signature));
@@ -556,17 +512,11 @@ impl Packing {
 }
 
 /// The file of these members.
-///
-/// # Errors
-/// If it would be too large.
 pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
     Ok(archive::write(members)?)
 }
 
 /// An owner's signature under the disclosure of a record.
-///
-/// # Errors
-/// If the key cannot sign.
 pub fn disclose(
     secret: authros_crypto::record::RecordSecret,
     (domain, digest): (&Domain, &Digest),
@@ -597,8 +547,7 @@ pub(crate) fn vouched(
     )
 }
 
-/// Level (e), and the message if it was opened; at most `left` bytes are produced, and counted there. The signer was
-/// checked first: nothing is produced that nobody vouches for.
+/// Level (e), and the message if it was opened. Takes its bytes from `left`; the signer was checked first.
 pub(crate) fn opened(
     provider: &dyn Provider,
     record: &BundledRecord,
@@ -612,14 +561,13 @@ pub(crate) fn opened(
         Ok(Some(revealed)) => (level, Some(revealed)),
         Ok(None) => {
             let text = "its message is not opened: too much is disclosed in a single file";
-            (Level::new(Standing::Unproven, text), None)
+            (Level::unproven(text), None)
         }
-        Err(error) => (Level::new(Standing::Refused, format!("the disclosed secret does not open it: {error}")), None),
+        Err(error) => (Level::refused(format!("the disclosed secret does not open it: {error}")), None),
     }
 }
 
-/// The signer of a disclosure. An identity proves that its key made it, and not whose account it is: only the state or
-/// a pin ties the key to the owner.
+/// An identity proves that its key made the disclosure, not whose account it is: only the state or a pin shows that.
 fn signed(
     check: &Check<'_>,
     digest: Digest,
@@ -632,7 +580,7 @@ fn signed(
     let pinned = check.trust.and_then(|trust| trust.person(header.owner)).and_then(|person| person.key);
     let pinned = pinned.and_then(|key| check.bundle.keys.get(&key)).copied();
     if [owner_key, pinned].iter().flatten().any(is_owners) {
-        return Level::new(Standing::Proven, "opened by its owner's disclosure");
+        return Level::proven("opened by its owner's disclosure");
     }
     let identities = &check.bundle.identities;
     let mut claimed = identities.iter().take(MOST_IDENTITIES);
@@ -641,7 +589,7 @@ fn signed(
     });
     if claims || identities.len() > MOST_IDENTITIES {
         let text = "it opens, and this is the message; there is no proof that its owner disclosed it";
-        return Level::new(Standing::Unproven, text);
+        return Level::unproven(text);
     }
-    Level::new(Standing::Refused, "the disclosure is not signed by its owner")
+    Level::refused("the disclosure is not signed by its owner")
 }

@@ -1,6 +1,6 @@
-//! Level (c): the state after a block contains the record's digest or its batch's root, and the pinned signers sealed
-//! that block. Seals of QBFT and IBFT 2.0 are as Besu writes them: a header has those of a quorum of its validators in its
-//! extra data, each over the header with its round and without the seals. Its hash covers neither round nor seals.
+//! Level (c): the state after a block contains the record's digest or its batch's root, and pinned signers sealed that
+//! block. Besu's QBFT and IBFT 2.0 keep seals in the extra data, over the header with its round and without seals. The
+//! hash of a header covers neither round nor seals.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -15,7 +15,6 @@ use authros_crypto::{AccountSignature, keccak256, recover_account};
 use authros_model::{Address, Digest, Hash, Header, Timestamp};
 use rlp::{Rlp, RlpStream};
 
-/// The mix hash of such a header.
 const MIX: [u8; 32] = *b"ctical byzantine fault tolerance";
 /// Rounds tried if the seals do not fit the header's own, to say what is wrong.
 const ROUNDS_TRIED: u32 = 16;
@@ -42,21 +41,17 @@ impl fmt::Display for Protocol {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum Flaw {
-    /// Fewer than two thirds of the validators it names.
     #[error("its header has the seals of {have} of the {named} validators that it names, and {needed} are needed")]
     TooFew { have: usize, named: usize, needed: usize },
-    /// One seal is there twice.
     #[error("{0} has sealed its header twice")]
     Twice(Address),
-    /// The seals were made in another round.
     #[error("its seals are of round {sealed}, and its header says round {said}")]
     Round { said: u32, sealed: u32 },
-    /// A seal fits no validator.
     #[error("a seal in its header is of no validator that it names: it was altered after it was sealed")]
     Altered,
 }
 
-/// Two thirds of a number of validators, rounded up: so many have to seal a block.
+/// So many of the validators must seal a block.
 pub(crate) fn two_thirds(validators: usize) -> usize {
     validators.saturating_mul(2).div_ceil(3)
 }
@@ -71,7 +66,6 @@ pub struct Committed {
     /// The round in which they agreed.
     pub round: u32,
     seals: Vec<[u8; SEAL]>,
-    /// The header, RLP.
     header: Vec<u8>,
 }
 
@@ -146,12 +140,10 @@ impl Committed {
         self.hash(Some(self.round))
     }
 
-    /// How many seals it has.
     pub(crate) fn count(&self) -> usize {
         self.seals.len()
     }
 
-    /// The pinned among those who sealed it.
     pub(crate) fn seals(&self, pinned: &[Address]) -> Seals {
         let mut found = Seals { committed: Some(self.protocol), ..Seals::default() };
         match self.sealers(pinned) {
@@ -164,7 +156,6 @@ impl Committed {
         found
     }
 
-    /// Who sealed it.
     fn sealers(&self, pinned: &[Address]) -> Result<BTreeSet<Address>, Flaw> {
         let signed = self.signed().ok_or(Flaw::Altered)?;
         let mut sealers = BTreeSet::new();
@@ -205,8 +196,7 @@ impl Committed {
     }
 }
 
-/// The validators that the extra data of a header names: under QBFT and IBFT 2.0, and under the first IBFT, whose list
-/// follows the vanity. None if it is of another consensus, or a contract of the network keeps them.
+/// The validators named in extra data under QBFT, IBFT 2.0 and the first IBFT; none if a contract keeps them.
 pub fn validators_in(extra: &[u8]) -> Vec<Address> {
     let address = |item: Rlp<'_>| Some(Address(text(&item)?.try_into().ok()?));
     let named = |list: &[u8], items: usize, at: usize| {
@@ -231,7 +221,6 @@ fn recovered(signed: &[u8; 32], seal: &[u8; SEAL]) -> Option<Address> {
     recover_account(signed, &AccountSignature(seal)).ok()
 }
 
-/// The hash of a header with other extra data.
 fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
     let fields = header.item_count().ok()?;
     let mut out = RlpStream::new_list(fields);
@@ -248,11 +237,8 @@ fn with_extra(header: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
 pub const LONGEST_HEADER: usize = 8192;
 /// The part of the extra data before the seal.
 const VANITY: usize = 32;
-/// Length of a seal: r, s, parity.
 const SEAL: usize = 65;
-/// The field with the extra data.
 const EXTRA: usize = 12;
-/// Length of a signer's address.
 const ADDRESS: usize = 20;
 /// The vanity of a block of AuthROS's own chain.
 const OURS: &[u8] = b"AuthROS chain file version ";
@@ -271,9 +257,7 @@ pub struct BlockHeader {
     /// Its time, seconds, by its sealer's clock.
     pub timestamp: u64,
     extra: Vec<u8>,
-    /// The data signed by a Clique signer; `None` if it is of another consensus.
     seal_hash: Option<[u8; 32]>,
-    /// What QBFT and IBFT 2.0 add to it; `None` if it is of another consensus.
     committed: Option<Committed>,
 }
 
@@ -312,12 +296,11 @@ impl BlockHeader {
         recovered(&self.seal_hash?, seal)
     }
 
-    /// What QBFT and IBFT 2.0 add to a header; `None` if it is of another consensus.
+    /// The seals of QBFT and IBFT 2.0; `None` under another consensus.
     pub fn committed(&self) -> Option<&Committed> {
         self.committed.as_ref()
     }
 
-    /// Who sealed it, in words, whether pinned or not.
     pub(crate) fn sealed_by(&self) -> String {
         match (&self.committed, self.sealer()) {
             (Some(committed), _) => format!("{} validators ({})", committed.count(), committed.protocol),
@@ -332,8 +315,7 @@ impl BlockHeader {
     }
 }
 
-/// The data signed by a Clique signer: everything except the seal. Between vanity and seal there are whole addresses or
-/// nothing.
+/// What a Clique signer signs: all but the seal. Between vanity and seal there are whole addresses or nothing.
 fn seal_hash(list: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
     let between = extra.len().checked_sub(VANITY + SEAL)?;
     if between % ADDRESS != 0 {
@@ -357,9 +339,8 @@ pub struct Seals {
     pub flaw: Option<Flaw>,
 }
 
-/// The seals on a block. Under QBFT and IBFT 2.0 its own header has them. Under Clique they are those on it and on the
-/// blocks that follow it in the bundle, each naming the previous one as its parent; until all pinned signers are found,
-/// over at most four headers for each of them and sixteen more.
+/// Under QBFT and IBFT 2.0 the seals in the block's own header. Under Clique those on it and on its successors in the
+/// bundle, until all pinned signers are found, over at most four headers for each of them and sixteen more.
 pub fn seals(headers: &BTreeMap<u64, BlockHeader>, first: u64, pinned: &[Address]) -> Seals {
     if let Some(committed) = headers.get(&first).and_then(BlockHeader::committed) {
         return committed.seals(pinned);
@@ -396,17 +377,12 @@ pub fn seals(headers: &BTreeMap<u64, BlockHeader>, first: u64, pinned: &[Address
     found
 }
 
-/// An anchor shown by the state.
 pub(crate) struct Anchored<'a> {
-    /// The contract's storage that shows it.
     pub storage: Storage<'a>,
-    /// After which block.
     pub shown_at: u64,
-    /// The anchoring block.
     pub block: u64,
     /// Its time, seconds, if shown.
     pub time: Option<u64>,
-    /// Who anchored it.
     pub account: Address,
     /// The version of that account's keys then, if the contract stores it.
     pub keys: Option<u64>,
@@ -414,13 +390,8 @@ pub(crate) struct Anchored<'a> {
     pub claimed_keys: u64,
 }
 
-/// What the state says about a record's anchor.
-enum Found<'a> {
-    Shown(Anchored<'a>, &'a BlockHeader),
-    Not(Level),
-}
+type Found<'a> = Result<(Anchored<'a>, &'a BlockHeader), Level>;
 
-/// Level (c), and the anchor if the state shows it.
 pub(crate) fn anchored<'a>(
     check: &Check<'a>,
     digest: Digest,
@@ -428,11 +399,11 @@ pub(crate) fn anchored<'a>(
     record: &'a BundledRecord,
 ) -> (Level, Option<Anchored<'a>>) {
     let Some(claim) = &record.anchor else {
-        return (Level::new(Standing::Unproven, "it was not on a chain when it was exported"), None);
+        return (Level::unproven("it was not on a chain when it was exported"), None);
     };
     match find(check, digest, header, claim) {
-        Found::Not(level) => (level, None),
-        Found::Shown(anchored, shown_at) => {
+        Err(level) => (level, None),
+        Ok((anchored, shown_at)) => {
             let place = (anchored.shown_at, anchored.block, anchored.time);
             let level = check.known.sealings.get(place, || sealed(check, &anchored, shown_at));
             (level, Some(anchored))
@@ -440,46 +411,27 @@ pub(crate) fn anchored<'a>(
     }
 }
 
-fn refused(text: impl Into<String>) -> Found<'static> {
-    Found::Not(Level::new(Standing::Refused, text))
-}
-
-fn unproven(text: impl Into<String>) -> Found<'static> {
-    Found::Not(Level::new(Standing::Unproven, text))
-}
-
 fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a AnchorClaim) -> Found<'a> {
-    let leaf = Leaf::of(header, digest);
+    let (leaf, at) = (Leaf::of(header, digest), claim.shown_at);
     if !check.known.leads(&leaf, claim) {
-        return refused("its path does not lead to the root it names");
+        return Err(Level::refused("its path does not lead to the root it names"));
     }
-    let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {
-        return unproven(format!("the header of block {} is not in the bundle", claim.shown_at));
+    let no_header = || Level::unproven(format!("the header of block {at} is not in the bundle"));
+    let shown_at = check.bundle.headers.get(&at).ok_or_else(no_header)?;
+    let unshown = |why: Unproven, what: String| match why {
+        Unproven::Missing(_) => Level::unproven(format!("{what} is not in the bundle")),
+        why => Level::refused(format!("after block {at}: {why}")),
     };
     let storage = || Storage::of(&check.bundle.nodes, shown_at.state_root, check.contract);
-    let storage = match check.known.storages.get(shown_at.number, storage) {
-        Ok(storage) => storage,
-        Err(Unproven::Missing(_)) => {
-            return unproven(format!("the state after block {} is not in the bundle", claim.shown_at));
-        }
-        Err(why) => return refused(format!("after block {}: {why}", claim.shown_at)),
-    };
-    if let Some(trust) = check.trust
-        && trust.chain.code_hash != storage.code_hash
-    {
-        return refused("the contract's code is not the code you pinned");
+    let storage = check.known.storages.get(shown_at.number, storage);
+    let storage = storage.map_err(|why| unshown(why, format!("the state after block {at}")))?;
+    if check.trust.is_some_and(|trust| trust.chain.code_hash != storage.code_hash) {
+        return Err(Level::refused("the contract's code is not the code you pinned"));
     }
-    match in_state((check, &storage), digest, header, claim, shown_at) {
-        Ok(found) => found.map_or_else(
-            || refused(format!("the state after block {} does not contain its anchor", claim.shown_at)),
-            |found| compare(found, claim, shown_at),
-        ),
-        Err(Unproven::Missing(_)) => unproven(format!(
-            "the part of the state after block {} that holds its anchor is not in the bundle",
-            claim.shown_at
-        )),
-        Err(why) => refused(format!("after block {}: {why}", claim.shown_at)),
-    }
+    let found = in_state((check, &storage), digest, header, claim, shown_at)
+        .map_err(|why| unshown(why, format!("the part of the state after block {at} that holds its anchor")))?;
+    let nothing = || Level::refused(format!("the state after block {at} does not contain its anchor"));
+    compare(found.ok_or_else(nothing)?, claim, shown_at)
 }
 
 /// An anchor with the number of leaves given by the state; `None` if it is a digest by itself.
@@ -519,25 +471,24 @@ fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: 
         Anchoring::Batch { count, .. } => Some(*count),
     };
     if counted != claimed {
-        return refused("its path was made for a different number of leaves than the chain has");
+        return Err(Level::refused("its path was made for a different number of leaves than the chain has"));
     }
     let (found, said) = (anchored.block, claim.block);
     if found < said && claimed == Some(1) {
         // The contract stores only a root's first block. A batch of one whose block was skipped has no other root.
-        return unproven(format!(
+        return Err(Level::unproven(format!(
             "the state has it in block {found}; no state shows that it was anchored again in block {said}"
-        ));
+        )));
     }
     if found != said {
-        return refused(format!("the chain has it in block {found}, the bundle says {said}"));
+        return Err(Level::refused(format!("the chain has it in block {found}, the bundle says {said}")));
     }
     if anchored.block > shown_at.number || anchored.time.is_some_and(|time| time > shown_at.timestamp) {
-        return refused("the state dates its anchor to a block later than the state itself");
+        return Err(Level::refused("the state dates its anchor to a block later than the state itself"));
     }
-    Found::Shown(anchored, shown_at)
+    Ok((anchored, shown_at))
 }
 
-/// Who sealed the block that shows it.
 fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) -> Level {
     let time = anchored
         .time
@@ -551,7 +502,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     let Some(trust) = check.trust else {
         let who = shown_at.sealed_by();
         let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
-        return Level::new(Standing::Unproven, text);
+        return Level::unproven(text);
     };
     let found = || seals(&check.bundle.headers, shown_at.number, &trust.chain.signers);
     let found = check.known.seals.get(shown_at.number, found);
@@ -570,7 +521,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
             format!("{text}: the exporter's own chain, which proves nothing against the exporter"),
         );
     }
-    Level::new(Standing::Proven, text)
+    Level::proven(text)
 }
 
 /// Nothing contradicts a trust file that names nobody, and nothing is proven by it.
@@ -579,25 +530,20 @@ fn nobody_pinned(what: &str, at: &str, shown_at: &BlockHeader) -> String {
     format!("{what}{at}, sealed by {who}: the trust file pins no signers, so this proves nothing")
 }
 
-/// Why the seals on a block are not enough; `all` is the number of pinned signers.
 fn too_few(found: &Seals, shown_at: &BlockHeader, (all, what): (usize, String), counted: String) -> Level {
     let number = shown_at.number;
     match (found.flaw, found.committed, found.stranger) {
         (Some(flaw), Some(protocol), _) => {
-            Level::new(Standing::Refused, format!("block {number} is not sealed as {protocol} demands: {flaw}"))
+            Level::refused(format!("block {number} is not sealed as {protocol} demands: {flaw}"))
         }
-        _ if all == 0 && !found.unsigned => Level::new(Standing::Unproven, counted),
-        (_, _, Some(stranger)) if found.pinned.is_empty() => Level::new(
-            Standing::Refused,
-            format!("block {number} is sealed by {stranger}, who is not a signer you pinned"),
-        ),
-        _ if found.unsigned => Level::new(
-            Standing::Unproven,
-            format!(
-                "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT 2.0): a \
+        _ if all == 0 && !found.unsigned => Level::unproven(counted),
+        (_, _, Some(stranger)) if found.pinned.is_empty() => {
+            Level::refused(format!("block {number} is sealed by {stranger}, who is not a signer you pinned"))
+        }
+        _ if found.unsigned => Level::unproven(format!(
+            "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT 2.0): a \
                  development node, proof of work or another consensus"
-            ),
-        ),
-        _ => Level::new(Standing::Unproven, counted),
+        )),
+        _ => Level::unproven(counted),
     }
 }

@@ -1,6 +1,5 @@
-//! Level (f): which numbers of a topic are present, and which are not. A head of the recorder says how high they were
-//! at a time; nothing is claimed after that, and nothing before the first. Only records whose signer is proven count:
-//! anybody can seal a record in another's name. `heights.json` says where in a recorder's head a topic's number is.
+//! Level (f): which numbers of a topic are present. A recorder's head says how high they were at a time; nothing is
+//! claimed after that. Only records whose signer is proven count: anybody can seal a record in another's name.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,15 +10,11 @@ use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
 use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId};
 use serde::{Deserialize, Serialize};
 
-/// The most gaps that are named.
 const MOST_GAPS: usize = 100;
 
-/// One topic of one key in one recorder.
 type Topic = (Address, SignerId, RecorderId, TopicId);
-/// Its records by their numbers.
 type Numbered<'a> = BTreeMap<u64, Vec<&'a RecordReport>>;
 
-/// The stretches of all records whose bytes are intact.
 pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: &Messages) -> Vec<Stretch> {
     let mut topics: BTreeMap<Topic, Numbered<'_>> = BTreeMap::new();
     for record in records.iter().filter(|record| record.bytes.standing == Standing::Proven) {
@@ -50,14 +45,13 @@ pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: 
     topics.into_iter().map(stretch).collect()
 }
 
-/// Whether there are counted records, and all of them opened as the recorder's own statements.
+/// Whether there are counted records, all of them the recorder's own statements.
 fn are_statements(numbered: &Numbered<'_>) -> bool {
     let mut believed = numbered.values().flatten().filter(|record| record.is_believed()).peekable();
     believed.peek().is_some() && believed.all(|record| record.is_statement())
 }
 
-/// Whether these records that one key signed with one number are two histories: there are two, and the key is proven to be
-/// the owner's for one of them.
+/// Whether these records of one number are two histories, the key being proven the owner's for one of them.
 fn is_twice(records: &[&RecordReport]) -> bool {
     records.len() > 1 && records.iter().any(|record| record.is_believed())
 }
@@ -150,7 +144,6 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
     }
 }
 
-/// The numbers of a ring, of whose other numbers nobody claims anything.
 fn told_of_ring(stretch: &Stretch) -> String {
     let Some((first, last)) = stretch.first.zip(stretch.last).filter(|_| stretch.standing != Standing::Refused) else {
         return told(stretch, true);
@@ -175,7 +168,6 @@ fn told_of_ring(stretch: &Stretch) -> String {
     text
 }
 
-/// How far the recorder's own head goes, and from where nothing is claimed.
 fn until(stretch: &Stretch, first: u64, last: u64) -> String {
     let before = if first == 1 { String::new() } else { format!(" before {first} or") };
     let Some(HeadsClaim { number, at, .. }) = stretch.heads else {
@@ -199,11 +191,9 @@ fn range(from: u64, to: u64) -> String {
     if from == to { from.to_string() } else { format!("{from}-{to}") }
 }
 
-/// The member's name.
 pub(crate) const HEIGHTS: &str = "heights.json";
 /// The most entries.
 pub const MOST_HEIGHTS: usize = crate::MOST_RECORDS;
-/// The format name of the member.
 const FORMAT: &str = "authros-heights/1";
 /// The name under which recorders' own statements are filed.
 pub(crate) const TOPIC: &str = "authros/recorder";
@@ -248,7 +238,7 @@ pub(crate) fn parse(text: &[u8]) -> Result<Vec<Height>, BundleError> {
 
 pub(crate) fn to_text(heights: Vec<Height>) -> Result<Vec<u8>, BundleError> {
     let listed = Listed { format: FORMAT.to_owned(), heights };
-    serde_json::to_vec_pretty(&listed).map_err(|error| BundleError::of(HEIGHTS, &error.to_string()))
+    crate::manifest::to_json(HEIGHTS, &listed)
 }
 
 /// A recorder's trusted statement: its signer is proven, and the message opens.
@@ -257,15 +247,12 @@ fn statement<'a>(record: &'a RecordReport, messages: &'a Messages, type_name: &s
     (message.head.topic == TOPIC && message.head.type_name == type_name).then_some(&message.body[..])
 }
 
-/// A trusted head that names a topic.
 pub(crate) struct Claim<'a> {
-    /// Its record.
     pub record: &'a RecordReport,
     /// The number; `None` if the path does not lead to the head's root.
     pub number: Option<u64>,
 }
 
-/// What trusted heads of this recorder say about a topic, in their own order.
 pub(crate) fn claims<'a>(
     heights: &[Height],
     records: &'a [RecordReport],
@@ -285,12 +272,10 @@ pub(crate) fn claims<'a>(
     claims
 }
 
-/// Whether this key signed a record for this owner in this recorder.
 fn is_of(record: &RecordReport, (owner, signer, recorder): (Address, SignerId, RecorderId)) -> bool {
     (record.owner, record.signer, record.recorder) == (Some(owner), Some(signer), Some(recorder))
 }
 
-/// The trusted birth of a recorder, the first one.
 pub(crate) fn birth<'a>(
     records: &'a [RecordReport],
     messages: &'a Messages,

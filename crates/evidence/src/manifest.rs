@@ -1,6 +1,5 @@
-//! `manifest.json`: every member with its length and hashes, the chain that the bundle claims to be of, and the exporter's
-//! signature over it. Its forms have one spelling: lines with names are never a list, and RLP has its shortest form. What
-//! two readers could take differently is refused before it means anything.
+//! `manifest.json`: every member with its length and hashes, the claimed chain, and the exporter's signature. Each form
+//! has one spelling: what two readers could take differently is refused before it means anything.
 
 use crate::BundleError;
 use crate::archive::{MIMETYPE, Members};
@@ -16,11 +15,8 @@ use sha2::{Digest as _, Sha256};
 pub const FORMAT: &str = "authros-evidence/1";
 /// The content of `mimetype`, and the type that the exporter's signature is for.
 pub const MEDIA_TYPE: &str = "application/vnd.authros.evidence+zip";
-/// The manifest's name.
 pub const MANIFEST: &str = "manifest.json";
-/// The name of its signature, DER.
 pub const SIGNATURE: &str = "manifest.der";
-/// Members hashed side by side.
 const AT_ONCE: usize = 64;
 /// Members not in the manifest: itself, its signature, and those that are the same in each bundle.
 const UNLISTED: [&str; 3] = [MIMETYPE, MANIFEST, SIGNATURE];
@@ -100,7 +96,6 @@ impl Manifest {
     }
 
     /// From a bundle's members: it names each of them as it is, and no other.
-    ///
     /// # Errors
     /// [`BundleError`] for the first that differs.
     pub fn read(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
@@ -139,27 +134,26 @@ impl Manifest {
     }
 }
 
-/// The data signed by the exporter: DSSE's pre-authentication encoding of the manifest's bytes, so that no other text
-/// has the same.
+/// DSSE's pre-authentication encoding, which no other text has.
 pub fn signed_bytes(manifest: &[u8]) -> Vec<u8> {
     let head = format!("DSSEv1 {} {MEDIA_TYPE} {} ", MEDIA_TYPE.len(), manifest.len());
     [head.as_bytes(), manifest].concat()
 }
 
-/// Whether the exporter's key signed the manifest.
 pub fn is_signed(members: &Members, exporter: &Exporter, key: &PublicKey, provider: &dyn Provider) -> bool {
     let (Some(text), Some(signature)) = (members.get(MANIFEST), members.get(SIGNATURE)) else { return false };
     let Ok(signature) = signature_from_der(signature) else { return false };
     signer_id(key) == exporter.key && provider.verify(key, &signed_bytes(text), &signature).is_ok()
 }
 
-/// How deep lists of RLP may lie in each other: headers and nodes of a trie have less.
+/// Deepest nesting of RLP lists; headers and nodes of a trie have less.
 const DEEPEST: usize = 32;
 
-/// Reads JSON of exactly this form: where it has lines with names, a list of their values is refused, too.
-///
-/// # Errors
-/// What is wrong, in words.
+pub(crate) fn to_json(member: &str, value: &impl Serialize) -> Result<Vec<u8>, BundleError> {
+    serde_json::to_vec_pretty(value).map_err(|error| BundleError::of(member, &error.to_string()))
+}
+
+/// Refuses a list of values in place of lines with names.
 pub(crate) fn from_json<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     let read: T = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
     let told = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
@@ -167,10 +161,6 @@ pub(crate) fn from_json<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result
     Ok(read)
 }
 
-/// The same of TOML.
-///
-/// # Errors
-/// What is wrong, in words.
 pub(crate) fn from_toml<T: Serialize + DeserializeOwned>(text: &str) -> Result<T, String> {
     let read: T = toml::from_str(text).map_err(|error| error.message().to_owned())?;
     let told: toml::Table = toml::from_str(text).map_err(|error| error.message().to_owned())?;
@@ -178,7 +168,7 @@ pub(crate) fn from_toml<T: Serialize + DeserializeOwned>(text: &str) -> Result<T
     Ok(read)
 }
 
-/// Serde takes a structure from a list of its values, too; written again, it is not one.
+/// Serde takes a structure from a list of its values, too; written again, it is no list.
 fn expect_shape<T: Serialize>(told: &Value, read: &T) -> Result<(), String> {
     let written = serde_json::to_value(read).map_err(|error| error.to_string())?;
     if is_of_shape(told, &written) { Ok(()) } else { Err("a list stands in place of lines with names".to_owned()) }
@@ -211,7 +201,6 @@ pub(crate) fn text<'a>(item: &Rlp<'a>) -> Option<&'a [u8]> {
     if item.is_list() { None } else { item.data().ok() }
 }
 
-/// The length of the item at the beginning, if it is canonical.
 fn item(bytes: &[u8], depth: usize) -> Option<usize> {
     let first = *bytes.first()?;
     let (base, is_list) = match first {

@@ -1,8 +1,5 @@
-//! What a follower states of a file that a recorder wrote: its length, its digest, and those of its chunks. The statement
-//! is the content of a record, sealed like every other: a verifier with the record's disclosure and the file compares the two.
-//!
-//! It is written as MCAP writes metadata (names and values as texts behind their lengths), so that a recording which is
-//! exported again has it as such.
+//! A follower's statement about a recorder's file: its length, its digest, and those of its chunks, sealed as a record.
+//! Its form is that of MCAP metadata, so that an exported recording contains it as such.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -13,13 +10,11 @@ use authros_model::Digest;
 /// The tag of a record that holds a statement, and its value: what a file says of itself has no such tag.
 pub const TAG: (&str, &str) = ("recorded", "file");
 
-/// The name of the metadata.
 const NAME: &str = "authros.recording";
 
 /// What begins the name of a chunk's line; the rest is where it begins, decimal.
 const CHUNK: &str = "chunk ";
 
-/// The most chunks.
 const MOST_CHUNKS: usize = 1 << 19;
 
 /// One chunk of a file.
@@ -136,7 +131,6 @@ impl RecordedFile {
     }
 
     /// Reads a file to its end and compares it.
-    ///
     /// # Errors
     /// If it cannot be read.
     pub fn compare(&self, mut file: impl Read) -> std::io::Result<Compared> {

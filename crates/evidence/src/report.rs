@@ -51,6 +51,18 @@ impl Level {
     pub fn new(standing: Standing, text: impl Into<String>) -> Self {
         Self { standing, text: text.into() }
     }
+
+    pub(crate) fn proven(text: impl Into<String>) -> Self {
+        Self::new(Standing::Proven, text)
+    }
+
+    pub(crate) fn unproven(text: impl Into<String>) -> Self {
+        Self::new(Standing::Unproven, text)
+    }
+
+    pub(crate) fn refused(text: impl Into<String>) -> Self {
+        Self::new(Standing::Refused, text)
+    }
 }
 
 /// The findings about one record.
@@ -108,12 +120,11 @@ impl RecordReport {
         self.disclosed.as_ref().is_some_and(|facts| facts.topic == TOPIC && types.contains(&facts.type_name.as_str()))
     }
 
-    /// The results that a bundle needs of it.
     fn needed(&self) -> [Standing; 3] {
         [&self.bytes, &self.key, &self.anchor].map(|level| level.standing)
     }
 
-    /// Whether it is a statement of which something is merely not proven: it then says nothing, and denies nothing.
+    /// Such a statement says nothing, and denies nothing.
     pub(crate) fn is_mute(&self) -> bool {
         let needed = self.needed();
         self.is_statement() && needed.contains(&Standing::Unproven) && !needed.contains(&Standing::Refused)
@@ -229,7 +240,6 @@ impl Report {
         counted.flat_map(RecordReport::needed)
     }
 
-    /// Whether there are records, and (a) to (c) are proven for each that counts.
     pub(crate) fn is_proven(&self) -> bool {
         !self.records.is_empty() && self.needed().all(|standing| standing == Standing::Proven)
     }

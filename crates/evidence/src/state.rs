@@ -1,4 +1,5 @@
 //! The state after a block, as far as the nodes in a bundle show it, and the contract's storage in it.
+#![allow(clippy::missing_errors_doc, reason = "`Unproven` says what the nodes do not show")]
 
 use std::collections::BTreeMap;
 
@@ -9,7 +10,6 @@ use rlp::{Rlp, RlpStream};
 use crate::manifest::{is_canonical, text};
 use crate::trie::{EMPTY_ROOT, Step, follow, nibbles};
 
-/// The most nodes in a bundle.
 pub const MOST_NODES: usize = 1_000_000;
 /// The longest node, bytes: one with all sixteen branches and a value has less than 700.
 pub const LONGEST_NODE: usize = 1024;
@@ -83,18 +83,12 @@ impl Nodes {
     }
 
     /// The value of a key below a root; `Ok(None)` if the trie proves that there is none.
-    ///
-    /// # Errors
-    /// [`Unproven`] if the nodes do not show it.
     pub fn look_up(&self, root: Hash, key: &[u8]) -> Result<Option<Vec<u8>>, Unproven> {
         self.walk(root, key, |_, _| {})
     }
 
     /// The nodes that show the contract's account and these slots of its storage in the state with this root, each
     /// once; others are left out.
-    ///
-    /// # Errors
-    /// [`Unproven`] if one of them is not shown.
     pub fn proving(&self, state: Hash, contract: Address, slots: &[Slot]) -> Result<Self, Unproven> {
         let mut found = BTreeMap::new();
         let mut take = |hash, node: &[u8]| {
@@ -108,7 +102,7 @@ impl Nodes {
         Ok(Self(found))
     }
 
-    /// Goes down to a key, and tells of each node on the way.
+    /// `passed` gets each node on the way.
     fn walk(&self, root: Hash, key: &[u8], mut passed: impl FnMut(Hash, &[u8])) -> Result<Option<Vec<u8>>, Unproven> {
         if root == EMPTY_ROOT {
             return Ok(None);
@@ -136,7 +130,7 @@ impl Nodes {
 pub struct Word(pub [u8; 32]);
 
 impl Word {
-    /// The eight-byte number that begins this many bytes from the low end.
+    /// Eight bytes, `offset` bytes from the low end.
     fn number(self, offset: usize) -> u64 {
         let end = 32 - offset;
         let bytes = self.0.get(end - 8..end).and_then(|bytes| bytes.try_into().ok());
@@ -244,9 +238,6 @@ pub struct Storage<'a> {
 
 impl<'a> Storage<'a> {
     /// The contract's, in the state with this root.
-    ///
-    /// # Errors
-    /// [`Unproven`] if the nodes do not show its account.
     pub fn of(nodes: &'a Nodes, state: Hash, contract: Address) -> Result<Self, Unproven> {
         let account = nodes.look_up(state, &contract.0)?.ok_or(Unproven::NoContract)?;
         let fields = Rlp::new(&account);
@@ -262,9 +253,6 @@ impl<'a> Storage<'a> {
     }
 
     /// The content of a slot; zero if the state proves that it is empty.
-    ///
-    /// # Errors
-    /// [`Unproven`] if the nodes do not show it.
     pub fn word(&self, slot: Slot) -> Result<Word, Unproven> {
         let Some(value) = self.nodes.look_up(self.root, &slot.0)? else { return Ok(Word([0; 32])) };
         let item = Rlp::new(&value);
@@ -274,9 +262,6 @@ impl<'a> Storage<'a> {
     }
 
     /// When an account first anchored a root; `None` = never.
-    ///
-    /// # Errors
-    /// [`Unproven`].
     pub fn anchor(&self, account: Address, root: Hash) -> Result<Option<AnchorWord>, Unproven> {
         let word = self.word(Slot::anchor(account, root))?;
         let found =
@@ -285,18 +270,12 @@ impl<'a> Storage<'a> {
     }
 
     /// The block in which an owner uploaded a digest; `None` = never.
-    ///
-    /// # Errors
-    /// [`Unproven`].
     pub fn uploaded(&self, owner: Address, digest: &[u8; 32]) -> Result<Option<u64>, Unproven> {
         let block = self.word(Slot::uploaded(owner, digest))?.number(0);
         Ok((block != 0).then_some(block))
     }
 
     /// A version of an account's keys; `None` if there is none yet.
-    ///
-    /// # Errors
-    /// [`Unproven`].
     pub fn keys(&self, account: Address, version: u64) -> Result<Option<KeysWord>, Unproven> {
         let slot = Slot::keys(account, version);
         let identity = Hash(self.word(slot)?.0);
@@ -307,18 +286,12 @@ impl<'a> Storage<'a> {
     }
 
     /// Whether an account is suspended.
-    ///
-    /// # Errors
-    /// [`Unproven`].
     pub fn is_suspended(&self, account: Address) -> Result<bool, Unproven> {
         let Word(word) = self.word(Slot::account(account))?;
         Ok(word.get(7).is_some_and(|flag| *flag != 0))
     }
 
     /// A device's loan; `None` if it was never lent.
-    ///
-    /// # Errors
-    /// [`Unproven`].
     pub fn loan(&self, owner: Address, device: &[u8; 32]) -> Result<Option<LoanWord>, Unproven> {
         let word = self.word(Slot::loan(owner, device))?;
         let loan = LoanWord { until: word.number(1), lent: word.number(9), recalled: word.number(17) };

@@ -11,7 +11,6 @@ use crate::time::Certificate;
 
 /// The longest file, bytes.
 pub const LONGEST_TRUST: usize = 64 * 1024;
-/// The most authorities.
 const MOST_AUTHORITIES: usize = 16;
 
 /// A trust file that cannot be used.
@@ -57,12 +56,10 @@ pub struct PinnedChain {
     pub code_hash: Hash,
     /// Who may seal blocks.
     pub signers: Vec<Address>,
-    /// How many of them must have sealed a block or built on it; by default more than half, or two thirds where a header
-    /// itself has the seals (QBFT, IBFT 2.0).
+    /// How many must have sealed a block or built on it; default: more than half, or in one header two thirds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quorum: Option<usize>,
-    /// Whether the exporter also seals this chain: its word then proves nothing against the exporter. It has to be
-    /// stated.
+    /// Whether the exporter also seals this chain: its word then proves nothing against the exporter.
     pub sealed_by_exporter: bool,
 }
 
@@ -81,7 +78,6 @@ pub struct Person {
 
 impl Trust {
     /// From the text of a trust file.
-    ///
     /// # Errors
     /// [`TrustError`] if it is not one, or demands what no chain can give.
     pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
@@ -111,7 +107,6 @@ impl Trust {
     }
 
     /// As text.
-    ///
     /// # Errors
     /// [`TrustError`] if it cannot be written.
     pub fn to_text(&self) -> Result<String, TrustError> {

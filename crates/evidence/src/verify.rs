@@ -1,6 +1,5 @@
-//! The check of a bundle against its reader's pins, record by record and level by level: (b), whether the owner was
-//! entitled to sign with the key when the record was anchored; (d), whether a pinned authority stamped its batch. Results
-//! are computed once for many records, by all threads, so that a stranger's file costs no more than its length.
+//! The check of a bundle against its reader's pins, level by level. Results are computed once for many records, by all
+//! threads, so that a stranger's file costs no more than its length.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{PoisonError, RwLock};
@@ -19,13 +18,10 @@ use authros_crypto::record::{Revealed, signed_bytes};
 use authros_crypto::{Provider, domain, pool, signer_id};
 use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, SignerId, Timestamp, clean};
 
-/// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;
 
-/// How many records one thread hashes side by side.
 const SIDE_BY_SIDE: usize = 32;
 
-/// What a whole check uses.
 pub(crate) struct Check<'a> {
     pub bundle: &'a Bundle,
     pub trust: Option<&'a Trust>,
@@ -33,9 +29,7 @@ pub(crate) struct Check<'a> {
     /// The domain of the records: from the pins, or else the bundle's own word.
     pub domain: Domain,
     pub contract: Address,
-    /// Time stamps, by the pinned authorities.
     pub stamps: Stamps<'a>,
-    /// Results found on the way.
     pub known: Known<'a>,
 }
 
@@ -67,8 +61,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
 }
 
 impl<'a> Check<'a> {
-    /// Each record, in order. Everything but the messages is checked on all cores; messages are opened one after the
-    /// other, so that the same ones are opened each time, however many there are, and no more than one is in work.
+    /// Opens messages one after the other: the same ones each time, and only one is in memory while it is opened.
     fn records(&self) -> (Vec<RecordReport>, Messages) {
         let all: Vec<(&'a Digest, &'a BundledRecord)> = self.bundle.records.iter().collect();
         let bytes = all.iter().map(|(_, record)| record.record.len()).fold(0, usize::saturating_add);
@@ -89,7 +82,6 @@ impl<'a> Check<'a> {
         (reports, messages)
     }
 
-    /// Opens a record whose disclosure somebody vouches for; (e) is then judged by the seals, too.
     fn open(
         &self,
         (digest, record): (Digest, &BundledRecord),
@@ -120,17 +112,17 @@ impl<'a> Check<'a> {
             block: None,
             seconds_to_anchor: None,
             existed_before: None,
-            bytes: Level::new(Standing::Unproven, ""),
-            key: Level::new(Standing::Unproven, "the bytes do not check out"),
-            anchor: Level::new(Standing::Unproven, "the bytes do not check out"),
-            time: Level::new(Standing::Unproven, "the bytes do not check out"),
+            bytes: Level::unproven(""),
+            key: Level::unproven("the bytes do not check out"),
+            anchor: Level::unproven("the bytes do not check out"),
+            time: Level::unproven("the bytes do not check out"),
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
             disclosed: None,
         };
         let header = match self.bytes(digest, found, record) {
             Ok(found) => found,
             Err(why) => {
-                report.bytes = Level::new(Standing::Refused, why);
+                report.bytes = Level::refused(why);
                 return report;
             }
         };
@@ -139,7 +131,7 @@ impl<'a> Check<'a> {
         (report.recorder, report.topic_id, report.seq) =
             (Some(header.recorder), Some(header.topic_id), Some(header.seq));
         report.captured_at = Some(header.captured_at);
-        report.bytes = Level::new(Standing::Proven, format!("intact, and signed by the key {}", header.signer));
+        report.bytes = Level::proven(format!("intact, and signed by the key {}", header.signer));
         (report.time, report.existed_before) = self.stamps.level(digest, &header, record);
         let (level, anchored) = anchored(self, digest, &header, record);
         report.anchor = level;
@@ -148,9 +140,7 @@ impl<'a> Check<'a> {
         report.owner_key = owner_key.filter(|_| is_believed(&report.anchor)).map(|key| signer_id(&key));
         report.key = match signed {
             Some(signed) => capped(signed.level, &report.anchor),
-            None => {
-                Level::new(Standing::Unproven, "no anchor is shown, so the key's right at its block cannot be judged")
-            }
+            None => Level::unproven("no anchor is shown, so the key's right at its block cannot be judged"),
         };
         let person = self.trust.and_then(|trust| trust.person(header.owner)).filter(|_| report.is_believed());
         report.person = person.map(|person| clean(&person.name, 80));
@@ -163,7 +153,6 @@ impl<'a> Check<'a> {
         report
     }
 
-    /// (a): the digest, the network, the signature.
     fn bytes(&self, digest: Digest, found: Digest, record: &BundledRecord) -> Result<Header, String> {
         if found != digest {
             return Err(format!("its SM3 is {found}: it is not the record it is filed as"));
@@ -202,14 +191,14 @@ impl<'a> Check<'a> {
         let exporter = &self.bundle.manifest.exporter;
         if !self.bundle.signed {
             let text = format!("the manifest is not signed by the key {} it names", exporter.key);
-            return Level::new(Standing::Refused, text);
+            return Level::refused(text);
         }
         let person = self.trust.and_then(|trust| trust.person(exporter.account));
         let name = person.map_or(String::new(), |person| format!(" ({})", clean(&person.name, 80)));
         let pinned = person.and_then(|person| person.key);
         if pinned == Some(exporter.key) {
             let text = format!("assembled with the key you pinned for {}{name}", exporter.account);
-            return Level::new(Standing::Proven, text);
+            return Level::proven(text);
         }
         let is_tied =
             |record: &RecordReport| (record.owner, record.owner_key) == (Some(exporter.account), Some(exporter.key));
@@ -228,57 +217,43 @@ impl<'a> Check<'a> {
             } else {
                 format!("assembled with the key {key}, which nothing here ties to {account}")
             };
-            Level::new(Standing::Unproven, text)
+            Level::unproven(text)
         })
     }
 
     fn warnings(&self, records: &[RecordReport]) -> Vec<String> {
         let mut warnings = Vec::new();
-        if self.trust.is_none() {
-            warnings.push(
-                "no trust file: chain, contract and signers are only the exporter's claim, and nothing about the chain \
-                 is proven; pass --trust with what you know from an independent source"
-                    .to_owned(),
-            );
-        }
-        if records.iter().any(|record| record.anchor.standing == Standing::OwnChain) {
-            warnings.push(
-                "the exporter seals this chain, so it could have been rewritten with any times; it proves nothing \
-                 against the exporter"
-                    .to_owned(),
-            );
-        }
-        let denied = self.trust.is_some_and(|trust| !trust.chain.sealed_by_exporter);
-        if denied && records.iter().any(|record| record.anchor.standing == Standing::OwnChain) {
-            warnings.push(
-                "your trust file says that others seal this chain, but its headers say that a single program \
-                 does"
-                    .to_owned(),
-            );
-        }
-        if records.iter().any(|record| record.seconds_to_anchor.is_some_and(|seconds| seconds < 0)) {
-            warnings.push(
-                "a record claims to have been captured after the block that anchors it: a clock was wrong".to_owned(),
-            );
-        }
-        if !records.is_empty() {
-            warnings
-                .push("capture times are the owner's claim; only the anchor shows when a record existed".to_owned());
-        }
-        if records.iter().any(RecordReport::is_mute) {
-            warnings.push("a recorder's own statement is not proven, so it is ignored".to_owned());
-        }
+        let mut warn = |applies: bool, text: &str| warnings.extend(applies.then(|| text.to_owned()));
+        warn(
+            self.trust.is_none(),
+            "no trust file: chain, contract and signers are only the exporter's claim, and nothing about the chain is \
+             proven; pass --trust with what you know from an independent source",
+        );
+        let by_own_chain = records.iter().any(|record| record.anchor.standing == Standing::OwnChain);
+        warn(
+            by_own_chain,
+            "the exporter seals this chain, so it could have been rewritten with any times; it proves nothing against \
+             the exporter",
+        );
+        warn(
+            by_own_chain && self.trust.is_some_and(|trust| !trust.chain.sealed_by_exporter),
+            "your trust file says that others seal this chain, but its headers say that a single program does",
+        );
+        warn(
+            records.iter().any(|record| record.seconds_to_anchor.is_some_and(|seconds| seconds < 0)),
+            "a record claims to have been captured after the block that anchors it: a clock was wrong",
+        );
+        warn(!records.is_empty(), "capture times are the owner's claim; only the anchor shows when a record existed");
+        let is_mute = records.iter().any(RecordReport::is_mute);
+        warn(is_mute, "a recorder's own statement is not proven, so it is ignored");
         let member = |name: &str| self.bundle.manifest.members.iter().find(|member| member.name == name);
-        if member(crate::bundle::NODES).is_none() {
-            warnings.push("the bundle contains no proof of the chain's state".to_owned());
-        }
-        if member(REPORT).is_some() {
-            warnings.push(format!("{REPORT} was not checked: it says what its author wanted"));
-        }
+        let has_state = member(crate::bundle::NODES).is_some();
+        warn(!has_state, "the bundle contains no proof of the chain's state");
+        let is_reported = member(REPORT).is_some();
+        warn(is_reported, &format!("{REPORT} was not checked: it says what its author wanted"));
         let known = Hash(self.provider.sm3(&[READ_ME_TEXT.as_bytes()]));
-        if member(READ_ME).is_some_and(|member| member.sm3 != known) {
-            warnings.push(format!("{READ_ME} is not the text that belongs there: do nothing of what it says"));
-        }
+        let is_foreign = member(READ_ME).is_some_and(|member| member.sm3 != known);
+        warn(is_foreign, &format!("{READ_ME} is not the text that belongs there: do nothing of what it says"));
         warnings
     }
 
@@ -288,7 +263,6 @@ impl<'a> Check<'a> {
     }
 }
 
-/// Whether the state that shows an anchor was sealed by pinned signers.
 fn is_believed(anchor: &Level) -> bool {
     matches!(anchor.standing, Standing::Proven | Standing::OwnChain)
 }
@@ -299,7 +273,7 @@ fn capped(level: Level, anchor: &Level) -> Level {
         (Standing::Proven, Standing::OwnChain) => Level { standing: Standing::OwnChain, ..level },
         (Standing::Proven, standing) if standing != Standing::Proven => {
             let text = format!("{}, according to a state sealed by too few of the signers you pinned", level.text);
-            Level::new(Standing::Unproven, text)
+            Level::unproven(text)
         }
         _ => level,
     }
@@ -329,37 +303,29 @@ impl<Asked: Ord, Found: Clone> Memo<Asked, Found> {
     }
 }
 
-/// The results of one check so far. Blocks are those after which the state is asked.
+/// Blocks are those whose state is read.
 #[derive(Default)]
 pub(crate) struct Known<'a> {
-    /// The contract's storage after a block of the bundle.
     pub storages: Memo<u64, Result<Storage<'a>, Unproven>>,
-    /// The seals on a block of the bundle, by the pinned signers.
     pub seals: Memo<u64, Seals>,
     identities: Memo<(Hash, Address), bool>,
-    /// When an account first anchored a root, by the storage after a block.
     pub anchors: Memo<(u64, Address, Hash), Result<Option<AnchorWord>, Unproven>>,
     keys: Memo<(u64, Address, u64), Result<Option<KeysWord>, Unproven>>,
-    /// Whether an account is suspended, by the storage after a block.
     suspensions: Memo<(u64, Address), Result<bool, Unproven>>,
-    /// Level (b) of the records that an owner's key signed and that were anchored alike.
     rights: Memo<(Address, SignerId, Place), Signed>,
     /// Level (c) of the records that were anchored alike.
     pub sealings: Memo<(u64, u64, Option<u64>), Level>,
     paths: RwLock<HashMap<(Hash, Climber), &'a [Hash]>>,
 }
 
-/// What there is to know of an anchor.
 type Place = (u64, u64, Option<u64>, Address, Option<u64>, u64);
 
 impl<'a> Known<'a> {
-    /// Whether an identity of the bundle proves itself for this account.
     pub fn is_of(&self, check: &Check<'_>, (hash, identity): (Hash, &Identity), account: Address) -> bool {
         let prove = || authros_crypto::check_identity(check.provider, &check.domain, &account, identity).is_ok();
         self.identities.get((hash, account), prove)
     }
 
-    /// A version of an account's keys, by the storage after a block.
     fn keys(
         &self,
         (shown_at, storage): (u64, &Storage<'_>),
@@ -369,8 +335,7 @@ impl<'a> Known<'a> {
         self.keys.get((shown_at, account, version), || storage.keys(account, version))
     }
 
-    /// Whether a claim's path leads from this leaf to the root it names; a claim without a path has nothing to show. Paths
-    /// of one batch meet: from there on, one that is the same as a path that led to the root is not hashed again.
+    /// A claim without a path has nothing to show. Paths of one batch meet: a rest already known is not hashed.
     pub fn leads(&self, leaf: &Leaf, claim: &'a AnchorClaim) -> bool {
         let Anchoring::Batch { root, index, count, path, .. } = &claim.anchor else { return true };
         let Some(mut climber) = Climber::at(leaf.hash(), *index, *count).filter(|_| path.len() <= LONGEST_PATH) else {
@@ -399,27 +364,22 @@ impl<'a> Known<'a> {
     }
 }
 
-/// The combined result of the tokens over the same roots.
 #[derive(Default)]
 struct Finding {
     /// The earliest by a pinned authority: before when, and who.
     proven: Option<(Timestamp, String)>,
     /// The earliest by the authority's own word.
     claimed: Option<(Timestamp, String)>,
-    /// What contradicts one of them.
     refused: Option<TimeError>,
 }
 
-/// The stamps of a bundle, checked once for all records.
 #[derive(Default)]
 pub(crate) struct Stamps<'a> {
-    /// By the roots that they cover.
     roots: BTreeMap<Hash, Vec<(usize, &'a BundledStamp, &'a StampedRoot)>>,
     findings: Vec<Finding>,
 }
 
 impl<'a> Stamps<'a> {
-    /// Those of a bundle, by the pinned authorities.
     pub fn new(bundle: &'a Bundle, trust: Option<&Trust>) -> Self {
         let pinned = trust.map(|trust| trust.authorities.as_slice()).unwrap_or_default();
         let read = |authority: &PinnedAuthority| Certificate::from_pem(&authority.certificate).ok();
@@ -435,7 +395,6 @@ impl<'a> Stamps<'a> {
         stamps
     }
 
-    /// Level (d) of a record, and before when it existed, if that is proven.
     pub fn level(&self, digest: Digest, header: &Header, record: &BundledRecord) -> (Level, Option<Timestamp>) {
         let absent = |text: &str| (Level::new(Standing::Absent, text), None);
         let Some(inclusion) = record.anchor.as_ref().and_then(|claim| claim.inclusion()) else {
@@ -445,14 +404,14 @@ impl<'a> Stamps<'a> {
             return absent("no authority's time stamp over its batch is in the bundle");
         };
         if !inclusion.proves(&Leaf::of(header, digest)) {
-            return (Level::new(Standing::Refused, "its path does not lead to the stamped root"), None);
+            return (Level::refused("its path does not lead to the stamped root"), None);
         }
         let mut best = Finding::default();
         for (at, stamp, place) in found {
             let Some(finding) = self.findings.get(*at) else { continue };
             if !stamp.leads(place) {
                 let text = "the path of its batch's root does not lead to what was stamped";
-                return (Level::new(Standing::Refused, text), None);
+                return (Level::refused(text), None);
             }
             best.take(finding);
         }
@@ -469,20 +428,20 @@ impl Finding {
 
     fn told(self) -> (Level, Option<Timestamp>) {
         if let Some(error) = self.refused {
-            return (Level::new(Standing::Refused, format!("a time stamp: {error}")), None);
+            return (Level::refused(format!("a time stamp: {error}")), None);
         }
         if let Some((before, who)) = self.proven {
             let text = format!(
                 "existed before {before}, by the time stamp of {who}, whom you pinned; certificate revocation is not \
                  checked"
             );
-            return (Level::new(Standing::Proven, text), Some(before));
+            return (Level::proven(text), Some(before));
         }
         let text = self.claimed.map_or_else(
             || "it contains no time stamp".to_owned(),
             |(before, who)| format!("stamped before {before} by {who}, whom you did not pin: this proves nothing yet"),
         );
-        (Level::new(Standing::Unproven, text), None)
+        (Level::unproven(text), None)
     }
 }
 
@@ -507,7 +466,6 @@ fn finding(imprint: &[u8; 32], stamp: &BundledStamp, names: &[String], pinned: &
     finding
 }
 
-/// What the state shows about the signer of a record.
 #[derive(Clone)]
 pub(crate) struct Signed {
     /// Level (b), as far as the state itself is trusted.
@@ -516,7 +474,6 @@ pub(crate) struct Signed {
     pub owner_key: Option<PublicKey>,
 }
 
-/// Level (b) of a record whose anchor is shown by the state.
 fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
     let Anchored { shown_at, block, time, account, keys, claimed_keys, .. } = *anchored;
     let place = (shown_at, block, time, account, keys, claimed_keys);
@@ -525,108 +482,81 @@ fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) ->
 
 fn right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
     match owner_key(check, header, anchored) {
-        Ok(Own::Unknown(why)) => Signed { level: Level::new(Standing::Unproven, why), owner_key: None },
-        Ok(Own::Registered(key)) => {
-            let level = judged(check, header, anchored, &key).unwrap_or_else(|why| unshown(why, anchored));
+        Ok(key) => {
+            let (Ok(level) | Err(level)) = judged(check, header, anchored, &key);
             Signed { level, owner_key: Some(key) }
         }
-        Err(why) => Signed { level: unshown(why, anchored), owner_key: None },
+        Err(level) => Signed { level, owner_key: None },
     }
 }
 
 fn unshown(why: Unproven, anchored: &Anchored<'_>) -> Level {
     let at = anchored.shown_at;
     match why {
-        Unproven::Missing(_) => Level::new(
-            Standing::Unproven,
-            format!("the part of the state after block {at} that holds the key's registration is not in the bundle"),
-        ),
-        why => Level::new(Standing::Refused, format!("the key's registration: {why}")),
+        Unproven::Missing(_) => Level::unproven(format!(
+            "the part of the state after block {at} that holds the key's registration is not in the bundle"
+        )),
+        why => Level::refused(format!("the key's registration: {why}")),
     }
 }
 
-fn refused(text: impl Into<String>) -> Level {
-    Level::new(Standing::Refused, text)
-}
-
-fn judged(
-    check: &Check<'_>,
-    header: &Header,
-    anchored: &Anchored<'_>,
-    registered: &PublicKey,
-) -> Result<Level, Unproven> {
+fn judged(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> Result<Level, Level> {
     let (owner, block, at) = (header.owner, anchored.block, anchored.shown_at);
-    let how = match signer_id(registered) == header.signer {
-        true => format!("the key was {owner}'s at block {block}"),
-        false => match lent(header, anchored)? {
-            Ok(()) => {
-                format!("the key {} belongs to a device that {owner} had on loan at block {block}", header.signer)
-            }
-            Err(level) => return Ok(level),
-        },
+    let how = if signer_id(registered) == header.signer {
+        format!("the key was {owner}'s at block {block}")
+    } else {
+        lent(header, anchored)?;
+        format!("the key {} belongs to a device that {owner} had on loan at block {block}", header.signer)
     };
-    // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state
-    // after the block, so the block's own state is used if present: the owner may have been suspended later in that
-    // block. A later state in which the owner is suspended does not show that this came after the block.
-    let suspended = check.known.suspensions.get((at, owner), || anchored.storage.is_suspended(owner))?;
+    // The contract lets no suspended account anchor, but the state is that after the block, in which the owner may have
+    // been suspended later. A later state with a suspension does not show that it came after the block.
+    let suspended = check.known.suspensions.get((at, owner), || anchored.storage.is_suspended(owner));
+    let suspended = suspended.map_err(|why| unshown(why, anchored))?;
     Ok(match (suspended, at == block) {
-        (true, true) => refused(format!("{owner} was suspended at block {block}")),
-        (false, true) => Level::new(Standing::Proven, format!("{how}, and {owner} was not suspended")),
-        (true, false) => Level::new(
-            Standing::Unproven,
-            format!("{how}; {owner} is suspended at block {at}, but there is no proof since when"),
-        ),
-        (false, false) if anchored.account == owner => Level::new(
-            Standing::Proven,
-            format!("{how}, and {owner} was not suspended when this was anchored: it anchored this itself"),
-        ),
-        (false, false) => Level::new(
-            Standing::Unproven,
-            format!("{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}"),
-        ),
+        (true, true) => Level::refused(format!("{owner} was suspended at block {block}")),
+        (false, true) => Level::proven(format!("{how}, and {owner} was not suspended")),
+        (true, false) => {
+            Level::unproven(format!("{how}; {owner} is suspended at block {at}, but there is no proof since when"))
+        }
+        (false, false) if anchored.account == owner => Level::proven(format!(
+            "{how}, and {owner} was not suspended when this was anchored: it anchored this itself"
+        )),
+        (false, false) => Level::unproven(format!(
+            "{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}"
+        )),
     })
 }
 
-enum Own {
-    /// This one.
-    Registered(PublicKey),
-    /// The state does not show which key it was.
-    Unknown(String),
-}
-
 /// The key that the owner had registered at the anchoring block.
-fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Own, Unproven> {
+fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<PublicKey, Level> {
     let (owner, block, state) = (header.owner, anchored.block, (anchored.shown_at, &anchored.storage));
+    let unknown = |why: String| Err(Level::unproven(why));
+    let keys_of = |version| check.known.keys(state, owner, version).map_err(|why| unshown(why, anchored));
     let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
-    let Some(keys) = check.known.keys(state, owner, version)? else {
-        return Ok(Own::Unknown(format!("{owner} has no version {version} of its keys on this chain")));
+    let Some(keys) = keys_of(version)? else {
+        return unknown(format!("{owner} has no version {version} of its keys on this chain"));
     };
     // The contract notes the version with the owner's own anchor, but the keys may have changed later in that block.
-    let after = version.checked_add(1).map(|next| check.known.keys(state, owner, next)).transpose()?.flatten();
+    let after = version.checked_add(1).map(keys_of).transpose()?.flatten();
     if keys.block > block || after.is_some_and(|after| after.block <= block) {
-        return Ok(Own::Unknown(format!(
-            "version {version} of {owner}'s keys was not the one in force at block {block}"
-        )));
+        return unknown(format!("version {version} of {owner}'s keys was not the one in force at block {block}"));
     }
     let Some(identity) = check.identity(keys.identity, owner) else {
-        return Ok(Own::Unknown(format!(
-            "the identity {} of {owner} is not in the bundle, or its own proof fails",
-            keys.identity
-        )));
+        let hash = keys.identity;
+        return unknown(format!("the identity {hash} of {owner} is not in the bundle, or its own proof fails"));
     };
     let pinned = check.trust.and_then(|trust| trust.person(owner)).and_then(|person| person.key);
     if pinned.is_some_and(|pinned| pinned != signer_id(&identity.signing)) {
-        return Ok(Own::Unknown(format!("the key that {owner} had registered is not the one you pinned")));
+        return unknown(format!("the key that {owner} had registered is not the one you pinned"));
     }
-    Ok(Own::Registered(identity.signing))
+    Ok(identity.signing)
 }
 
-/// Whether the signer is a device that its owner had lent at the anchoring block.
-fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), Level>, Unproven> {
+fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<(), Level> {
     let (owner, block) = (header.owner, anchored.block);
-    let unproven = |text: String| Ok(Err(Level::new(Standing::Unproven, text)));
-    let refused = |text: String| Ok(Err(refused(text)));
-    let Some(loan) = anchored.storage.loan(owner, &header.signer.0)? else {
+    let (unproven, refused) = (|text: String| Err(Level::unproven(text)), |text: String| Err(Level::refused(text)));
+    let loan = anchored.storage.loan(owner, &header.signer.0).map_err(|why| unshown(why, anchored))?;
+    let Some(loan) = loan else {
         return refused(format!("{owner} had neither registered nor lent the key at block {block}"));
     };
     if loan.lent > block && anchored.shown_at > block {
@@ -639,8 +569,8 @@ fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), Level>, U
         return refused(format!("{owner} had recalled the device in block {}", loan.recalled));
     }
     match anchored.time {
-        _ if loan.until == 0 => Ok(Ok(())),
-        Some(time) if time < loan.until => Ok(Ok(())),
+        _ if loan.until == 0 => Ok(()),
+        Some(time) if time < loan.until => Ok(()),
         Some(_) => refused(format!("the loan of the device had ended by {}", Timestamp::from_seconds(loan.until))),
         None => unproven("the loan of the device had an end, but the block's time is not shown".to_owned()),
     }

@@ -1,28 +1,23 @@
-//! Bytes as base64 text in JSON (RFC 4648), for serde's `with`: four characters for three bytes, where an array of
-//! numbers takes eleven.
+//! Base64 text (RFC 4648) for serde's `with`: four characters for three bytes; an array of numbers takes eleven.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Deserializer, Serializer};
 
-/// Writes bytes.
 pub fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&STANDARD.encode(bytes))
 }
 
-/// Reads bytes.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
     let text = std::borrow::Cow::<str>::deserialize(deserializer)?;
     STANDARD.decode(text.as_bytes()).map_err(serde::de::Error::custom)
 }
 
-/// The same for optional bytes.
 pub mod option {
     use base64::Engine as _;
 
     use super::{Deserialize, Deserializer, STANDARD, Serializer};
 
-    /// Writes bytes, or null.
     #[allow(clippy::ref_option, reason = "serde's signature")]
     pub fn serialize<S: Serializer>(bytes: &Option<Vec<u8>>, serializer: S) -> Result<S::Ok, S::Error> {
         match bytes {
@@ -31,7 +26,6 @@ pub mod option {
         }
     }
 
-    /// Reads bytes, or null.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<u8>>, D::Error> {
         let text = Option::<String>::deserialize(deserializer)?;
         text.map(|text| STANDARD.decode(text.as_bytes()).map_err(serde::de::Error::custom)).transpose()

@@ -9,9 +9,7 @@ use crate::text::as_text;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected} hex characters, found {found}; write all bytes in hex, with or without 0x")]
 pub struct HexError {
-    /// Hex characters expected.
     pub expected: usize,
-    /// Characters found (or the offset of the first that is not hex).
     pub found: usize,
 }
 
@@ -32,20 +30,8 @@ pub fn unhex(text: &str) -> Option<Vec<u8>> {
     if !text.len().is_multiple_of(2) {
         return None;
     }
-    let mut bytes = Vec::with_capacity(text.len() / 2);
-    for [high, low] in text.as_chunks::<2>().0 {
-        bytes.push(nibble(*high)? << 4 | nibble(*low)?);
-    }
-    Some(bytes)
-}
-
-fn nibble(character: u8) -> Option<u8> {
-    match character {
-        b'0'..=b'9' => Some(character - b'0'),
-        b'a'..=b'f' => Some(character - b'a' + 10),
-        b'A'..=b'F' => Some(character - b'A' + 10),
-        _ => None,
-    }
+    let nibble = |digit: u8| char::from(digit).to_digit(16).and_then(|nibble| u8::try_from(nibble).ok());
+    text.as_chunks::<2>().0.iter().map(|[high, low]| Some(nibble(*high)? << 4 | nibble(*low)?)).collect()
 }
 
 macro_rules! fixed_bytes {
@@ -55,15 +41,12 @@ macro_rules! fixed_bytes {
         pub struct $name(pub [u8; $size]);
 
         impl $name {
-            /// Length in bytes.
             pub const LENGTH: usize = $size;
 
-            /// From a slice of exactly [`Self::LENGTH`] bytes.
             pub fn from_slice(bytes: &[u8]) -> Option<Self> {
                 bytes.try_into().ok().map(Self)
             }
 
-            /// The bytes.
             pub fn as_bytes(&self) -> &[u8] {
                 &self.0
             }
@@ -109,8 +92,7 @@ fixed_bytes! {
     Token(32) "";
     /// Binds every signed, derived or hashed structure to one chain and contract.
     Domain(32) "";
-    /// A 32-byte hash that is not a record digest: of a transaction, block, code or genesis. Written with a leading 0x,
-    /// as Ethereum tools do.
+    /// A 32-byte hash other than a record digest (transaction, block, code, genesis); written with 0x as in Ethereum.
     Hash(32) "0x";
     /// Pseudonym of a topic, computable only by readers.
     TopicId(16) "";

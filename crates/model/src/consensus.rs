@@ -4,25 +4,19 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
-
 use crate::Digest;
 use crate::display::clean;
+use crate::text::as_text;
 use crate::wire::{Wire as _, WireError};
 
-/// How an embedded chain seals its blocks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Consensus {
-    /// Proof of authority as in Clique (EIP-225): 1 to 16 signers take turns. The period is the least
-    /// time between two blocks, whole milliseconds, at most 10 minutes.
+    /// Proof of authority as in Clique (EIP-225), 1 to 16 signers. Period: least time between blocks, whole ms.
     Poa { signers: u8, period: Duration },
-    /// Proof of work: Keccak-256 over seal hash and nonce, at a fixed difficulty: 1 to 2^40 hashes per
-    /// block on average. It is not ethash.
+    /// Proof of work, not ethash: Keccak-256 over seal hash and nonce; 1 to 2^40 hashes per block on average.
     Pow { difficulty: u64 },
 }
 
-/// Why a text is not a consensus.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is not a valid consensus; choose poa, poa:SIGNERS:PERIOD_MS (1 to 16 signers, up to 600000 ms), pow, or \
@@ -33,7 +27,6 @@ pub struct ConsensusError(String);
 impl Consensus {
     /// The difficulty of the paper's proof-of-work network.
     pub const PAPER_DIFFICULTY: u64 = 0x4c_ccc8;
-    /// The paper's proof of work.
     pub const POW: Self = Self::Pow { difficulty: Self::PAPER_DIFFICULTY };
     /// One signer; a block as soon as a transaction waits, at most every 100 ms.
     pub const POA: Self = Self::Poa { signers: 1, period: Duration::from_millis(100) };
@@ -41,7 +34,6 @@ impl Consensus {
     pub const LONGEST_PERIOD: Duration = Duration::from_secs(600);
     pub const HIGHEST_DIFFICULTY: u64 = 1 << 40;
 
-    /// `poa` or `pow`.
     pub fn word(&self) -> &'static str {
         match self {
             Self::Poa { .. } => "poa",
@@ -63,7 +55,6 @@ impl Consensus {
         (parts.next().is_none() && parsed.is_usable()).then_some(parsed)
     }
 
-    /// Whether its figures are within the limits of their fields.
     pub fn is_usable(&self) -> bool {
         match self {
             Self::Poa { signers, period } => {
@@ -104,23 +95,8 @@ impl FromStr for Consensus {
     }
 }
 
-impl TryFrom<String> for Consensus {
-    type Error = ConsensusError;
+as_text!(Consensus);
 
-    fn try_from(text: String) -> Result<Self, ConsensusError> {
-        text.parse()
-    }
-}
-
-impl From<Consensus> for String {
-    fn from(consensus: Consensus) -> Self {
-        consensus.to_string()
-    }
-}
-
-// How digests are put on the chain.
-
-/// The two ways of anchoring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::Display, strum::EnumString)]
 #[strum(serialize_all = "lowercase", parse_err_fn = no_mode, parse_err_ty = AnchorModeError)]
 pub enum AnchorMode {
@@ -131,7 +107,6 @@ pub enum AnchorMode {
     Each,
 }
 
-/// The word does not name a mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("choose batch (Merkle roots) or each (one dataUpload per record)")]
 pub struct AnchorModeError;
@@ -140,21 +115,18 @@ fn no_mode(_: &str) -> AnchorModeError {
     AnchorModeError
 }
 
-// The body of an audit record: the head of a home's audit log, anchored on the chain while the log changes.
+// Head of a home's audit log, anchored on the chain while the log changes.
 
-/// First bytes of the body.
 const LABEL: [u8; 20] = *b"AuthROS/audit-head/1";
 
 /// `label (20) || line (8) || hash (32) || previous line (8) || previous hash (32)`, big endian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AuditHead {
-    /// How many lines the log had.
     pub line: u64,
-    /// The hash stored with its last line.
     pub hash: Digest,
-    /// The number of lines under the head that this owner anchored before; 0 = this is the first.
+    /// Line of the head that this owner anchored before; 0 = none.
     pub previous_line: u64,
-    /// The hash of that head, zeros if there is none.
+    /// Zeros if there is none.
     pub previous_hash: Digest,
 }
 
@@ -166,15 +138,11 @@ crate::layout!(AuditHead {
 });
 
 impl AuditHead {
-    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         self.behind(&LABEL)
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one head, or it does not continue the one before.
+    /// Refuses a head that does not continue the previous one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let head = Self::whole_behind(&LABEL, "label", bytes)?;
         if head.line <= head.previous_line {

@@ -5,10 +5,8 @@ use std::borrow::Cow;
 /// The most consecutive combining marks kept; more would only pile up over other cells.
 const MOST_MARKS: usize = 4;
 
-/// Text that is safe to show: no control characters, no bidirectional controls, no zero-width or invisible characters,
-/// at most `width` characters (an ellipsis marks truncation).
-///
-/// Removed characters are replaced by `�`, so that a hostile name cannot pose as a clean one.
+/// At most `width` characters (an ellipsis marks truncation), safe to show. Removed characters become `�`, so that a
+/// hostile name cannot pose as a clean one.
 pub fn clean(text: &str, width: usize) -> String {
     let mut out = String::with_capacity(text.len().min(width.saturating_mul(4)));
     for (count, (character, shown)) in judged(text).enumerate() {
@@ -22,8 +20,7 @@ pub fn clean(text: &str, width: usize) -> String {
     out
 }
 
-/// JSON in which every character that must not be shown is written as `\u` and four hex digits: it means the same, and
-/// is safe on a terminal.
+/// JSON of the same meaning that is safe on a terminal: characters that must not be shown are `\u` escapes.
 pub fn spelt_out(json: &str) -> Cow<'_, str> {
     if json.bytes().all(|byte| matches!(byte, b' '..=b'~')) {
         return Cow::Borrowed(json);
@@ -39,7 +36,7 @@ pub fn spelt_out(json: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Each character of a text, and whether it may be shown in its place.
+/// Each character, with whether it may be shown.
 fn judged(text: &str) -> impl Iterator<Item = (char, bool)> {
     let mut marks = 0;
     text.chars().map(move |character| {
@@ -48,8 +45,7 @@ fn judged(text: &str) -> impl Iterator<Item = (char, bool)> {
     })
 }
 
-/// A URL without what may be secret in it: user name and password, and also the path, which often holds a key, except for
-/// those whose path is a file's or a database's. Other text comes back as it is.
+/// A URL without user, password and path, which often holds a key; URLs of files and databases keep their path.
 pub fn without_secrets(url: &str) -> String {
     let Some((scheme, rest)) = url.split_once("://") else { return url.to_owned() };
     let is_word = scheme.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'+');
@@ -70,7 +66,7 @@ pub fn without_secrets(url: &str) -> String {
     format!("{scheme}://{host}{path}")
 }
 
-/// The same for text that should be the URL or the socket of a server and may be neither: then it is not shown at all.
+/// For text that should be the URL or socket of a server: anything else is hidden.
 pub fn address_without_secrets(text: &str) -> String {
     let is_address = text.contains("://") || text.starts_with('/') || text.starts_with("ipc:") || text.is_empty();
     if is_address { without_secrets(text) } else { "…".to_owned() }

@@ -3,53 +3,38 @@
 use crate::wire::{Reader, Wire, WireError};
 use crate::{Digest, Timestamp, TopicId};
 
-/// First bytes of the body.
-const GAP_LABEL: [u8; 13] = *b"AuthROS/gap/1";
-
 /// Why messages did not become records.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum LossReason {
     /// They never arrived here: numbers are missing in `header.seq`.
-    Transport,
-    /// The memory for waiting messages was full.
+    Transport = 1,
+    #[strum(to_string = "memory full")]
     Memory,
     /// The disk was full, then the memory for waiting messages too.
+    #[strum(to_string = "disk full")]
     Disk,
-    /// There was no key to seal them with.
+    #[strum(to_string = "no key")]
     Key,
-    /// The program had to end before they could be stored.
     End,
-    /// Sealing them failed through a fault of the program.
     Fault,
 }
 
 impl LossReason {
-    /// All reasons, in the order of their codes.
     pub const ALL: [Self; 6] = [Self::Transport, Self::Memory, Self::Disk, Self::Key, Self::End, Self::Fault];
 
-    /// The byte in a gap record.
     pub fn code(self) -> u8 {
-        self as u8 + 1
+        self as u8
     }
 
-    /// From the byte in a gap record.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|reason| reason.code() == code)
     }
 
-    /// Its name in the ledger and JSON.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Transport => "transport",
-            Self::Memory => "memory full",
-            Self::Disk => "disk full",
-            Self::Key => "no key",
-            Self::End => "end",
-            Self::Fault => "fault",
-        }
+        self.into()
     }
 
-    /// From its name in the ledger.
     pub fn from_word(word: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|reason| reason.word() == word)
     }
@@ -71,92 +56,60 @@ impl LossReason {
 /// first header.seq (4) || last header.seq (4) || first time (8) || last time (8)`, big endian.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GapReport {
-    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
-    /// Its name.
     pub topic: String,
-    /// The sending node; empty if there were too many to tell apart.
+    /// Empty if there were too many to list.
     pub publisher: String,
     pub reason: LossReason,
-    /// The number of messages.
     pub count: u64,
-    /// `header.seq` of the first and the last of them, if their type has a header. Others in between may have become
-    /// records.
+    /// `header.seq` of the first and the last, if the type has a header; some in between may have become records.
     pub numbers: Option<(u32, u32)>,
-    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last loss was noticed.
     pub last_at: Timestamp,
 }
 
 crate::layout!(LossReason by code, from_code);
-crate::layout!(GapReport {
-    topic_id: "topic id",
-    topic: "topic",
-    publisher: "publisher",
-    reason: "reason",
-    count: "count",
-    numbers: "numbers",
-    first_at: "first time",
-    last_at: "last time",
-});
+crate::body!(GapReport behind b"AuthROS/gap/1", "label");
 
-/// Whether there are any (1), then both, zeros if there are none.
-impl Wire for Option<(u32, u32)> {
+impl Wire for GapReport {
     fn put(&self, out: &mut Vec<u8>) {
-        (self.is_some(), self.unwrap_or_default()).put(out);
+        self.topic_id.put(out);
+        self.topic.put(out);
+        self.publisher.put(out);
+        (self.reason, self.count).put(out);
+        (self.numbers.is_some(), self.numbers.unwrap_or_default()).put(out);
+        (self.first_at, self.last_at).put(out);
     }
 
-    fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
-        match Wire::read(reader, field)? {
-            (true, pair) => Ok(Some(pair)),
-            (false, (0, 0)) => Ok(None),
-            (false, _) => Err(WireError::Value(field)),
-        }
-    }
-}
-
-impl GapReport {
-    /// Encodes the bytes to be sealed.
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(&GAP_LABEL)
-    }
-
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one report.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(&GAP_LABEL, "label", bytes)
+    fn read(reader: &mut Reader<'_>, _: &'static str) -> Result<Self, WireError> {
+        let (topic_id, topic) = (Wire::read(reader, "topic id")?, Wire::read(reader, "topic")?);
+        let (publisher, reason) = (Wire::read(reader, "publisher")?, Wire::read(reader, "reason")?);
+        let count = Wire::read(reader, "count")?;
+        let numbers = match Wire::read(reader, "numbers")? {
+            (true, pair) => Some(pair),
+            (false, (0, 0)) => None,
+            (false, _) => return Err(WireError::Value("numbers")),
+        };
+        let (first_at, last_at) = (Wire::read(reader, "first time")?, Wire::read(reader, "last time")?);
+        Ok(Self { topic_id, topic, publisher, reason, count, numbers, first_at, last_at })
     }
 }
 
-// The body of a quarantine record: which messages of one topic and minute were quarantined, so that none can be
-// removed selectively.
-
-/// First bytes of the body.
-const QUARANTINE_LABEL: [u8; 20] = *b"AuthROS/quarantine/1";
+// Quarantine record: the quarantined messages of one topic and minute, so that none can be removed selectively.
 
 /// `label (20) || topic id (16) || topic (2 + n) || minute (8) || first seq (8) || last seq (8) || count (8) ||
 /// rolling (32)`, big endian.
-///
 /// The rolling hash begins with SM3(`AuthROS/quarantined/1` || domain || owner || recorder || topic id || minute) and
 /// continues with SM3(rolling || D) for each quarantined record's digest D in the order of acknowledgement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct QuarantineReport {
-    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
-    /// Its name.
     pub topic: String,
     /// Minutes since 1970 UTC, by the capture times.
     pub minute: u64,
-    /// The lowest sequence number quarantined.
     pub first_seq: u64,
-    /// The highest one.
     pub last_seq: u64,
-    /// The number of records quarantined.
     pub count: u64,
-    /// The rolling hash over their digests.
     pub rolling: Digest,
 }
 
@@ -169,21 +122,7 @@ crate::layout!(QuarantineReport {
     count: "count",
     rolling: "rolling hash",
 });
-
-impl QuarantineReport {
-    /// Encodes the bytes to be sealed.
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(&QUARANTINE_LABEL)
-    }
-
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one report.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(&QUARANTINE_LABEL, "label", bytes)
-    }
-}
+crate::body!(QuarantineReport behind b"AuthROS/quarantine/1", "label");
 
 #[cfg(test)]
 mod tests {
@@ -219,7 +158,7 @@ mod tests {
             prop_assert_eq!(GapReport::parse(&bytes), Ok(report));
             prop_assert!((0..bytes.len()).all(|cut| GapReport::parse(&bytes[..cut]).is_err()));
             prop_assert!(GapReport::parse(&[bytes, vec![0]].concat()).is_err());
-            let _ = GapReport::parse(&[&GAP_LABEL[..], &noise].concat());
+            let _ = GapReport::parse(&[&b"AuthROS/gap/1"[..], &noise].concat());
         }
     }
 }
@@ -245,7 +184,7 @@ mod quarantine_tests {
         #[test]
         fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..200)) {
             let _ = QuarantineReport::parse(&noise);
-            let _ = QuarantineReport::parse(&[&QUARANTINE_LABEL[..], &noise].concat());
+            let _ = QuarantineReport::parse(&[&b"AuthROS/quarantine/1"[..], &noise].concat());
         }
     }
 }

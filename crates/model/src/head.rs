@@ -23,7 +23,6 @@ pub enum Compression {
 }
 
 impl Compression {
-    /// Its code in the head.
     fn code(self) -> u8 {
         self as u8
     }
@@ -34,7 +33,7 @@ impl Compression {
     }
 }
 
-/// The sealed head, in the order of writing.
+/// The sealed head, in the order of writing. Texts have a two-byte length; tags have a two-byte count.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Head {
     /// Topic name.
@@ -72,27 +71,12 @@ crate::layout!(Head {
     plain_length: "plain length",
     tags: "tag",
 });
+crate::body!(Head);
 
 impl Head {
     /// Whether a simulated robot sent it.
     pub fn is_simulated(&self) -> bool {
         self.tags.get(SIMULATED.0).is_some_and(|value| value == SIMULATED.1)
-    }
-
-    /// Encodes the bytes to be sealed.
-    ///
-    /// Texts have a two-byte length; definition (32), boot id (16), compression (1),
-    /// plain length (8), tag count (2) and pairs, in the order of the tags' bytes.
-    pub fn encode(&self) -> Vec<u8> {
-        self.encoded()
-    }
-
-    /// Parses a whole head.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one head.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole(bytes)
     }
 }
 

@@ -7,8 +7,7 @@ use super::bytes::{Commit, Domain, FilterId, RecorderId, Salt, SignerId, TopicId
 use super::wire::{Reader, Wire, WireError, put_list, read_list};
 use super::{Address, Timestamp};
 
-/// First eight bytes of every record; the first is not a text character, so that text tools cannot corrupt a record
-/// unnoticed.
+/// First bytes of every record; the first is no text character, so that text tools cannot corrupt one unnoticed.
 pub const MAGIC: [u8; 8] = *b"\x89AuthROS";
 /// The format written by this program.
 pub const VERSION: u8 = 1;
@@ -20,7 +19,7 @@ pub const MOST_FILTERS: usize = 4;
 pub const LARGEST_HEAD: u32 = 64 * 1024;
 /// The largest sealed body accepted, bytes (64 MiB plus a tag).
 pub const LARGEST_BODY: u64 = 64 * 1024 * 1024 + 16;
-/// The highest sequence number, about a thousand records a second for 34 years: nobody can use up what is left.
+/// The highest sequence number: about a thousand records a second for 34 years.
 pub const LARGEST_SEQ: u64 = 1 << 40;
 /// The highest epoch and capture time: what a ledger can hold.
 pub const LARGEST_STORED: u64 = u64::MAX >> 1;
@@ -47,8 +46,7 @@ pub enum RecordKind {
     Retention,
     /// A lost EOA's successor.
     Succession,
-    /// A home's statements about itself: the head of its audit log, the birth of its recorder and its highest sequence
-    /// numbers.
+    /// A home's statements about itself: head of its audit log, birth and highest sequence numbers of its recorder.
     Audit,
     /// What a recording holds beside its messages: a file attached to it, or names and values about it.
     Attachment,
@@ -129,7 +127,6 @@ crate::layout!(Header {
 
 impl Header {
     /// The bytes in front of the sealed head; they are the AAD of both head and body.
-    ///
     /// Magic (8) version suite kind (1 each) domain (32) owner (20) signer (32) epoch (8)
     /// recorder (16) seq (8) topic id (16) filter count (1) filters (8 each) capture time (8)
     /// head length (4) body length (8) salt (24) commit (32); big endian.
@@ -142,7 +139,6 @@ impl Header {
     }
 
     /// Parses a header from the start of `bytes`; also returns its length in bytes.
-    ///
     /// # Errors
     /// [`WireError`] if the bytes are not a version 1 header; nothing is allocated before a check.
     pub fn parse(bytes: &[u8]) -> Result<(Self, usize), WireError> {

@@ -1,7 +1,4 @@
-//! Types without I/O: the vocabulary shared by all other crates.
-//!
-//! Identities, topics, record headers, digests, grants, states, kinds of error and the sanitiser for untrusted text.
-//! Nothing here touches a key, a file or a socket.
+//! Types without I/O, shared by all other crates.
 
 pub mod base64_text;
 pub mod bytes;

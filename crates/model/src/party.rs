@@ -9,19 +9,15 @@ use sha3::{Digest as _, Keccak256};
 
 use crate::bytes::{PublicKey, Signature, Token, hex, unhex};
 use crate::clean;
-use crate::text::{as_text, names};
-use crate::wire::{Wire as _, WireError};
+use crate::text::{as_text, is_name, names};
 
-/// Why a text names no party.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PartyError {
-    /// It is not an address book name.
     #[error(
         "'{0}' is not a valid name; use 1 to 40 letters, digits, '.', '-' and '_', starting with a letter, or an \
          address"
     )]
     Name(String),
-    /// It begins like an address but is not one.
     #[error(transparent)]
     Address(#[from] AddressError),
 }
@@ -29,17 +25,6 @@ pub enum PartyError {
 /// A name in the address book of a home; never on the chain.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ContactName(String);
-
-impl FromStr for ContactName {
-    type Err = PartyError;
-
-    fn from_str(text: &str) -> Result<Self, PartyError> {
-        let inner = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
-        let begins = text.bytes().next().is_some_and(|first| first.is_ascii_alphabetic());
-        let valid = begins && text.len() <= 40 && text.bytes().all(inner);
-        if valid { Ok(Self(text.to_owned())) } else { Err(PartyError::Name(clean(text, 40))) }
-    }
-}
 
 /// An account, by address or by its name in the address book.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -49,12 +34,11 @@ pub enum Party {
 }
 
 impl Party {
-    /// The name, or the shortened address for narrow columns.
+    /// For narrow columns.
     pub fn short(&self) -> String {
         self.address().map_or_else(|| self.to_string(), |address| address.short())
     }
 
-    /// The address, if it was given as one.
     pub fn address(&self) -> Option<Address> {
         match self {
             Self::Address(address) => Some(*address),
@@ -91,17 +75,26 @@ impl fmt::Display for Party {
     }
 }
 
-names!(ContactName, OperatorName, ProfileName);
+names! {
+    ContactName: |text| {
+        is_name(text, 40, |b| b.is_ascii_alphabetic(), |b| b.is_ascii_alphanumeric() || b"._-".contains(&b))
+    }, else PartyError by |text| PartyError::Name(clean(text, 40));
+    OperatorName: |text| {
+        let begins = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
+        is_name(text, LONGEST, begins, |b| begins(b) || b".-+@$\\".contains(&b))
+    }, else OperatorNameError by |text| OperatorNameError(clean(text, LONGEST));
+    ProfileName: |text| {
+        let fits = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'_';
+        is_name(text, 32, |b| b.is_ascii_lowercase(), fits)
+    }, else ProfileNameError by |text| ProfileNameError(clean(text, 40));
+}
 as_text!(ContactName, Party, Address, ProfileName);
 crate::layout!(Address(0));
+crate::body!(Identity);
 crate::layout!(Identity { token: "token", signing: "signing key", envelope: "envelope key", proof: "proof" });
 
-// An Ethereum externally owned account (EOA), shown in EIP-55 checksum form.
-
-/// Why a text is not an address.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AddressError {
-    /// Not 20 bytes of hex.
     #[error("an address is 0x and 40 hex characters; copy it from `authros identity show`")]
     Shape,
     /// Mixed case that does not match EIP-55: a mistyped character.
@@ -109,7 +102,6 @@ pub enum AddressError {
     Checksum,
 }
 
-/// The 20 bytes of an EOA or contract address.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Address(pub [u8; 20]);
 
@@ -122,17 +114,15 @@ impl Address {
         Self(bytes)
     }
 
-    /// From a slice of exactly 20 bytes.
     pub fn from_slice(bytes: &[u8]) -> Option<Self> {
         bytes.try_into().ok().map(Self)
     }
 
-    /// The bytes.
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
 
-    /// `0x1234…`: for files given to others, so that they cannot link the content to an account.
+    /// `0x1234…`: for files given to others, who must not link the content to an account.
     pub fn redacted(&self) -> String {
         format!("{}…", self.to_string().get(..6).unwrap_or_default())
     }
@@ -144,7 +134,7 @@ impl Address {
     }
 }
 
-/// The text with every address in it [`Address::redacted`]; hashes and keys, which are longer, are left alone.
+/// With every address [`Address::redacted`]; hashes and keys, which are longer, stay.
 pub fn redact_addresses(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
@@ -191,7 +181,7 @@ impl FromStr for Address {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        // Not twice: below, another 0x would be passed over.
+        // Once only: `unhex` strips another 0x.
         let digits = text.strip_prefix("0x").filter(|digits| !digits.starts_with("0x")).ok_or(AddressError::Shape)?;
         let bytes = unhex(digits).ok_or(AddressError::Shape)?;
         let address = Self::from_slice(&bytes).ok_or(AddressError::Shape)?;
@@ -203,46 +193,25 @@ impl FromStr for Address {
     }
 }
 
-// The public identity that an EOA registers on the chain.
-
-/// `token || P_C || P_E || proof`: 224 bytes. The proof is an SM2 signature by d_C over label, domain, address, P_C,
-/// P_E and token; the contract cannot verify it, so every client does.
+/// `token || P_C || P_E || proof`. The contract cannot verify the proof (SM2 by d_C), so every client does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Token of the epoch at registration.
     pub token: Token,
     /// P_C, which verifies signatures.
     pub signing: PublicKey,
     /// P_E, to which envelopes are encrypted.
     pub envelope: PublicKey,
-    /// Proof that the holder of d_C registered these keys for this address.
     pub proof: Signature,
 }
 
 impl Identity {
-    /// Length of the encoding, bytes.
     pub const LENGTH: usize = 224;
-
-    /// The argument of the contract's `register`.
-    pub fn encode(&self) -> Vec<u8> {
-        self.encoded()
-    }
-
-    /// From the chain's bytes.
-    ///
-    /// # Errors
-    /// [`WireError`] if they are not exactly [`Self::LENGTH`] bytes.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole(bytes)
-    }
 }
 
-// Operators: Unix users who work at somebody else's site, with the rights that its owner gave them.
+// Operators: Unix users who work at another user's site.
 
-/// The longest name, characters.
 const LONGEST: usize = 64;
 
-/// A text is not the name of a user or a group.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is not a usable name; use 1 to 64 letters, digits and . _ - + @ $ \\, starting with a letter, a digit or _"
@@ -253,18 +222,6 @@ pub struct OperatorNameError(String);
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct OperatorName(String);
 
-impl FromStr for OperatorName {
-    type Err = OperatorNameError;
-
-    fn from_str(text: &str) -> Result<Self, OperatorNameError> {
-        let begins = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
-        let body = |b: u8| begins(b) || b".-+@$\\".contains(&b);
-        let valid = text.len() <= LONGEST && text.bytes().next().is_some_and(begins) && text.bytes().all(body);
-        if valid { Ok(Self(text.to_owned())) } else { Err(OperatorNameError(clean(text, LONGEST))) }
-    }
-}
-
-/// A right that an operator may have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
@@ -287,17 +244,14 @@ impl OperatorRight {
 pub struct OperatorRights(BTreeSet<OperatorRight>);
 
 impl OperatorRights {
-    /// Whether one of them is this.
     pub fn has(&self, right: OperatorRight) -> bool {
         self.0.contains(&right)
     }
 
-    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Adds those of another rule.
     pub fn add(&mut self, others: &Self) {
         self.0.extend(&others.0);
     }
@@ -316,9 +270,6 @@ impl fmt::Display for OperatorRights {
     }
 }
 
-// The name of a profile: an identity on this machine.
-
-/// Why a text is not a profile name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a valid profile name; use 1 to 32 characters from a-z, 0-9, - and _, starting with a letter")]
 pub struct ProfileNameError(String);
@@ -330,16 +281,6 @@ pub struct ProfileName(String);
 impl Default for ProfileName {
     fn default() -> Self {
         Self("default".to_owned())
-    }
-}
-
-impl FromStr for ProfileName {
-    type Err = ProfileNameError;
-
-    fn from_str(text: &str) -> Result<Self, ProfileNameError> {
-        let body = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'_';
-        let valid = (1..=32).contains(&text.len()) && text.as_bytes()[0].is_ascii_lowercase() && text.bytes().all(body);
-        if valid { Ok(Self(text.to_owned())) } else { Err(ProfileNameError(crate::clean(text, 40))) }
     }
 }
 

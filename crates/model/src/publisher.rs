@@ -1,4 +1,4 @@
-//! Who may publish a topic: caller id, host, type and the sum of its definition, all of which are mere claims of a publisher.
+//! Who may publish a topic: caller id, host, type and definition sum, all mere claims of the publisher.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -8,11 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use super::topic::{LONGEST_NAME, TypeName};
 use super::{TopicName, clean};
+use crate::text::is_name;
 
-/// Why a text does not name a publisher.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PublisherError {
-    /// One publisher.
     #[error(
         "'{0}' is not a publisher; use CALLER_ID@HOST:TYPE:MD5, such as \
          /driver@127.0.0.1:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1; for ROS 2 the host is domain0 (the domain's \
@@ -21,7 +20,6 @@ pub enum PublisherError {
     Publisher(String),
     #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several with commas")]
     Listed(String),
-    /// The policy for pinning publishers.
     #[error("'{0}' is not a pinning mode; choose first, list or off")]
     Mode(String),
 }
@@ -40,10 +38,10 @@ pub struct Publisher {
     pub md5sum: String,
 }
 
-/// How a type's hash of ROS 2 begins.
+/// Prefix of a ROS 2 type hash.
 const HASH: &str = "RIHS01_";
 
-/// Hex digits of an md5sum, and of a type's hash.
+/// Hex digits of an md5sum, and of a type hash.
 const SUM: usize = 32;
 const LONGEST_SUM: usize = 64;
 
@@ -62,17 +60,17 @@ impl FromStr for Publisher {
     }
 }
 
-/// Nodes of tools that end in the number of their process.
+/// Node names of tools that end in their process number.
 const BY_PROCESS: [&str; 4] = ["_ros2cli_", "launch_ros_", "rqt_gui_py_node_", "rqt_gui_cpp_node_"];
-/// As many digits are a time or a random number, not a name that somebody gave.
+/// This many digits are a time or a random number, not part of a given name.
 const DRAWN_DIGITS: usize = 13;
 
 fn are_digits(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-/// The name by which a node is pinned. An anonymous node of ROS ends in digits that it draws at each start (a time, a random
-/// number, the number of its process); `#` stands for them, so that every run of the node has one name: `/talker_#`.
+/// The name by which a node is pinned: `#` replaces the digits (time, random number, process) that an anonymous node of
+/// ROS draws at each start, so that every run has one name: `/talker_#`.
 pub fn pinned_name(caller_id: &str) -> Cow<'_, str> {
     let begin = caller_id.rfind('/').map_or(0, |at| at + 1);
     let own = caller_id.get(begin..).unwrap_or_default();
@@ -82,8 +80,7 @@ pub fn pinned_name(caller_id: &str) -> Cow<'_, str> {
     }
     let drawn = |(_, digits): &(&str, &str)| digits.len() >= DRAWN_DIGITS && are_digits(digits);
     let Some((stem, drawn)) = own.rsplit_once('_').filter(drawn) else { return caller_id.into() };
-    // rospy and roslaunch put the number of the process before it; roscpp has 19 digits and none. A shorter number is part
-    // of the name.
+    // rospy and roslaunch put the process number first; roscpp has 19 digits alone. Shorter numbers belong to the name.
     let shortest = if drawn.len() == DRAWN_DIGITS { 1 } else { 3 };
     let process = |(_, digits): &(&str, &str)| (shortest..=7).contains(&digits.len()) && are_digits(digits);
     let stem = stem.rsplit_once('_').filter(process).map_or(stem, |(stem, _)| stem);
@@ -97,15 +94,12 @@ fn parse(text: &str) -> Option<Publisher> {
     let (rest, md5sum) = text.rsplit_once(':')?;
     let (rest, type_name) = rest.rsplit_once(':')?;
     let (caller_id, host) = rest.rsplit_once('@')?;
+    let fits = |b: u8| b.is_ascii_alphanumeric() || b"/_".contains(&b);
     let named = caller_id.starts_with('/')
         && (2..=LONGEST_NAME).contains(&caller_id.len())
-        && caller_id
-            .strip_suffix("_#")
-            .unwrap_or(caller_id)
-            .bytes()
-            .all(|b| b.is_ascii_alphanumeric() || b"/_".contains(&b));
-    let placed = (1..=LONGEST_NAME).contains(&host.len())
-        && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._:%".contains(&b));
+        && caller_id.strip_suffix("_#").unwrap_or(caller_id).bytes().all(fits);
+    let of_host = |b: u8| b.is_ascii_alphanumeric() || b"-._:%".contains(&b);
+    let placed = is_name(host, LONGEST_NAME, of_host, of_host);
     // ROS 2 has `msg` between package and type.
     let typed = type_name.replacen("/msg/", "/", 1).parse::<TypeName>().is_ok();
     let md5sum = md5sum.strip_prefix(HASH).filter(|hash| hash.len() == LONGEST_SUM).unwrap_or(md5sum);
@@ -138,7 +132,6 @@ impl FromStr for ListedPublishers {
     }
 }
 
-/// How a topic's publishers get pinned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::EnumString)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case", parse_err_fn = no_mode, parse_err_ty = PublisherError)]
@@ -156,12 +149,10 @@ fn no_mode(text: &str) -> PublisherError {
     PublisherError::Mode(clean(text, 40))
 }
 
-/// Why a publisher does not count as a pinned one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum Doubt {
-    /// No publisher with this caller id is pinned.
     New,
     /// A pinned caller id, but another host.
     Host,
@@ -176,15 +167,13 @@ pub enum Doubt {
 }
 
 impl Doubt {
-    /// All doubts.
     pub const ALL: [Self; 6] = [Self::New, Self::Host, Self::Type, Self::Replaced, Self::Undecided, Self::Unconfirmed];
 
-    /// Its name, one word: for the tag in sealed heads, the ledger and JSON.
+    /// One word: tag in sealed heads, ledger and JSON.
     pub fn word(self) -> &'static str {
         self.into()
     }
 
-    /// Its meaning.
     pub fn text(self) -> &'static str {
         match self {
             Self::New => "it is not a pinned publisher",

@@ -1,16 +1,11 @@
-//! A recorder's statements about itself, in sealed records of the topic `authros/recorder`: its birth, the highest
-//! sequence numbers of its topics, and the head over these numbers, which can be disclosed without them.
+//! A recorder's statements about itself, sealed under the topic `authros/recorder`.
 
 use crate::bytes::{RecorderId, SignerId};
-use crate::wire::{Reader, Wire as _, WireError};
+use crate::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::{Digest, Hash, TopicId};
 
-/// First bytes of a birth.
 const BIRTH: &[u8] = b"AuthROS/birth/1";
-/// First bytes of a list of numbers.
 const HEIGHTS: &[u8] = b"AuthROS/heights/1";
-/// First bytes of a head over numbers.
-const HEADS: &[u8] = b"AuthROS/heads/1";
 
 /// A recorder began: `label (15) || predecessor (16)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,16 +18,11 @@ impl Birth {
     /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/Birth";
 
-    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let predecessor = self.predecessor.map_or([0; RecorderId::LENGTH], |recorder| recorder.0);
         [BIRTH, &predecessor].concat()
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let predecessor = RecorderId::whole_behind(BIRTH, "label", bytes)?;
         Ok(Self { predecessor: Some(predecessor).filter(|recorder| recorder.0 != [0; RecorderId::LENGTH]) })
@@ -47,89 +37,53 @@ pub struct Heights {
 }
 
 impl Heights {
-    /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/Heights";
 
-    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
-        let count = u32::try_from(self.topics.len()).unwrap_or(u32::MAX);
-        let mut out = [HEIGHTS, &count.to_be_bytes()].concat();
-        for (topic, number) in &self.topics {
-            out.extend_from_slice(&topic.0);
-            out.extend_from_slice(&number.to_be_bytes());
-        }
+        let mut out = HEIGHTS.to_vec();
+        put_list::<u32>(&mut out, &self.topics, usize::MAX);
         out
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one list, or its topics are not in order.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes.strip_prefix(HEIGHTS).ok_or(WireError::Value("label"))?);
-        let (count, mut topics) = (reader.u32("count")?, Vec::new());
-        for _ in 0..count {
-            let topic = TopicId(reader.array("topic id")?);
-            if topics.last().is_some_and(|(last, _)| *last >= topic) {
-                return Err(WireError::Value("topic id"));
-            }
-            topics.push((topic, reader.u64("number")?));
-        }
+        let topics: Vec<(TopicId, u64)> = read_list::<u32, _>(&mut reader, 0..=usize::MAX, ("count", "topic"))?;
         reader.end()?;
-        Ok(Self { topics })
+        let is_ordered = topics.is_sorted_by(|(one, _), (next, _)| one < next);
+        if is_ordered { Ok(Self { topics }) } else { Err(WireError::Value("topic id")) }
     }
 }
 
 /// The head over a list of numbers: `label (15) || count (4) || root (32) || heights (32) || previous (32)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Heads {
-    /// The number of topics.
     pub count: u32,
-    /// Merkle root over topics with their highest numbers.
     pub root: Hash,
-    /// The digest of the record with the list.
     pub heights: Digest,
-    /// The digest of the previous head's record; zeros if there is none.
+    /// Zeros if there is none.
     pub previous: Digest,
 }
 
 crate::layout!(Heads { count: "count", root: "root", heights: "heights", previous: "previous" });
+crate::body!(Heads behind b"AuthROS/heads/1", "label");
 
 impl Heads {
-    /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/Heads";
-
-    /// Encodes the bytes to be sealed.
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(HEADS)
-    }
-
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(HEADS, "label", bytes)
-    }
 }
 
-// Recorder ids: who numbers a record. Each id carries a tag of the key that signs, so nobody can number in the name of
-// another key, and a home whose key changes goes on under another recorder.
+// A recorder id carries a tag of the signing key, so that nobody can number in the name of another key.
 
 /// Length of the tag of the signing key, bytes.
 const TAG: usize = 8;
-/// The first byte of the recorder id of a ledger.
+/// First byte of the ids of a ledger's recorders, and of a ring's.
 const LEDGER: u8 = 1;
-/// The first byte of the recorder id of a ring.
 const RING: u8 = 2;
 
-/// What a ledger or ring contributes to the ids of its recorders: `kind (1) || random (7)`. The other half of an id is the
-/// tag of the key that signs, so one ledger has a recorder for each key that signs in it.
+/// A ledger's or ring's half of its recorder ids: `kind (1) || random (7)`. The other half is the signing key's tag.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RecorderPrefix([u8; RecorderPrefix::LENGTH]);
 
 impl RecorderPrefix {
-    /// Length in bytes.
     pub const LENGTH: usize = RecorderId::LENGTH - TAG;
 
     /// Of a ledger; new for each ledger file and each restore.
@@ -137,8 +91,7 @@ impl RecorderPrefix {
         Self::of(LEDGER, random)
     }
 
-    /// Of a ring on a robot's disk; new for each start. Numbers of such a recorder may be missing anywhere: a ring loses
-    /// its oldest messages, and its owner requests spans of it.
+    /// New for each start. Numbers may be missing anywhere: a ring loses its oldest messages.
     pub fn ring(random: [u8; 7]) -> Self {
         Self::of(RING, random)
     }
@@ -149,13 +102,11 @@ impl RecorderPrefix {
         Self(prefix)
     }
 
-    /// From stored bytes; `None` if they are not a prefix.
     pub fn from_slice(bytes: &[u8]) -> Option<Self> {
         let prefix: [u8; Self::LENGTH] = bytes.try_into().ok()?;
         prefix.first().is_some_and(|kind| is_kind(*kind)).then_some(Self(prefix))
     }
 
-    /// The bytes.
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
@@ -167,7 +118,7 @@ impl RecorderPrefix {
         RecorderId(id)
     }
 
-    /// Whether a recorder is one of this ledger's or ring's, whichever key signs.
+    /// Whichever key signs.
     pub fn has(self, recorder: &RecorderId) -> bool {
         recorder.0.starts_with(&self.0)
     }
@@ -179,14 +130,12 @@ impl RecorderId {
         self.0.first().is_some_and(|kind| is_kind(*kind)) && self.0.ends_with(tag(signer))
     }
 
-    /// What the ledger or ring contributed to it.
     pub fn prefix(&self) -> RecorderPrefix {
         let mut prefix = [0; RecorderPrefix::LENGTH];
         prefix.iter_mut().zip(self.0).for_each(|(place, byte)| *place = byte);
         RecorderPrefix(prefix)
     }
 
-    /// Whether it is the recorder of a ring.
     pub fn is_ring(&self) -> bool {
         self.0.first() == Some(&RING)
     }

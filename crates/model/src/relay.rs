@@ -3,8 +3,7 @@
 use async_trait::async_trait;
 use serde_json::Value;
 
-/// Only what this program's own client needs is passed on: reads and raw transactions. Nothing here signs, keeps state
-/// at the node, or reaches its settings and keys. Which of it passes for whom is for the chain's client to say.
+/// Reads and raw transactions only: nothing that signs, keeps state at the node, or reaches its settings and keys.
 const METHODS: &str = "clique_getSigners eth_blockNumber eth_call eth_chainId eth_estimateGas eth_feeHistory eth_gasPrice \
     eth_getBalance eth_getBlockByHash eth_getBlockByNumber eth_getCode eth_getLogs eth_getProof eth_getStorageAt \
     eth_getTransactionByHash eth_getTransactionCount eth_getTransactionReceipt eth_maxPriorityFeePerGas \
@@ -13,32 +12,27 @@ const METHODS: &str = "clique_getSigners eth_blockNumber eth_call eth_chainId et
 /// The longest signed transaction passed on, bytes: the limit of old geth.
 pub const LONGEST_RAW: usize = 32 * 1024;
 
-/// Why a relayed request failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum RelayError {
-    /// The method is not passed on.
     #[error("this method is not forwarded to the chain; connect to a node for it")]
     NotAllowed,
-    /// The node answered with an error.
     #[error("{message}")]
     Answered { code: i64, message: String, data: Option<Value> },
-    /// No answer came, or it was not JSON-RPC.
+    /// No answer, or one that is not JSON-RPC.
     #[error("{0}")]
     Silent(String),
 }
 
-/// Passes JSON-RPC requests on to a chain.
 #[async_trait]
 pub trait Relay: Send + Sync {
-    /// Passes one request on.
     async fn ask(&self, method: &str, parameters: Value) -> Result<Value, RelayError>;
 
     /// Its location, for display.
     fn place(&self) -> String;
 }
 
-/// What a request costs the chain, compared with a simple look-up.
+/// Cost for the chain, relative to a simple look-up.
 pub fn weight(method: &str) -> u32 {
     match method {
         "eth_getLogs" | "eth_estimateGas" | "eth_sendRawTransaction" | "eth_getProof" => 10,
@@ -47,11 +41,7 @@ pub fn weight(method: &str) -> u32 {
     }
 }
 
-/// Whether a request is passed on: its method is known, its parameters are an array, and a transaction is no longer
-/// than any of ours.
-///
-/// # Errors
-/// [`RelayError::NotAllowed`].
+/// Refuses unknown methods, parameters that are no array, and transactions longer than any of ours.
 pub fn check(method: &str, parameters: &Value) -> Result<(), RelayError> {
     let known = METHODS.split(' ').any(|known| known == method);
     let length = || parameters.get(0).and_then(Value::as_str).map_or(0, str::len);

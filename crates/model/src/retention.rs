@@ -1,5 +1,4 @@
-//! How long, and how much of, each topic's ciphertext is kept; and the body of the record that is anchored before any
-//! of it is deleted.
+//! How long, and how much of, each topic's ciphertext is kept; the record that is anchored before any is deleted.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,21 +6,18 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::text::{as_text, names};
+use crate::text::{as_text, is_name, names};
 use crate::topic_rule::{TopicRules, fits};
-use crate::wire::{Reader, Wire as _, WireError, put_text};
+use crate::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::{ByteSize, Digest, Timestamp, TopicId, TopicPattern, clean, time_span};
 
-/// First bytes of the body.
-const LABEL: [u8; 19] = *b"AuthROS/retention/1";
 const MOST_RULES: usize = 100;
 
-/// What is kept of topics that match a pattern.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RetentionRule {
     /// `*` matches any characters but `/`, `**` any characters.
     pattern: String,
-    /// For this long after capture.
+    /// Since capture.
     pub age: Option<Duration>,
     /// The newest messages of each topic, up to this many bytes.
     pub bytes: Option<u64>,
@@ -31,7 +27,6 @@ pub struct RetentionRule {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RetentionRules(Vec<RetentionRule>);
 
-/// Why a text is not a list of rules.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is not a retention rule; use PATTERN=LIMIT, such as /robot*/camera/**=7d+10GiB, where LIMIT is a time (30m, \
@@ -97,20 +92,14 @@ impl RetentionRules {
     }
 }
 
-/// What is kept of each topic: by time as its own rule says, otherwise as the setting says; a budget of bytes always
-/// comes from the setting.
+/// Time limits come from the topic's own rule, else from the setting; the byte budget always from the setting.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Keeping {
-    topics: TopicRules,
-    setting: RetentionRules,
+    pub topics: TopicRules,
+    pub setting: RetentionRules,
 }
 
 impl Keeping {
-    /// From the rules of topics and the setting.
-    pub fn new(topics: TopicRules, setting: RetentionRules) -> Self {
-        Self { topics, setting }
-    }
-
     pub fn of(&self, topic: &str) -> Option<RetentionRule> {
         let setting = self.setting.of(topic);
         let own = self.topics.of(topic).and_then(|rule| Some((rule.pattern.as_str(), rule.retention?)));
@@ -123,7 +112,6 @@ impl Keeping {
         )
     }
 
-    /// Whether nothing is ever deleted.
     pub fn is_empty(&self) -> bool {
         self.setting.is_empty() && self.topics.0.iter().all(|rule| rule.retention.is_none())
     }
@@ -131,26 +119,18 @@ impl Keeping {
 
 /// `label (19) || topic id (16) || topic (2 + n) || rule (2 + n) || first seq (8) || last seq (8) || count (8) ||
 /// bytes (8) || rolling (32)`, big endian.
-///
 /// The rolling hash begins with SM3(`AuthROS/retained/1` || domain || owner || topic id) and continues with SM3(rolling
 /// || D) for each record's digest D in the order of capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RetentionReport {
-    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
-    /// Its name.
     pub topic: String,
-    /// The rule that requires it.
     pub rule: String,
-    /// The lowest sequence number deleted.
     pub first_seq: u64,
-    /// The highest one.
     pub last_seq: u64,
-    /// The number of records whose ciphertext is deleted.
     pub count: u64,
     /// The bytes of their messages.
     pub bytes: u64,
-    /// The rolling hash over their digests.
     pub rolling: Digest,
 }
 
@@ -164,24 +144,9 @@ crate::layout!(RetentionReport {
     bytes: "bytes",
     rolling: "rolling hash",
 });
+crate::body!(RetentionReport behind b"AuthROS/retention/1", "label");
 
-impl RetentionReport {
-    /// Encodes the bytes to be sealed.
-    pub fn encode(&self) -> Vec<u8> {
-        self.behind(&LABEL)
-    }
-
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one report.
-    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        Self::whole_behind(&LABEL, "label", bytes)
-    }
-}
-
-// The ring that a robot keeps on its disk: how much of it, of which topics, and the
-// spans that its owner asks for.
+// The ring that a robot keeps on its disk.
 
 /// How much a ring keeps; whatever is reached first counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -193,11 +158,9 @@ pub struct RingLimits {
 }
 
 impl RingLimits {
-    /// The smallest ring, bytes.
     pub const LEAST: u64 = 1 << 20;
 }
 
-/// Why a text is not the limits of a ring.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' does not limit a ring; write a time from 1s on and a size from 1MiB on, as \"5m, 500MiB\"")]
 pub struct RingLimitsError(String);
@@ -223,20 +186,16 @@ impl fmt::Display for RingLimits {
     }
 }
 
-/// Patterns of topics, in the order written.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TopicPatterns(pub Vec<TopicPattern>);
 
-/// Why a text is not a list of patterns.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}; write patterns as [\"/camera/**\", \"/odom\"], or with commas between, at most {most}", most = TopicPatterns::MOST)]
 pub struct TopicPatternsError(String);
 
 impl TopicPatterns {
-    /// The most patterns of a list.
     pub const MOST: usize = 256;
 
-    /// Whether a topic matches one of them.
     pub fn matches(&self, topic: &str) -> bool {
         self.0.iter().any(|pattern| pattern.matches(topic))
     }
@@ -245,7 +204,7 @@ impl TopicPatterns {
 impl FromStr for TopicPatterns {
     type Err = TopicPatternsError;
 
-    /// A list as TOML has it, or with commas between; no pattern has a quote or a comma in it.
+    /// As in TOML, or with commas between; no pattern contains a quote or a comma.
     fn from_str(text: &str) -> Result<Self, TopicPatternsError> {
         let inner = text.trim();
         let inner = inner.strip_prefix('[').and_then(|inner| inner.strip_suffix(']')).unwrap_or(inner);
@@ -271,58 +230,44 @@ impl fmt::Display for TopicPatterns {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RingSpan {
-    /// What was captured at this time or later,
+    /// Inclusive, by capture time.
     pub since: Timestamp,
-    /// and before this time.
+    /// Exclusive.
     pub until: Timestamp,
-    /// Of topics that match one of these; none = of all.
+    /// Empty = all topics.
     pub topics: TopicPatterns,
 }
 
 impl RingSpan {
-    /// Whether a message of this topic, captured then, is asked for.
     pub fn has(&self, topic: &str, captured_at: Timestamp) -> bool {
         (self.since..self.until).contains(&captured_at) && self.has_topic(topic)
     }
 
-    /// Whether messages of this topic are asked for.
     pub fn has_topic(&self, topic: &str) -> bool {
         self.topics.0.is_empty() || self.topics.matches(topic)
     }
 
     /// Its encoding: `since (8) || until (8) || count (2) || patterns`, texts with their length (2) before them.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = [self.since.0.to_be_bytes(), self.until.0.to_be_bytes()].concat();
-        let count = self.topics.0.len().min(TopicPatterns::MOST);
-        out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
-        self.topics.0.iter().take(count).for_each(|pattern| put_text(&mut out, pattern.as_str()));
+        let mut out = (self.since, self.until).encoded();
+        put_list::<u16>(&mut out, &self.topics.0, TopicPatterns::MOST);
         out
     }
 
-    /// From its encoding.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is malformed, or the span is empty.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let (since, until) = (Timestamp(reader.u64("since")?), Timestamp(reader.u64("until")?));
         if since >= until {
             return Err(WireError::Value("until"));
         }
-        let count = usize::from(reader.u16("pattern count")?);
-        if count > TopicPatterns::MOST {
-            return Err(WireError::Value("pattern count"));
-        }
-        let pattern = |_| reader.text("pattern")?.parse().map_err(|_| WireError::Value("pattern"));
-        let topics = (0..count).map(pattern).collect::<Result<_, WireError>>()?;
+        let topics = read_list::<u16, _>(&mut reader, 0..=TopicPatterns::MOST, ("pattern count", "pattern"))?;
         reader.end()?;
         Ok(Self { since, until, topics: TopicPatterns(topics) })
     }
 }
 
-// Names of incidents: spans of time and topics that an operator keeps together.
+// Incidents: spans of time and topics that an operator keeps together.
 
-/// Why a text is not a valid name of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a valid name; use 1 to 64 letters, digits, '.', '-' and '_', starting with a letter or a digit")]
 pub struct IncidentNameError(String);
@@ -330,23 +275,16 @@ pub struct IncidentNameError(String);
 /// An incident's name, given by its owner: 1 to 64 ASCII letters, digits, `.`, `-` and `_`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct IncidentName(String);
-names!(IncidentName);
+names! {
+    IncidentName: |text| {
+        let fits = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
+        is_name(text, IncidentName::LONGEST, |b| b.is_ascii_alphanumeric(), fits)
+    }, else IncidentNameError by |text| IncidentNameError(clean(text, IncidentName::LONGEST));
+}
 as_text!(IncidentName);
 
 impl IncidentName {
-    /// The longest, bytes.
     pub const LONGEST: usize = 64;
-}
-
-impl FromStr for IncidentName {
-    type Err = IncidentNameError;
-
-    fn from_str(text: &str) -> Result<Self, IncidentNameError> {
-        let inner = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
-        let begins = text.bytes().next().is_some_and(|first| first.is_ascii_alphanumeric());
-        let valid = begins && text.len() <= Self::LONGEST && text.bytes().all(inner);
-        if valid { Ok(Self(text.to_owned())) } else { Err(IncidentNameError(clean(text, Self::LONGEST))) }
-    }
 }
 
 #[cfg(test)]
@@ -389,14 +327,14 @@ mod tests {
         let topics = |rules: Vec<TopicRule>| TopicRules(rules.into_iter().map(std::sync::Arc::new).collect());
         let own = topics(vec![rule("/robot?/odom", Some(60)), rule("/scan", None)]);
         let setting: RetentionRules = "/robot1/**=1h+1MiB, /scan=2h".parse().expect("rules");
-        let keeping = Keeping::new(own.clone(), setting);
+        let keeping = Keeping { topics: own.clone(), setting };
         let of = |topic: &str| keeping.of(topic).map(|rule| rule.to_string());
         assert_eq!(of("/robot1/odom").as_deref(), Some("/robot?/odom=60s+1048576"));
         assert_eq!(of("/robot2/odom").as_deref(), Some("/robot?/odom=60s"));
         assert_eq!(of("/robot1/camera").as_deref(), Some("/robot1/**=3600s+1048576"));
         assert_eq!((of("/scan").as_deref(), of("/tf")), (Some("/scan=7200s"), None));
-        assert!(!Keeping::new(own, RetentionRules::default()).is_empty());
-        assert!(Keeping::new(topics(vec![rule("/scan", None)]), RetentionRules::default()).is_empty());
+        assert!(!Keeping { topics: own, ..Keeping::default() }.is_empty());
+        assert!(Keeping { topics: topics(vec![rule("/scan", None)]), ..Keeping::default() }.is_empty());
     }
 
     proptest! {
@@ -417,7 +355,7 @@ mod tests {
             prop_assert_eq!(RetentionReport::parse(&encoded), Ok(report));
             prop_assert!((0..encoded.len()).all(|cut| RetentionReport::parse(&encoded[..cut]).is_err()));
             prop_assert!(RetentionReport::parse(&[encoded, vec![0]].concat()).is_err());
-            let _ = RetentionReport::parse(&[&LABEL[..], &noise].concat());
+            let _ = RetentionReport::parse(&[&b"AuthROS/retention/1"[..], &noise].concat());
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What a robot tells of the policy that its owner sets for it.
 
-use super::wire::{Reader, WireError, put_text};
+use super::wire::{Reader, Wire, WireError, put_list, read_list};
 
 const LABEL: &[u8] = b"AuthROS/policy/1";
 /// The most differences named.
@@ -8,74 +8,46 @@ const MOST: usize = 64;
 /// The longest text, bytes.
 const LONGEST: usize = 1024;
 
-/// A robot's word about its policy, sealed as a statement of its recorder: `label (16) || heard (8) || running (8) || 0, or 1 ||
-/// reason || count (1, at most 64) || differences`, a text being `length (2, at most 1,024) || UTF-8`.
+/// `label (16) || heard (8) || running (8) || 0, or 1 || reason || count (1, at most 64) || differences`; each text has
+/// its length (2, at most 1,024) before it. Sealed as a statement of the robot's recorder.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct PolicyReport {
-    /// The newest version that it was told.
+    /// The newest version received.
     pub heard: u64,
-    /// The version that it works by; 0 = its own settings alone.
+    /// The version in force; 0 = its own settings alone.
     pub running: u64,
-    /// Why it did not take up what it was told last.
+    /// Why the newest version was not applied.
     pub refused: Option<String>,
-    /// Where its own settings say something else, and the policy counts.
+    /// Where the policy overrules its own settings.
     pub overruled: Vec<String>,
 }
 
 impl PolicyReport {
-    /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/PolicyReport";
 
     /// Encodes the bytes to be sealed; what is too long or too much is cut.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = [LABEL, &self.heard.to_be_bytes(), &self.running.to_be_bytes()].concat();
-        match &self.refused {
-            None => out.push(0),
-            Some(reason) => {
-                out.push(1);
-                put_text(&mut out, cut(reason));
-            }
-        }
-        let overruled = self.overruled.get(..MOST).unwrap_or(&self.overruled);
-        out.push(u8::try_from(overruled.len()).unwrap_or(0));
-        overruled.iter().for_each(|text| put_text(&mut out, cut(text)));
+        let mut out = (self.heard, self.running).behind(LABEL);
+        self.refused.as_deref().map(cut).put(&mut out);
+        put_list::<u8>(&mut out, &self.overruled.iter().map(|text| cut(text)).collect::<Vec<_>>(), MOST);
         out
     }
 
-    /// Parses a whole body.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let mut reader = Reader::new(bytes);
-        if reader.take(LABEL.len(), "label")? != LABEL {
-            return Err(WireError::Value("label"));
-        }
+        let mut reader = Reader::new(bytes.strip_prefix(LABEL).ok_or(WireError::Value("label"))?);
         let (heard, running) = (reader.u64("heard")?, reader.u64("running")?);
-        let refused = match reader.u8("refused")? {
-            0 => None,
-            1 => Some(text(&mut reader)?),
-            _ => return Err(WireError::Value("refused")),
-        };
-        let count = usize::from(reader.u8("count")?);
-        if count > MOST {
-            return Err(WireError::Value("count"));
-        }
-        let mut overruled = Vec::with_capacity(count);
-        for _ in 0..count {
-            overruled.push(text(&mut reader)?);
-        }
+        let refused: Option<String> = Wire::read(&mut reader, "refused")?;
+        let overruled: Vec<String> = read_list::<u8, _>(&mut reader, 0..=MOST, ("count", "text"))?;
         reader.end()?;
+        if refused.iter().chain(&overruled).any(|text| text.len() > LONGEST) {
+            return Err(WireError::Value("text"));
+        }
         Ok(Self { heard, running, refused, overruled })
     }
 }
 
-fn cut(text: &str) -> &str {
-    &text[..text.floor_char_boundary(LONGEST)]
-}
-
-fn text(reader: &mut Reader<'_>) -> Result<String, WireError> {
-    reader.text("text").and_then(|text| if text.len() > LONGEST { Err(WireError::Value("text")) } else { Ok(text) })
+fn cut(text: &str) -> String {
+    text[..text.floor_char_boundary(LONGEST)].to_owned()
 }
 
 #[cfg(test)]

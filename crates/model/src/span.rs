@@ -14,7 +14,6 @@ use crate::clean;
 /// The longest time span, seconds: a hundred years.
 const LONGEST: u64 = 100 * 366 * 86_400;
 
-/// The text is not a time span.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a duration; use a number with ms, s, m, h, d or w, such as 10s, 30d or 2w")]
 pub struct SpanError(String);
@@ -39,7 +38,7 @@ pub fn time_span(text: &str) -> Result<Duration, SpanError> {
     milliseconds.map(Duration::from_millis).ok_or_else(wrong)
 }
 
-/// Like [`time_span`], but refuses 0, for uses where nothing could happen within it.
+/// Refuses 0, for uses where nothing could happen within it.
 pub fn positive_span(text: &str) -> Result<Duration, SpanError> {
     time_span(text).ok().filter(|span| !span.is_zero()).ok_or_else(|| SpanError(clean(text, 40)))
 }
@@ -48,22 +47,20 @@ pub fn positive_span(text: &str) -> Result<Duration, SpanError> {
 
 /// Units by their suffix, longest first.
 const UNITS: [(&str, u64); 9] = [
-    ("kib", 1 << 10),
-    ("mib", 1 << 20),
-    ("gib", 1 << 30),
-    ("tib", 1 << 40),
-    ("kb", 1_000),
-    ("mb", 1_000_000),
-    ("gb", 1_000_000_000),
-    ("tb", 1_000_000_000_000),
-    ("b", 1),
+    ("KiB", 1 << 10),
+    ("MiB", 1 << 20),
+    ("GiB", 1 << 30),
+    ("TiB", 1 << 40),
+    ("KB", 1_000),
+    ("MB", 1_000_000),
+    ("GB", 1_000_000_000),
+    ("TB", 1_000_000_000_000),
+    ("B", 1),
 ];
 
-/// A number of bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct ByteSize(pub u64);
 
-/// Why a text is not a number of bytes.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a size; give one such as 256MiB, 10GB or 1048576")]
 pub struct ByteSizeError(String);
@@ -76,7 +73,7 @@ impl FromStr for ByteSize {
         let lower = text.trim().to_ascii_lowercase();
         let (number, unit) = UNITS
             .iter()
-            .find_map(|(name, unit)| lower.strip_suffix(name).map(|number| (number, *unit)))
+            .find_map(|(name, unit)| lower.strip_suffix(&name.to_ascii_lowercase()).map(|number| (number, *unit)))
             .unwrap_or((&lower, 1));
         let (whole, part) = number.trim_end().split_once('.').unwrap_or((number.trim_end(), ""));
         let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -95,12 +92,6 @@ impl fmt::Display for ByteSize {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let fitting = UNITS[..4].iter().rev().find(|(_, unit)| self.0 >= *unit);
         let Some((name, unit)) = fitting else { return write!(formatter, "{} B", self.0) };
-        let name = match *name {
-            "kib" => "KiB",
-            "mib" => "MiB",
-            "gib" => "GiB",
-            _ => "TiB",
-        };
         let tenths = u128::from(self.0) * 10 / u128::from(*unit);
         match tenths % 10 {
             0 => write!(formatter, "{} {name}", tenths / 10),
@@ -109,13 +100,10 @@ impl fmt::Display for ByteSize {
     }
 }
 
-// Amounts of ether, and prices of gas.
-
 const GWEI: u128 = 1_000_000_000;
 const ETHER: u128 = GWEI * GWEI;
 
-/// An amount in wei. In JSON it is a decimal string, since it exceeds what JSON numbers hold; for people it is in wei,
-/// gwei or ether, cut after six decimals.
+/// A decimal string in JSON, whose numbers are too small; wei, gwei or ether for people, cut after six decimals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Wei(pub u128);
 
@@ -145,8 +133,6 @@ impl<'de> Deserialize<'de> for Wei {
     }
 }
 
-// Points in time, nanoseconds since the Unix epoch, UTC.
-
 /// Nanoseconds since 1970-01-01T00:00:00Z. Written as RFC 3339 in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Timestamp(pub u64);
@@ -154,28 +140,25 @@ pub struct Timestamp(pub u64);
 crate::layout!(Timestamp(0));
 
 impl Timestamp {
-    /// The system clock's current time.
     pub fn now() -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
         Self(u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// From whole seconds.
     pub fn from_seconds(seconds: u64) -> Self {
         Self(seconds.saturating_mul(1_000_000_000))
     }
 
-    /// The moment after this one, which ends a span with it as its last; `None` after the last that the ledger holds (2^63 - 1).
+    /// The end of a span whose last moment this is; `None` after the last that the ledger holds (2^63 - 1).
     pub fn next(self) -> Option<Self> {
         self.0.checked_add(1).filter(|next| i64::try_from(*next).is_ok()).map(Self)
     }
 
-    /// Whole seconds.
     pub fn seconds(self) -> u64 {
         self.0 / 1_000_000_000
     }
 
-    /// This moment, or the next whole second if it has a fraction: ends on the chain are whole seconds.
+    /// Rounded up: ends on the chain are whole seconds.
     pub fn to_whole_second(self) -> Self {
         Self::from_seconds(self.0.div_ceil(1_000_000_000))
     }

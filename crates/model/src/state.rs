@@ -1,21 +1,11 @@
 //! The states of a record.
 
 use serde::{Deserialize, Serialize};
+use strum::{IntoStaticStr, VariantArray};
 
 /// The state of a record. Every transition is a compare-and-set in the ledger.
 #[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    Hash,
-    Serialize,
-    Deserialize,
-    strum::IntoStaticStr,
-    strum::VariantArray,
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, IntoStaticStr, VariantArray,
 )]
 #[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
@@ -24,11 +14,8 @@ pub enum RecordState {
     Captured,
     /// Sealed and fsynced in the store, row and ciphertext in one commit: acknowledged.
     Stored,
-    /// In a closed batch.
     Batched,
-    /// Its transaction was sent.
     Submitted,
-    /// Its transaction is in a block.
     Mined,
     /// The block has enough confirmations.
     Confirmed,
@@ -47,20 +34,17 @@ pub enum RecordState {
 }
 
 impl RecordState {
-    /// All states, in the order of a record's life.
-    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
+    /// In the order of a record's life.
+    pub const ALL: &[Self] = <Self as VariantArray>::VARIANTS;
 
-    /// One word for screens, JSON and the ledger.
     pub fn word(self) -> &'static str {
         self.into()
     }
 
-    /// The number in the ledger.
     pub fn code(self) -> u8 {
         self as u8
     }
 
-    /// From the number in the ledger.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.get(usize::from(code)).copied()
     }
@@ -70,13 +54,11 @@ impl RecordState {
         self < Self::Verified
     }
 
-    /// Whether the record is not in any block yet.
     pub fn is_before_block(self) -> bool {
         self < Self::Mined || self == Self::RightEnded
     }
 }
 
-/// What a feed says of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Fact {
@@ -90,19 +72,17 @@ pub enum Fact {
 crate::layout!(Fact by code, from_code);
 
 impl Fact {
-    /// The number in the ledger and on the wire.
     pub fn code(self) -> u8 {
         self as u8
     }
 
-    /// From that number.
     pub fn from_code(code: u8) -> Option<Self> {
         [Self::Stored, Self::Verified, Self::Erased].into_iter().find(|fact| fact.code() == code)
     }
 }
 
-/// The result of checking a record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Digest equals a confirmed anchor, signature valid, opened.
@@ -110,43 +90,31 @@ pub enum Verdict {
     /// All checks but the chain's pass; the digest is not anchored (yet).
     Unanchored,
     /// It was confirmed earlier and the checks without the chain pass, but the chain cannot be asked now.
+    #[strum(to_string = "not checked against the chain now")]
     NotChecked,
     /// The stored bytes differ from those anchored or signed.
     Tampered,
-    /// The stored bytes are missing.
     Missing,
     /// Retention has deleted the stored bytes, as a record on the chain states; signature and anchor are valid.
+    #[strum(to_string = "deleted by retention")]
     Deleted,
-    /// No key of this profile opens it.
+    #[strum(to_string = "no key")]
     NoKey,
 }
 
 impl Verdict {
-    /// The word shown.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Verified => "verified",
-            Self::Unanchored => "unanchored",
-            Self::NotChecked => "not checked against the chain now",
-            Self::Tampered => "tampered",
-            Self::Missing => "missing",
-            Self::Deleted => "deleted by retention",
-            Self::NoKey => "no key",
-        }
+        self.into()
     }
 }
 
-// The kinds of error a user can meet; each has its own exit code.
-
-/// The kind of failure. It determines the command line's exit code.
+/// Determines the exit code of the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorKind {
     /// A fault of the program itself.
-    Internal,
-    /// The command was used incorrectly.
+    Internal = 1,
     Usage,
-    /// A value or file is invalid.
     Input,
     /// A peer (ROS master, node, Redis, gateway) does not answer.
     Unreachable,
@@ -156,23 +124,12 @@ pub enum ErrorKind {
     Tampered,
     /// The home is locked by another process or cannot be written.
     Home,
-    /// The work ended before it was complete.
     Incomplete,
 }
 
 impl ErrorKind {
-    /// The process exit code.
     pub fn exit_code(self) -> u8 {
-        match self {
-            Self::Internal => 1,
-            Self::Usage => 2,
-            Self::Input => 3,
-            Self::Unreachable => 4,
-            Self::Refused => 5,
-            Self::Tampered => 6,
-            Self::Home => 7,
-            Self::Incomplete => 8,
-        }
+        self as u8
     }
 }
 

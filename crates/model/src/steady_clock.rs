@@ -1,5 +1,4 @@
-//! A clock for decisions that cannot be undone: it follows the machine's clock, but follows a jump only after the new
-//! time has held for a while. A jump forth and back leaves no trace in it.
+//! Clock for decisions that cannot be undone: it follows a jump of the machine's clock only once the jump has held.
 
 use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,31 +13,27 @@ const TOLERANCE: i128 = 5_000_000_000;
 static CLOCK: LazyLock<(Instant, Mutex<SteadyClock>)> =
     LazyLock::new(|| (Instant::now(), Mutex::new(SteadyClock::default())));
 
-/// A reading of the clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reading {
-    /// The time to use.
     pub steady: Timestamp,
-    /// The machine's clock.
     pub machine: Timestamp,
 }
 
 impl Reading {
-    /// How far the machine's clock is ahead of the steady one, seconds; 0 if they agree.
+    /// Seconds by which the machine's clock is ahead; 0 if they agree.
     pub fn ahead(&self) -> i64 {
         let nanoseconds = i128::from(self.machine.0) - i128::from(self.steady.0);
         i64::try_from(nanoseconds / 1_000_000_000).unwrap_or(0)
     }
 }
 
-/// Reads the clock of this process. It must be read regularly, so that a slow drift is followed.
+/// Must be read regularly, so that a slow drift is followed.
 pub fn look() -> Reading {
     let (begun, clock) = &*CLOCK;
     let mut clock = clock.lock().unwrap_or_else(PoisonError::into_inner);
     clock.read(Timestamp::now(), begun.elapsed())
 }
 
-/// The time to use in this process: see [`look`].
 pub fn steady_now() -> Timestamp {
     look().steady
 }
@@ -46,7 +41,6 @@ pub fn steady_now() -> Timestamp {
 /// Time of day minus elapsed time, by the machine's clock: constant unless somebody sets it. Nanoseconds.
 type Offset = i128;
 
-/// The clock itself; its inputs are passed in.
 #[derive(Debug, Default)]
 pub struct SteadyClock {
     believed: Option<Offset>,
@@ -55,7 +49,7 @@ pub struct SteadyClock {
 }
 
 impl SteadyClock {
-    /// The machine's clock says `machine`, `passed` after a fixed moment.
+    /// `passed`: time since a fixed moment.
     pub fn read(&mut self, machine: Timestamp, passed: Duration) -> Reading {
         let since = i128::try_from(passed.as_nanos()).unwrap_or(i128::MAX);
         let told = i128::from(machine.0) - since;

@@ -1,10 +1,9 @@
 //! What names have in common, and what is written in JSON as text.
 
-/// Names are a checked text and nothing else.
+/// Names are a checked text: the check, and the error for any other text.
 macro_rules! names {
-    ($($name:ident),*) => {$(
+    ($($name:ident: $valid:expr, else $error:ident by $wrong:expr;)*) => {$(
         impl $name {
-            /// The name.
             pub fn as_str(&self) -> &str {
                 &self.0
             }
@@ -15,10 +14,36 @@ macro_rules! names {
                 formatter.write_str(&self.0)
             }
         }
+
+        impl ::std::str::FromStr for $name {
+            type Err = $error;
+
+            fn from_str(text: &str) -> Result<Self, $error> {
+                let (valid, wrong): (fn(&str) -> bool, fn(&str) -> $error) = ($valid, $wrong);
+                if valid(text) { Ok(Self(text.to_owned())) } else { Err(wrong(text)) }
+            }
+        }
+
+        impl $crate::wire::Wire for $name {
+            fn put(&self, out: &mut Vec<u8>) {
+                $crate::wire::put_text(out, &self.0);
+            }
+
+            fn read(
+                reader: &mut $crate::wire::Reader<'_>,
+                field: &'static str,
+            ) -> Result<Self, $crate::wire::WireError> {
+                reader.text(field)?.parse().map_err(|_| $crate::wire::WireError::Value(field))
+            }
+        }
     )*};
 }
 
-/// In JSON these are the text that people see and type.
+/// Whether a text has 1 to `most` bytes that fit, of which the first may begin it.
+pub(crate) fn is_name(text: &str, most: usize, begins: impl Fn(u8) -> bool, fits: impl Fn(u8) -> bool) -> bool {
+    text.len() <= most && text.bytes().next().is_some_and(begins) && text.bytes().all(fits)
+}
+
 macro_rules! as_text {
     ($($name:ident),*) => {$(
         impl ::serde::Serialize for $name {

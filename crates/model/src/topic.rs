@@ -1,22 +1,18 @@
 //! ROS graph names: topics and message types.
 
-use std::str::FromStr;
-
-use crate::text::{as_text, names};
+use crate::clean;
+use crate::text::{as_text, is_name, names};
 
 /// The longest topic or type name accepted, in bytes.
 pub const LONGEST_NAME: usize = 255;
 
-/// Why a text is not a ROS name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
-    /// Not a topic name.
     #[error(
         "'{0}' is not a topic name; it must start with /, and each part is letters, digits and _, starting with a \
          letter, as in /robot1/odom"
     )]
     Topic(String),
-    /// Not a type name.
     #[error("'{0}' is not a message type; use package/Type, as in nav_msgs/Odometry")]
     Type(String),
 }
@@ -26,7 +22,8 @@ const STATEMENTS: &str = "authros/";
 
 /// Whether a record may be filed under this name: a topic's, or that of the program's own statements (`authros/…`).
 pub fn is_record_topic(name: &str) -> bool {
-    let is_word = |part: &str| !part.is_empty() && part.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
+    let fits = |b: u8| b.is_ascii_alphanumeric() || b == b'_';
+    let is_word = |part: &str| is_name(part, LONGEST_NAME, fits, fits);
     match name.strip_prefix(STATEMENTS) {
         Some(rest) => name.len() <= LONGEST_NAME && rest.split('/').all(is_word),
         None => name.parse::<TopicName>().is_ok(),
@@ -34,40 +31,27 @@ pub fn is_record_topic(name: &str) -> bool {
 }
 
 fn is_part(part: &str) -> bool {
-    let mut bytes = part.bytes();
-    bytes.next().is_some_and(|b| b.is_ascii_alphabetic() || b == b'_')
-        && bytes.all(|b| b.is_ascii_alphanumeric() || b == b'_')
+    let begins = |b: u8| b.is_ascii_alphabetic() || b == b'_';
+    is_name(part, LONGEST_NAME, begins, |b| begins(b) || b.is_ascii_digit())
 }
 
 /// A resolved, absolute ROS topic name such as `/robot1/odom`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicName(String);
 
-impl FromStr for TopicName {
-    type Err = NameError;
-
-    fn from_str(text: &str) -> Result<Self, NameError> {
-        let valid =
-            text.len() <= LONGEST_NAME && text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_part));
-        if valid { Ok(Self(text.to_owned())) } else { Err(NameError::Topic(super::clean(text, 80))) }
-    }
-}
-
 /// A message type, `package/Type`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TypeName(String);
 
-impl FromStr for TypeName {
-    type Err = NameError;
-
-    fn from_str(text: &str) -> Result<Self, NameError> {
-        let valid = text.len() <= LONGEST_NAME
-            && text.split_once('/').is_some_and(|(package, name)| is_part(package) && is_part(name));
-        if valid { Ok(Self(text.to_owned())) } else { Err(NameError::Type(super::clean(text, 80))) }
-    }
+names! {
+    TopicName: |text| {
+        text.len() <= LONGEST_NAME && text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_part))
+    }, else NameError by |text| NameError::Topic(clean(text, 80));
+    TypeName: |text| {
+        let parts = text.split_once('/');
+        text.len() <= LONGEST_NAME && parts.is_some_and(|(package, name)| is_part(package) && is_part(name))
+    }, else NameError by |text| NameError::Type(clean(text, 80));
 }
-
-names!(TopicName, TypeName);
 as_text!(TopicName, TypeName);
 
 #[cfg(test)]

@@ -1,15 +1,13 @@
 //! Rules for topics: which type, how many messages, which tags, how long they are kept.
 
 use std::collections::BTreeMap;
-use std::str::FromStr;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::topic::{LONGEST_NAME, TypeName};
-use crate::text::{as_text, names};
+use crate::text::{as_text, is_name, names};
 
-/// Why a text is not a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is not a topic pattern; it must start with /; * matches within one part, ** any number of parts, ? one \
@@ -20,7 +18,12 @@ pub struct PatternError(String);
 /// A pattern for topic names: `*` within a part, `**` across parts, `?` for one letter.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicPattern(String);
-names!(TopicPattern);
+names! {
+    TopicPattern: |text| {
+        let fits = |b: u8| b.is_ascii_alphanumeric() || b"_/*?".contains(&b);
+        (text.starts_with('/') || text.starts_with("**")) && is_name(text, LONGEST_NAME, fits, fits)
+    }, else PatternError by |text| PatternError(super::clean(text, 80));
+}
 as_text!(TopicPattern);
 
 impl TopicPattern {
@@ -29,7 +32,6 @@ impl TopicPattern {
         !self.0.contains(['*', '?'])
     }
 
-    /// Whether the topic's name matches this pattern.
     pub fn matches(&self, topic: &str) -> bool {
         fits(self.0.as_bytes(), topic.as_bytes())
     }
@@ -54,14 +56,13 @@ pub(super) fn fits(pattern: &[u8], text: &[u8]) -> bool {
     reached.last().copied().unwrap_or(false)
 }
 
-/// Advances by one letter.
 fn step(reached: &[bool], text: &[u8], letter: u8) -> Vec<bool> {
     let is_it = |byte: u8| byte == letter || letter == b'?' && byte != b'/';
     let moved = reached.iter().zip(text).map(|(&here, &byte)| here && is_it(byte));
     std::iter::once(false).chain(moved).collect()
 }
 
-/// Advances by any number of letters, across `/` or not.
+/// `over_parts`: across `/`.
 fn spread(reached: &[bool], text: &[u8], over_parts: bool) -> Vec<bool> {
     let mut going = false;
     let mut spread = Vec::with_capacity(reached.len());
@@ -73,20 +74,6 @@ fn spread(reached: &[bool], text: &[u8], over_parts: bool) -> Vec<bool> {
     spread
 }
 
-impl FromStr for TopicPattern {
-    type Err = PatternError;
-
-    fn from_str(text: &str) -> Result<Self, PatternError> {
-        let usable = |byte: u8| byte.is_ascii_alphanumeric() || b"_/*?".contains(&byte);
-        let begins = text.starts_with('/') || text.starts_with("**");
-        if begins && text.len() <= LONGEST_NAME && text.bytes().all(usable) {
-            return Ok(Self(text.to_owned()));
-        }
-        Err(PatternError(super::clean(text, 80)))
-    }
-}
-
-/// The rule for topics that match a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicRule {
     pub pattern: TopicPattern,
@@ -104,7 +91,6 @@ pub struct TopicRule {
     pub retention: Option<u64>,
 }
 
-/// The tag by which a rule states how long a record is kept.
 pub const RETENTION_TAG: &str = "retention";
 
 impl TopicRule {

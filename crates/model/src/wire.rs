@@ -1,15 +1,11 @@
 //! Encoding and parsing of fixed-order binary structures, big endian, with bounded lengths.
 
-/// Why bytes do not have the expected structure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
-    /// Fewer bytes than the structure needs.
     #[error("the data ends before the {0}")]
     Short(&'static str),
-    /// Bytes are left over.
     #[error("{0} bytes are left over after the end")]
     Long(usize),
-    /// A field holds a value that is not allowed.
     #[error("the {0} has an invalid value")]
     Value(&'static str),
 }
@@ -21,86 +17,51 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Over all of `bytes`.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { rest: bytes }
     }
 
-    /// The unread rest.
     pub fn rest(&self) -> &'a [u8] {
         self.rest
     }
 
-    /// The next `count` bytes.
     pub fn take(&mut self, count: usize, field: &'static str) -> Result<&'a [u8], WireError> {
         let (head, rest) = self.rest.split_at_checked(count).ok_or(WireError::Short(field))?;
         self.rest = rest;
         Ok(head)
     }
 
-    /// The next `N` bytes as an array.
     pub fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], WireError> {
         let (head, rest) = self.rest.split_first_chunk().ok_or(WireError::Short(field))?;
         self.rest = rest;
         Ok(*head)
     }
 
-    /// One byte.
-    pub fn u8(&mut self, field: &'static str) -> Result<u8, WireError> {
-        self.array(field).map(u8::from_be_bytes)
-    }
-
-    /// Two bytes, big endian.
-    pub fn u16(&mut self, field: &'static str) -> Result<u16, WireError> {
-        self.array(field).map(u16::from_be_bytes)
-    }
-
-    /// Four bytes, big endian.
-    pub fn u32(&mut self, field: &'static str) -> Result<u32, WireError> {
-        self.array(field).map(u32::from_be_bytes)
-    }
-
-    /// Eight bytes, big endian.
-    pub fn u64(&mut self, field: &'static str) -> Result<u64, WireError> {
-        self.array(field).map(u64::from_be_bytes)
-    }
-
-    /// A text with a two-byte length before it.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is truncated or not UTF-8.
+    /// With a two-byte length before it.
     pub fn text(&mut self, field: &'static str) -> Result<String, WireError> {
         let length = usize::from(self.u16(field)?);
         let bytes = self.take(length, field)?;
         std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| WireError::Value(field))
     }
 
-    /// Ends parsing: nothing may be left.
+    /// Nothing may be left.
     pub fn end(&self) -> Result<(), WireError> {
         if self.rest.is_empty() { Ok(()) } else { Err(WireError::Long(self.rest.len())) }
     }
 }
 
-/// What is written in one way, and read again.
+/// A value with exactly one encoding.
 pub trait Wire: Sized {
-    /// Appends its encoding.
     fn put(&self, out: &mut Vec<u8>);
 
-    /// Takes it from the front; `field` is what errors call it.
-    ///
-    /// # Errors
-    /// [`WireError`] if it is not there, or not allowed.
+    /// Takes it from the front; errors call it `field`.
     fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError>;
 
-    /// Its encoding.
     fn encoded(&self) -> Vec<u8> {
         self.behind(&[])
     }
 
-    /// From a whole encoding.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
+    /// Nothing may be left over.
     fn whole(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let value = Self::read(&mut reader, "structure")?;
@@ -108,7 +69,7 @@ pub trait Wire: Sized {
         Ok(value)
     }
 
-    /// Its encoding with a label before it.
+    /// Its encoding behind a label.
     fn behind(&self, label: &[u8]) -> Vec<u8> {
         let mut out = Vec::with_capacity(256);
         out.extend_from_slice(label);
@@ -116,10 +77,7 @@ pub trait Wire: Sized {
         out
     }
 
-    /// From a whole encoding with a label before it, which errors call `field`.
-    ///
-    /// # Errors
-    /// [`WireError`] if the bytes are not exactly one.
+    /// Errors call the label `field`.
     fn whole_behind(label: &[u8], field: &'static str, bytes: &[u8]) -> Result<Self, WireError> {
         Self::whole(bytes.strip_prefix(label).ok_or(WireError::Value(field))?)
     }
@@ -167,8 +125,37 @@ macro_rules! layout {
     )+};
 }
 
+/// `encode` and `parse` of a body that consists of a label, called `$word` in errors, and one encoding.
+#[macro_export]
+macro_rules! body {
+    ($name:ident behind $label:expr, $word:literal) => {
+        impl $name {
+            /// Its encoding.
+            pub fn encode(&self) -> Vec<u8> {
+                $crate::wire::Wire::behind(self, $label)
+            }
+
+            /// From its encoding; only the form is checked.
+            /// # Errors
+            /// If the bytes are not exactly one.
+            pub fn parse(bytes: &[u8]) -> Result<Self, $crate::wire::WireError> {
+                $crate::wire::Wire::whole_behind($label, $word, bytes)
+            }
+        }
+    };
+    ($name:ident) => {
+        $crate::body!($name behind &[], "label");
+    };
+}
+
 macro_rules! numbers {
     ($($number:ident)+) => {$(
+        impl Reader<'_> {
+            pub fn $number(&mut self, field: &'static str) -> Result<$number, WireError> {
+                self.array(field).map($number::from_be_bytes)
+            }
+        }
+
         impl Wire for $number {
             fn put(&self, out: &mut Vec<u8>) {
                 out.extend_from_slice(&self.to_be_bytes());
@@ -231,16 +218,33 @@ impl Wire for Vec<u8> {
     }
 }
 
-impl<A: Wire, B: Wire> Wire for (A, B) {
+/// 0, or 1 and the value.
+impl<T: Wire> Wire for Option<T> {
     fn put(&self, out: &mut Vec<u8>) {
-        self.0.put(out);
-        self.1.put(out);
+        self.is_some().put(out);
+        self.iter().for_each(|value| value.put(out));
     }
 
     fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
-        Ok((A::read(reader, field)?, B::read(reader, field)?))
+        bool::read(reader, field)?.then(|| T::read(reader, field)).transpose()
     }
 }
+
+macro_rules! tuples {
+    ($(($($part:ident $at:tt),+))+) => {$(
+        impl<$($part: Wire),+> Wire for ($($part),+) {
+            fn put(&self, out: &mut Vec<u8>) {
+                $(self.$at.put(out);)+
+            }
+
+            fn read(reader: &mut Reader<'_>, field: &'static str) -> Result<Self, WireError> {
+                Ok(($($part::read(reader, field)?),+))
+            }
+        }
+    )+};
+}
+
+tuples!((A 0, B 1) (A 0, B 1, C 2) (A 0, B 1, C 2, D 3));
 
 /// Appends how many there are, and each; what is beyond `most` is cut.
 pub fn put_list<Count: Wire + TryFrom<usize> + Default>(out: &mut Vec<u8>, list: &[impl Wire], most: usize) {
@@ -249,19 +253,14 @@ pub fn put_list<Count: Wire + TryFrom<usize> + Default>(out: &mut Vec<u8>, list:
     list.iter().for_each(|one| one.put(out));
 }
 
-/// As many as their count says, which must be one of `allowed`. `fields`: what errors call the count, and one of them.
-///
-/// # Errors
-/// [`WireError`] before anything is kept if there may not be as many; else that of one of them.
-pub fn read_list<Count: Wire + Into<usize>, One: Wire>(
+/// As many as their count says, which must be in `allowed`. Errors call the count `fields.0`, an item `fields.1`.
+pub fn read_list<Count: Wire + TryInto<usize>, One: Wire>(
     reader: &mut Reader<'_>,
     allowed: std::ops::RangeInclusive<usize>,
     fields: (&'static str, &'static str),
 ) -> Result<Vec<One>, WireError> {
-    let count: usize = Count::read(reader, fields.0)?.into();
-    if !allowed.contains(&count) {
-        return Err(WireError::Value(fields.0));
-    }
+    let count = Count::read(reader, fields.0)?.try_into().ok().filter(|count| allowed.contains(count));
+    let count = count.ok_or(WireError::Value(fields.0))?;
     (0..count).map(|_| One::read(reader, fields.1)).collect()
 }
 

@@ -1,6 +1,5 @@
 //! SM4 with AES-NI and AVX2: the field inversion comes from AES's last round (AESENCLAST); the affine maps around it
 //! are nibble look-ups within a register.
-//!
 //! Safety: nothing but the intrinsics of features that are checked before [`super`] calls.
 
 use std::arch::x86_64::{

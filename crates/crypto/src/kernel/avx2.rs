@@ -1,5 +1,4 @@
 //! SM4 on 16 blocks at once with AVX2; each kernel supplies its own S-box.
-//!
 //! Safety: the features are checked before [`super`] calls; the only memory access goes through references to whole
 //! arrays of 32 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
@@ -134,7 +133,6 @@ macro_rules! sm4_avx2 {
             rest
         }
 
-        /// XORs the stream from `counter` on into `text`.
         #[target_feature(enable = $features)]
         pub(super) fn apply(keys: &[u32; 32], mut counter: Counter, text: &mut [u8]) {
             let rest = sweep::<4, { 4 * GROUP }>(keys, &mut counter, text);
@@ -161,7 +159,6 @@ macro_rules! sm4_avx2 {
             out
         }
 
-        /// The key schedule of a key.
         #[target_feature(enable = $features)]
         pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
             round_keys(key, |word| {

@@ -1,5 +1,4 @@
 //! SM4 with GFNI and AVX2: the S-box is two instructions.
-//!
 //! Safety: nothing but the intrinsics of features that are checked before [`super`] calls.
 
 use std::arch::x86_64::{

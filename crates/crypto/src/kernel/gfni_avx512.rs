@@ -1,5 +1,4 @@
 //! SM4 on 64 blocks at once: GFNI and AVX-512. Four groups of 16 blocks hide the latency of the S-box.
-//!
 //! Safety: the intrinsics need only the features that [`super::Kernel`] has checked before it calls; the only memory
 //! access goes through references to whole arrays of 64 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
@@ -132,7 +131,6 @@ fn sweep<'a, const N: usize, const BYTES: usize>(
     rest
 }
 
-/// XORs the stream from `counter` on into `text`.
 #[target_feature(enable = "avx512f,avx512bw,gfni")]
 pub(super) fn apply(keys: &[u32; 32], mut counter: Counter, text: &mut [u8]) {
     let rest = sweep::<4, { 4 * GROUP }>(keys, &mut counter, text);
@@ -160,7 +158,6 @@ pub(super) fn first(keys: &[u32; 32], nonce: [u32; 3]) -> [u8; GROUP] {
     out
 }
 
-/// The key schedule of a key.
 #[target_feature(enable = "avx512f,avx512bw,gfni")]
 pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
     round_keys(key, |word| {

@@ -9,19 +9,15 @@ use super::{Available, Kernel};
 #[cfg(target_arch = "x86_64")]
 use super::{ghash_avx512, ghash_pclmul};
 
-/// A running GHASH.
 #[allow(clippy::large_enum_variant, reason = "it lives on the stack for one text")]
 pub(crate) enum Ghash {
-    /// With the `ghash` crate.
     Crate(Box<GHash>),
     /// With vector instructions: powers of H (H^16 first), and the sum so far.
     #[cfg(target_arch = "x86_64")]
     Powers {
-        /// The multiplier in use.
         kernel: Available,
         /// H^16 .. H^1 in POLYVAL's notation.
         powers: [u128; 16],
-        /// The sum.
         hash: u128,
     },
 }
@@ -57,7 +53,6 @@ impl Ghash {
         }
     }
 
-    /// The hash of everything added.
     pub fn finish(&self) -> [u8; 16] {
         match self {
             Self::Crate(hash) => hash.as_ref().clone().finalize().into(),

@@ -1,6 +1,5 @@
 //! GHASH with VPCLMULQDQ and AVX-512: 16 blocks between reductions, four to a vector. The remainder and the powers of H
 //! are left to [`super::ghash_pclmul`], which explains the mathematics.
-//!
 //! Safety: the features are checked before [`super`] calls; loads are unaligned and cover whole borrowed arrays.
 #![allow(unsafe_code, reason = "vector loads, see above")]
 
@@ -12,7 +11,6 @@ use std::arch::x86_64::{
 
 use super::ghash_pclmul::{halves, number, reduced};
 
-/// The XOR of three operands.
 const XOR: i32 = 0x96;
 /// Bytes between reductions.
 pub(super) const BATCH: usize = 256;
@@ -35,7 +33,6 @@ impl Sum {
         self.high = _mm512_xor_si512(self.high, _mm512_clmulepi64_epi128::<0x11>(left, right));
     }
 
-    /// The sum of the four lanes, reduced.
     #[inline]
     #[target_feature(enable = "avx512f,avx512bw,pclmulqdq,sse2")]
     fn reduced(self) -> __m128i {

@@ -1,6 +1,5 @@
 //! GHASH (NIST SP 800-38D, 6.4) with PCLMULQDQ: up to 16 blocks between reductions. Blocks are read big endian, so that
 //! products are those of POLYVAL (RFC 8452, 3 and appendix A), each with a factor x^-128.
-//!
 //! Safety: the features are checked before [`super`] calls; loads are unaligned and cover whole blocks.
 #![allow(unsafe_code, reason = "vector loads, see above")]
 
@@ -12,7 +11,6 @@ use std::arch::x86_64::{
 /// The upper half of x^128 + x^127 + x^126 + x^121 + 1, without its first term.
 const POLYNOMIAL: u64 = 0xc200_0000_0000_0000;
 
-/// A number as a vector.
 #[inline]
 #[target_feature(enable = "sse2")]
 pub(super) fn halves(number: u128) -> __m128i {
@@ -21,7 +19,6 @@ pub(super) fn halves(number: u128) -> __m128i {
     _mm_set_epi64x(i64::from_le_bytes(halves[1]), i64::from_le_bytes(halves[0]))
 }
 
-/// A vector as a number.
 #[inline]
 #[target_feature(enable = "sse2")]
 pub(super) fn number(vector: __m128i) -> u128 {
@@ -76,7 +73,6 @@ impl Sum {
     }
 }
 
-/// A block, read big endian.
 #[inline]
 #[target_feature(enable = "sse2,ssse3")]
 fn turned(block: &[u8; 16]) -> __m128i {
@@ -100,7 +96,6 @@ pub(super) fn powers(key: u128, count: usize) -> [u128; 16] {
     powers
 }
 
-/// Adds blocks to the sum `hash`, 16 at a time.
 #[target_feature(enable = "sse2,ssse3,pclmulqdq")]
 pub(super) fn update(powers: &[u128; 16], hash: u128, blocks: &[[u8; 16]]) -> u128 {
     let zero = _mm_setzero_si128();

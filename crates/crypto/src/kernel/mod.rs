@@ -1,11 +1,8 @@
-//! SM4 in counter mode, GHASH and SM3 with the vector instructions of this processor, and SM2's arithmetic. The choice
-//! is made once, at run time; all variants, including the portable one, take the same time for all secrets. The files
-//! below hold the program's only `unsafe`, and each says why it is sound: functions that need processor features are
+//! SM4 in counter mode, GHASH and SM3 by this processor's vector instructions, and SM2's arithmetic. All variants take
+//! the same time for all secrets. The only `unsafe` is here and below: functions that need processor features are
 //! called only with an [`Available`], or (SM2) through `way`, which detected them.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
-use std::fmt;
-use std::str::FromStr;
 use std::sync::OnceLock;
 
 use zeroize::Zeroizing;
@@ -45,7 +42,8 @@ pub(super) use sm3::{BLOCK, INITIAL, compress, ending};
 pub(super) use sm3_lanes::{LONG, digest_many};
 
 /// The implementation of SM4 and GHASH.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::Display, strum::EnumString)]
+#[strum(serialize_all = "kebab-case", parse_err_ty = KernelError, parse_err_fn = unknown)]
 pub enum Kernel {
     /// GFNI, AVX-512 and VPCLMULQDQ: 64 blocks at once.
     GfniAvx512,
@@ -104,7 +102,6 @@ impl Kernel {
     }
 
     /// Makes the whole process use this kernel, for tests and measurements.
-    ///
     /// # Errors
     /// [`KernelError::Unavailable`], or [`KernelError::Decided`] if another one is already in use.
     pub fn force(self) -> Result<(), KernelError> {
@@ -114,27 +111,10 @@ impl Kernel {
     }
 }
 
-impl fmt::Display for Kernel {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::GfniAvx512 => "gfni-avx512",
-            Self::GfniAvx2 => "gfni-avx2",
-            Self::AesniAvx2 => "aesni-avx2",
-            Self::Portable => "portable",
-        })
-    }
+fn unknown(text: &str) -> KernelError {
+    KernelError::Unknown(clean(text, 40))
 }
 
-impl FromStr for Kernel {
-    type Err = KernelError;
-
-    fn from_str(text: &str) -> Result<Self, KernelError> {
-        let known = Self::ALL.into_iter().find(|kernel| kernel.to_string() == text);
-        known.ok_or_else(|| KernelError::Unknown(clean(text, 40)))
-    }
-}
-
-/// The kernel that this process uses.
 static DECIDED: OnceLock<Available> = OnceLock::new();
 
 /// A kernel that this processor can run.
@@ -172,14 +152,12 @@ fn words(nonce: &[u8; 12]) -> [u32; 3] {
     words
 }
 
-/// One SM4 key, ready to encrypt.
 pub(super) struct Sm4 {
     kernel: Available,
     keys: Zeroizing<[u32; 32]>,
 }
 
 impl Sm4 {
-    /// For a key.
     pub fn new(kernel: Available, key: &[u8; 16]) -> Self {
         let keys = match kernel.0 {
             // SAFETY: `kernel` exists, so its features do.

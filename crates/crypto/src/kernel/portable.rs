@@ -1,6 +1,5 @@
 //! SM4 on any processor, bitsliced: bit b of word w of 64 blocks lies in one number, and a round is a circuit of AND
 //! and XOR. No tables and no branches, so the time depends on neither key nor data.
-//!
 //! The inverse in GF(2^8) is computed in GF(2^4)[Y] / (Y^2 + Y + x^3), GF(2^4) = GF(2)[x] / (x^4 + x + 1).
 
 #![allow(clippy::inline_always, reason = "one circuit: the compiler must see the constants of its maps")]
@@ -10,13 +9,10 @@ use zeroize::Zeroize as _;
 use super::Counter;
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, product, round_keys};
 
-/// Bytes of 64 blocks.
 const BATCH: usize = 1024;
 /// One byte in each of 64 blocks, bit by bit.
 type Byte = [u64; 8];
-/// Half a byte.
 type Nibble = [u64; 4];
-/// One word in each of 64 blocks.
 type Word = [u64; 32];
 
 /// Into the tower field, after the first affine map: rows, and the constant.
@@ -24,7 +20,6 @@ const INTO: ([u8; 8], u8) = (rows_into(), to_tower(CONSTANT_BEFORE));
 /// Out of the tower field, before the second.
 const OUT_OF: ([u8; 8], u8) = (rows_out_of(), CONSTANT_AFTER);
 
-/// A product in GF(2^4).
 const fn nibble_product(left: u8, right: u8) -> u8 {
     let (mut sum, mut bit) = (0, 0);
     while bit < 4 {
@@ -75,7 +70,6 @@ const POWERS: [u8; 8] = {
     powers
 };
 
-/// An element of AES's field, mapped into the tower.
 const fn to_tower(byte: u8) -> u8 {
     let (mut sum, mut bit) = (0, 0);
     while bit < 8 {
@@ -164,7 +158,6 @@ fn inverse(a: Nibble) -> Nibble {
     times(times(second, fourth), square(fourth))
 }
 
-/// The S-box.
 #[inline(always)]
 fn substituted(byte: &Byte) -> Byte {
     let [l0, l1, l2, l3, h0, h1, h2, h3] = mapped(INTO, byte);
@@ -198,7 +191,6 @@ fn plane(word: u32, bit: usize) -> u64 {
     0u64.wrapping_sub(u64::from(word >> bit & 1))
 }
 
-/// Rows to columns, in place.
 fn transpose(rows: &mut [u64; 64]) {
     let (mut step, mut mask) = (32, 0xffff_ffff_u64);
     while step > 0 {
@@ -232,7 +224,6 @@ fn counters(counter: Counter, zero: bool) -> [Word; 4] {
     words
 }
 
-/// 64 encrypted blocks.
 fn stream(keys: &[u32; 32], counter: Counter, zero: bool) -> [u8; BATCH] {
     let [mut a, mut b, mut c, mut d] = counters(counter, zero);
     for &[first, second, third, fourth] in keys.as_chunks::<4>().0 {
@@ -259,7 +250,6 @@ fn stream(keys: &[u32; 32], counter: Counter, zero: bool) -> [u8; BATCH] {
     out
 }
 
-/// The key schedule of a key.
 pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
     round_keys(key, |word| {
         let mut byte = [0; 8];
@@ -273,7 +263,6 @@ pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
     })
 }
 
-/// XORs the stream from `counter` on into `text`.
 pub(super) fn apply(keys: &[u32; 32], mut counter: Counter, text: &mut [u8]) {
     for part in text.chunks_mut(BATCH) {
         let mut stream = stream(keys, counter, false);

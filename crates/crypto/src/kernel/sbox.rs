@@ -5,11 +5,8 @@ use zeroize::Zeroize as _;
 
 /// The matrix before the inverse, in the form `gf2p8affineqb` takes.
 pub(super) const MATRIX_BEFORE: u64 = 0x4c28_7db9_1a22_505d;
-/// The constant before the inverse.
 pub(super) const CONSTANT_BEFORE: u8 = 0x3e;
-/// The matrix after the inverse.
 pub(super) const MATRIX_AFTER: u64 = 0xf3ab_34a9_74a6_b589;
-/// The constant after the inverse.
 pub(super) const CONSTANT_AFTER: u8 = 0xd3;
 
 /// FK, which is XORed with the key.

@@ -9,7 +9,6 @@ use ::sm3::digest::common::hazmat::SerializableState as _;
 #[cfg(target_arch = "x86_64")]
 use super::{sm3_avx2, sm3_avx512};
 
-/// Bytes of a block.
 pub(crate) const BLOCK: usize = 64;
 
 /// The state before the first block (4.1).

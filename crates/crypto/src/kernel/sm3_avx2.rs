@@ -1,5 +1,4 @@
 //! The compression function of SM3 (GB/T 32905-2016, 5.3) on 8 messages side by side, with AVX2.
-//!
 //! Safety: the features are checked before [`super`] calls; loads and stores are unaligned and cover whole arrays.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
@@ -13,7 +12,6 @@ use super::sm3::{BLOCK, CONSTANTS};
 use super::sm3_lanes::States;
 use super::sm3_single::{self, MIXED, Rows};
 
-/// Messages side by side.
 pub(super) const LANES: usize = 8;
 
 #[inline]

@@ -30,16 +30,13 @@ pub(crate) fn digest_many(messages: &[&[u8]]) -> Vec<[u8; 32]> {
     messages.iter().map(|message| sm3(&[message])).collect()
 }
 
-/// A message being processed in a lane.
 struct Lane<'a> {
-    /// Which message.
     index: usize,
     whole: &'a [[u8; BLOCK]],
     /// The rest of the message with its padding.
     end: [[u8; BLOCK]; 2],
     /// How many blocks of `end` count.
     ends: usize,
-    /// Blocks processed.
     at: usize,
 }
 

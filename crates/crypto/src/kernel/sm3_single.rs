@@ -1,8 +1,5 @@
-//! The compression function of SM3 (GB/T 32905-2016, 5.3) for one long message. A state must wait for the one before,
-//! but the message expansion needs no state: vectors expand the next blocks, one row at a time between the rounds of
-//! the current ones, in slots the processor has free. This is less work than block by block, which shows most when
-//! another thread shares the core.
-//!
+//! SM3's compression (GB/T 32905-2016, 5.3) for one long message. States depend on each other, but the message
+//! expansion needs none: vectors expand the next blocks between the rounds of the current ones, in free slots.
 //! Safety: `hold` emits no instruction; the features the rows need are checked before they are called.
 #![allow(unsafe_code, reason = "an empty instruction and calls with checked features, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]

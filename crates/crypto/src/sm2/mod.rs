@@ -1,5 +1,4 @@
-//! SM2 (GB/T 32918-2016) by our own kernels: signatures, their verification, encryption. The arithmetic is in
-//! `kernel::sm2`; here are the steps of the standard, nonces, and the tables kept for known signers.
+//! SM2 (GB/T 32918-2016) by our own kernels: the steps of the standard, nonces, and tables for known signers.
 
 #[cfg(test)]
 mod tests;
@@ -18,7 +17,7 @@ use crate::der::CipherParts;
 use crate::kernel::sm2::{Affine, Scalar, Signer, SignerTable, multiply, multiply_both, multiply_generator, verifies};
 use crate::model::{PublicKey, Signature};
 use crate::provider::DISTINGUISHED_ID;
-use crate::secret::{random_bytes, unprefixed};
+use crate::secret::{joined, random_bytes};
 use crate::sm3::{Sm3Hasher, sm3};
 
 /// The point of a public key, checked to be on the curve and canonically encoded.
@@ -26,8 +25,8 @@ pub(super) fn point(public: &PublicKey) -> Result<Affine, CryptoError> {
     Affine::from_bytes(&public.0).ok_or(CryptoError::PublicPoint)
 }
 
-// Nonces of signatures, hedged: from key, hash and fresh random bytes by HMAC-SM3 (RFC 6979, 3.2, with the additional
-// data of 3.6). A random source that fails or repeats itself does not give a nonce away.
+// Nonces are hedged: HMAC-SM3 of key, hash and fresh random bytes (RFC 6979, 3.2 and 3.6), so that a failing random
+// source does not give a nonce away.
 
 /// A key of HMAC-SM3, with its two pads already hashed.
 struct Keyed {
@@ -93,9 +92,8 @@ impl Nonces {
     }
 }
 
-// Tables for known signers: a gateway and an auditor meet the same few thousand keys. A table only makes verification
-// faster; every signature is verified in full. It is built at a signer's third valid signature, and evicted only if its
-// signer had no valid one for an hour: no flood of signatures, by any signer, makes an hour pass.
+// A table only makes verification faster; every signature is verified in full. It is built at a signer's third valid
+// signature, and replaced only if its signer had none for an hour: no flood of signatures makes an hour pass.
 
 /// The most bytes of all tables together.
 const ROOM: usize = 64 << 20;
@@ -107,8 +105,8 @@ const _: () = assert!(SignerTable::BYTES <= 64 << 10 && MOST * SignerTable::BYTE
 const SIGHTINGS: u8 = 3;
 /// The most signers whose sightings are counted at once.
 const COUNTED: usize = 4096;
-/// Seconds without a valid signature after which a signer's table may be replaced. Not a number of verifications: those
-/// can be made in a second, by strangers or by one known signer, and would make all quiet signers replaceable.
+/// Seconds without a valid signature before a table may be replaced. Not a number of verifications: a flood
+/// of them takes a second.
 const IDLE: u64 = 3600;
 
 /// A known signer: its key was checked when the table was built.
@@ -271,7 +269,6 @@ impl SigningKey {
         Ok(Self { secret: *secret, inverse: one_more.invert(), public, za: za(&public) })
     }
 
-    /// The public key.
     pub fn public(&self) -> &PublicKey {
         &self.public
     }
@@ -297,10 +294,7 @@ impl SigningKey {
         if r.is_zero() || both.is_zero() || s.is_zero() {
             return None;
         }
-        let mut bytes = [0; 64];
-        bytes[..32].copy_from_slice(&r.to_bytes());
-        bytes[32..].copy_from_slice(&s.to_bytes());
-        Some(Signature(bytes))
+        Some(Signature(joined(&r.to_bytes(), &s.to_bytes())))
     }
 }
 
@@ -330,7 +324,6 @@ fn verify_among(
 }
 
 /// Checks a signature in full, as for an unknown signer; only for measurements.
-///
 /// # Errors
 /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].
 pub fn verify_as_stranger(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
@@ -346,7 +339,6 @@ fn check(signer: &impl Signer, za: &[u8; 32], message: &[u8], signature: &Signat
 
 // Encryption (GB/T 32918.4-2016, 6.1 and 7.1) with points already checked.
 
-/// Encrypts to a public key.
 pub(crate) fn encrypt(public: &PublicKey, plain: &[u8]) -> Result<CipherParts, CryptoError> {
     let point = point(public)?;
     loop {
@@ -377,25 +369,24 @@ fn encrypt_with(k: &Scalar, point: &Affine, plain: &[u8]) -> Option<CipherParts>
 
 /// Decrypts with a secret number; constant-time in it.
 pub(crate) fn decrypt(secret: &[u8; 32], parts: CipherParts) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
-    let point = point(&unprefixed(&parts.x, &parts.y))?;
-    let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or(CryptoError::SecretRange("SM2"))?);
-    let mut shared = multiply(&number, &point);
+    let shared = shared(secret, &PublicKey(joined(&parts.x, &parts.y)))?;
     let coordinates = Zeroizing::new(shared.to_bytes());
-    shared.zeroize();
     let mut plain = Zeroizing::new(parts.text);
     let masked = mask(&coordinates, &mut plain);
     let same = bool::from(check_value(&coordinates, &plain).ct_eq(&parts.check));
     if masked && same { Ok(plain) } else { Err(CryptoError::BadCiphertext) }
 }
 
-/// The x coordinate of a secret number times a public key; constant-time in the number.
-pub(crate) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+/// A secret number times a public key; constant-time in the number.
+fn shared(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<Affine>, CryptoError> {
     let point = point(public)?;
     let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or(CryptoError::SecretRange("SM2"))?);
-    let mut shared = multiply(&number, &point);
-    let x = Zeroizing::new(shared.x_bytes());
-    shared.zeroize();
-    Ok(x)
+    Ok(Zeroizing::new(multiply(&number, &point)))
+}
+
+/// The x coordinate of that.
+pub(crate) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
+    Ok(Zeroizing::new(shared(secret, public)?.x_bytes()))
 }
 
 /// XORs the stream derived from x2 || y2 (5.4.3) into the text; returns whether any byte of the stream was not zero.

@@ -1,5 +1,4 @@
-//! Certificates (X.509), as much as time stamp authorities need: their names, their extensions, and the signatures over
-//! them and over stamps.
+//! Certificates (X.509) as far as time stamp authorities need them.
 
 use super::{TimeError, form, outer, seconds};
 use authros_crypto::der::{BITS, BOOLEAN, Der, Element, NULL, OCTETS, SEQUENCE, SET, context, primitive};
@@ -26,7 +25,7 @@ const MAY_SIGN: u8 = 0xc0;
 pub struct Certificate {
     pub(super) der: Vec<u8>,
     pub(super) signed: Vec<u8>,
-    /// How it is signed; not each way is one that is checked here.
+    /// Not every scheme is checked here.
     pub(super) scheme: Result<Scheme, TimeError>,
     pub(super) signature: Vec<u8>,
     pub(super) serial: Vec<u8>,
@@ -38,12 +37,10 @@ pub struct Certificate {
     pub(super) uses: Uses,
 }
 
-/// What its extensions say.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Uses {
     /// It may issue others, with so many between it and the last at most; without a limit, that is `u64::MAX`.
     pub issuer: Option<u64>,
-    /// The first byte of keyUsage.
     pub key: Option<u8>,
     /// A critical extended key usage that names timeStamping and nothing else.
     pub stamps: bool,
@@ -63,7 +60,6 @@ impl Uses {
 
 impl Certificate {
     /// From DER.
-    ///
     /// # Errors
     /// [`TimeError`] where it is none, or signed in an unknown way.
     pub fn parse(der: &[u8]) -> Result<Self, TimeError> {
@@ -86,9 +82,8 @@ impl Certificate {
             return Err(form(PART, "it names two signature algorithms"));
         }
         let issuer = inner.element(SEQUENCE)?.whole.to_vec();
-        let mut validity = inner.inside(SEQUENCE)?;
-        let (from, until) = (validity.any()?, validity.any()?);
-        validity.end()?;
+        let (from, until) =
+            inner.within(SEQUENCE, |validity| Ok::<_, TimeError>((validity.any()?, validity.any()?)))?;
         let subject = inner.element(SEQUENCE)?.whole.to_vec();
         let key = Key::read(&mut inner)?;
         for unique in [1, 2] {
@@ -105,7 +100,6 @@ impl Certificate {
     }
 
     /// From PEM: the first certificate of it.
-    ///
     /// # Errors
     /// [`TimeError`] where there is none.
     pub fn from_pem(text: &str) -> Result<Self, TimeError> {
@@ -130,7 +124,6 @@ impl Certificate {
         })
     }
 
-    /// Whether it was valid at a time, seconds.
     pub(super) fn valid_at(&self, at: u64) -> Result<(), TimeError> {
         if (self.from..=self.until).contains(&at) {
             return Ok(());
@@ -187,7 +180,6 @@ impl Uses {
     }
 }
 
-/// The last common name in a distinguished name, cleaned.
 fn common_name(name: &[u8]) -> Option<String> {
     const COMMON_NAME: &[u8] = b"\x55\x04\x03";
     let mut parts = Der::only(PART, name, SEQUENCE).ok()?;
@@ -208,29 +200,21 @@ fn common_name(name: &[u8]) -> Option<String> {
 pub(super) const SIGNED_DATA: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x07\x02";
 /// id-ct-TSTInfo (RFC 3161).
 pub(super) const STAMP: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x09\x10\x01\x04";
-/// id-contentType.
 pub(super) const CONTENT_TYPE: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x09\x03";
-/// id-messageDigest.
 pub(super) const MESSAGE_DIGEST: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x09\x04";
 /// id-aa-signingCertificate (RFC 2634), by SHA-1.
 pub(super) const SIGNING_CERTIFICATE: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x09\x10\x02\x0c";
 /// id-aa-signingCertificateV2 (RFC 5035).
 pub(super) const SIGNING_CERTIFICATE_2: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x09\x10\x02\x2f";
 
-/// SHA-256.
 pub(super) const SHA_256: &[u8] = b"\x60\x86\x48\x01\x65\x03\x04\x02\x01";
-/// SHA-384.
 const SHA_384: &[u8] = b"\x60\x86\x48\x01\x65\x03\x04\x02\x02";
-/// SHA-512.
 const SHA_512: &[u8] = b"\x60\x86\x48\x01\x65\x03\x04\x02\x03";
 
 /// rsaEncryption: a key, and a signature whose hash is named elsewhere.
 pub(super) const RSA: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x01\x01";
-/// sha256WithRSAEncryption.
 const RSA_SHA_256: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x01\x0b";
-/// sha384WithRSAEncryption.
 const RSA_SHA_384: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x01\x0c";
-/// sha512WithRSAEncryption.
 const RSA_SHA_512: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x01\x0d";
 /// id-RSASSA-PSS.
 pub(super) const RSA_PSS: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x01\x0a";
@@ -239,29 +223,20 @@ const MASK: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x01\x08";
 
 /// id-ecPublicKey.
 const CURVE_KEY: &[u8] = b"\x2a\x86\x48\xce\x3d\x02\x01";
-/// P-256.
 const P_256: &[u8] = b"\x2a\x86\x48\xce\x3d\x03\x01\x07";
-/// P-384.
 const P_384: &[u8] = b"\x2b\x81\x04\x00\x22";
-/// ecdsa-with-SHA256.
 const ECDSA_SHA_256: &[u8] = b"\x2a\x86\x48\xce\x3d\x04\x03\x02";
-/// ecdsa-with-SHA384.
 const ECDSA_SHA_384: &[u8] = b"\x2a\x86\x48\xce\x3d\x04\x03\x03";
-/// ecdsa-with-SHA512.
 const ECDSA_SHA_512: &[u8] = b"\x2a\x86\x48\xce\x3d\x04\x03\x04";
 
 /// keyUsage (RFC 5280).
 const KEY_USAGE: &[u8] = b"\x55\x1d\x0f";
-/// basicConstraints.
 const BASIC_CONSTRAINTS: &[u8] = b"\x55\x1d\x13";
-/// certificatePolicies.
 const POLICIES: &[u8] = b"\x55\x1d\x20";
-/// extKeyUsage.
 const EXTENDED_KEY_USAGE: &[u8] = b"\x55\x1d\x25";
 /// id-kp-timeStamping.
 const TIME_STAMPING: &[u8] = b"\x2b\x06\x01\x05\x05\x07\x03\x08";
 
-/// A hash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HashKind {
     Sha256,
@@ -293,7 +268,6 @@ impl HashKind {
         }
     }
 
-    /// The hash of these bytes.
     pub fn of(self, bytes: &[u8]) -> digest::Digest {
         digest::digest(self.algorithm(), bytes)
     }
@@ -308,21 +282,16 @@ fn nothing(der: &mut Der<'_>) -> Result<(), TimeError> {
     Ok(der.end()?)
 }
 
-/// How something is signed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scheme {
     /// RSA; the hash is named elsewhere.
     Rsa,
-    /// RSA by PKCS#1 v1.5.
     Pkcs1(HashKind),
-    /// RSA by PSS.
     Pss(HashKind),
-    /// ECDSA.
     Ecdsa(HashKind),
 }
 
 impl Scheme {
-    /// From an AlgorithmIdentifier.
     pub fn read(der: &mut Der<'_>) -> Result<Self, TimeError> {
         let mut inner = der.inside(SEQUENCE)?;
         let name = inner.object()?;
@@ -380,21 +349,16 @@ fn pss(der: &mut Der<'_>) -> Result<Scheme, TimeError> {
     if is_known && same && fits { Ok(Scheme::Pss(kind)) } else { Err(other) }
 }
 
-/// A key as its certificate has it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Key {
     /// RSAPublicKey of PKCS#1; whether it is for PSS alone.
     Rsa(Vec<u8>, bool),
-    /// A point of P-256.
     P256(Vec<u8>),
-    /// A point of P-384.
     P384(Vec<u8>),
-    /// Of a kind that is not supported here.
     Other,
 }
 
 impl Key {
-    /// From a SubjectPublicKeyInfo.
     pub fn read(der: &mut Der<'_>) -> Result<Self, TimeError> {
         let mut info = der.inside(SEQUENCE)?;
         let mut algorithm = info.inside(SEQUENCE)?;
@@ -411,7 +375,6 @@ impl Key {
         })
     }
 
-    /// Whether this key signed the message.
     pub fn verify(&self, scheme: Scheme, message: &[u8], signature: &[u8]) -> Result<(), TimeError> {
         use HashKind::{Sha256, Sha384, Sha512};
         let (algorithm, key): (&'static dyn VerificationAlgorithm, _) = match (self, scheme) {

@@ -1,7 +1,5 @@
-//! External time: an authority's stamp (RFC 3161) over the roots of batches, requested and checked without a network: the
-//! token (CMS SignedData, RFC 5652), and the path from its certificate up to one that is pinned (RFC 5280, section 6, with
-//! names compared byte by byte). Whether a certificate was revoked is not looked up. Many roots share a stamp: a tree over
-//! them has its imprint.
+//! External time: an authority's stamp (RFC 3161, CMS SignedData of RFC 5652) over the roots of batches, and the path
+//! from its certificate to a pinned one (RFC 5280, 6, with names compared byte by byte). Revocation is not looked up.
 
 mod certificate;
 
@@ -29,63 +27,41 @@ pub const LARGEST_DER: usize = 64 * 1024;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the variants and their messages name the fields")]
 pub enum TimeError {
-    /// It is malformed.
     #[error("the {part} is malformed: {why}")]
     Form { part: &'static str, why: &'static str },
     /// The authority gave none: PKIStatus of RFC 3161, and its text, cleaned.
     #[error("the authority gave no stamp: status {status}{}", .text.as_ref().map_or(String::new(), |text| format!(", {text}")))]
     NotGranted { status: u64, text: Option<String> },
-    /// It covers something else.
     #[error("it stamps something else: its message imprint differs")]
     OtherImprint,
-    /// The imprint uses another hash than requested.
     #[error("its message imprint is not SHA-256")]
     ImprintHash,
-    /// It answers another request.
     #[error("it answers another request: its nonce differs")]
     OtherNonce,
-    /// The certificate that signed it is missing.
     #[error("it does not include its signer's certificate")]
     NoCertificate,
-    /// The signed attributes are not those of this content.
     #[error("its signature covers different content")]
     OtherContent,
-    /// The signature covers no name of the certificate, or another one's.
     #[error("its signature does not name its certificate (ESSCertID)")]
     OtherCertificate,
-    /// The signature is not valid.
     #[error("its signature is invalid")]
     Signature,
-    /// Signed in a way unknown to this program.
     #[error("it is signed with {0}, which this program cannot check")]
     Algorithm(&'static str),
-    /// The certificate is not for time stamps only.
     #[error("its certificate is not restricted to time stamping (critical extended key usage timeStamping)")]
     NotForStamps,
-    /// A certificate was not valid then.
     #[error("the certificate of {name} was not valid at {at}; it is valid from {from} to {until}")]
     NotValid { name: String, at: Timestamp, from: Timestamp, until: Timestamp },
-    /// There is no path from the certificate to the pinned one.
     #[error("no certificate in it links {0} to a pinned one")]
     NotPinned(String),
-    /// A certificate on the path may not issue others.
     #[error("the certificate of {0}, in the chain, may not issue others")]
     NotAnIssuer(String),
-    /// A certificate on the path is not signed by the one above.
     #[error("the certificate of {0}, in the chain, is not signed by the one above it")]
     Forged(String),
-    /// A certificate has a critical extension unknown to this program.
     #[error("the certificate of {0} has an unknown critical extension")]
     Critical(String),
 }
 
-impl TimeError {
-    fn not_granted(status: u64, text: Option<&str>) -> Self {
-        Self::NotGranted { status, text: text.map(|text| clean(text, 200)) }
-    }
-}
-
-/// A malformed part.
 fn form(part: &'static str, why: &'static str) -> TimeError {
     TimeError::Form { part, why }
 }
@@ -96,7 +72,6 @@ impl From<DerError> for TimeError {
     }
 }
 
-/// The content of the one sequence that a text consists of.
 fn outer<'a>(part: &'static str, bytes: &'a [u8]) -> Result<Der<'a>, TimeError> {
     if bytes.len() > LARGEST_DER {
         return Err(form(part, "it is too long"));
@@ -104,8 +79,7 @@ fn outer<'a>(part: &'static str, bytes: &'a [u8]) -> Result<Der<'a>, TimeError> 
     Ok(Der::only(part, bytes, SEQUENCE)?)
 }
 
-/// Seconds since 1970 of a time in the form of certificates (`UTCTime` or `GeneralizedTime`) and stamps, always UTC.
-/// Fractions of a second are rounded up if `up` is set, otherwise down.
+/// Seconds since 1970, UTC. Fractions of a second are rounded up if `up` is set, otherwise down.
 fn seconds(element: Element<'_>, part: &'static str, up: bool) -> Result<u64, TimeError> {
     moment(element, up).ok_or_else(|| form(part, "a time is not valid"))
 }
@@ -146,14 +120,12 @@ pub struct Stamped {
     pub before: Timestamp,
     /// The signer's name in the certificate, cleaned.
     pub signer: String,
-    /// Which of the pinned certificates it leads to; `None` if it leads to none, and then all this is only its own
-    /// word.
+    /// The pinned certificate that it leads to; `None` if none: then all this is only its own word.
     pub pinned: Option<usize>,
 }
 
 impl Stamped {
     /// Which of the pinned certificates it leads to.
-    ///
     /// # Errors
     /// [`TimeError::NotPinned`] if it leads to none.
     pub fn by_pinned(&self) -> Result<usize, TimeError> {
@@ -161,11 +133,8 @@ impl Stamped {
     }
 }
 
-/// Checks a token (DER, at most [`LARGEST_DER`] bytes): form, imprint (SHA-256), nonce if the request is known,
-/// signed content (RFC 5652, 5.6), that the signature names its certificate (RFC 5816), the signature itself, the
-/// certificate's purpose, validity at the stamped time, and the path to one of the pinned certificates. Whether a
-/// certificate was revoked is not looked up.
-///
+/// Checks form, imprint (SHA-256), nonce, signed content (RFC 5652, 5.6), name of the certificate (RFC 5816),
+/// signature, purpose, validity at the stamped time, and the path to a pinned certificate.
 /// # Errors
 /// [`TimeError`] with the first contradiction.
 pub fn check_token(
@@ -197,7 +166,6 @@ pub fn check_token(
     Ok(Stamped { at, before, signer: certificate.name(), pinned: leads })
 }
 
-/// Which pinned certificate it leads to.
 fn way(
     first: &Certificate,
     others: &[Certificate],
@@ -215,7 +183,6 @@ fn way(
     fault.map_or(Ok(None), Err)
 }
 
-/// The signed content is a stamp, and this one.
 fn content(signer: &Signer<'_>, content: &[u8]) -> Result<(), TimeError> {
     let missing = || form("signer's part", "a required attribute is missing");
     let mut kind = signer.attribute(certificate::CONTENT_TYPE).ok_or_else(missing)?;
@@ -227,8 +194,8 @@ fn content(signer: &Signer<'_>, content: &[u8]) -> Result<(), TimeError> {
     if is_stamp && is_this { Ok(()) } else { Err(TimeError::OtherContent) }
 }
 
-/// The signature names its certificate, so that no other one with the same key can take its place. SHA-1 (RFC 2634) is
-/// accepted, too: substituting a certificate needs a second preimage, and many authorities still write that.
+/// So that no other certificate with the same key can take its place. SHA-1 (RFC 2634) is accepted: many authorities
+/// still write it, and substituting a certificate needs a second preimage.
 fn named(signer: &Signer<'_>, certificate: &Certificate) -> Result<(), TimeError> {
     let (second, first) = (certificate::SIGNING_CERTIFICATE_2, certificate::SIGNING_CERTIFICATE);
     let mut found = false;
@@ -274,7 +241,6 @@ impl Request {
         put(SEQUENCE, &[&version, &imprint, &nonce, &put(BOOLEAN, &[&[0xff]])])
     }
 
-    /// The nonce as a positive integer in the shortest form.
     fn nonce_integer(&self) -> Vec<u8> {
         let mut bytes = self.nonce;
         // Positive, and never shorter.
@@ -284,7 +250,6 @@ impl Request {
 }
 
 /// The token in an authority's answer.
-///
 /// # Errors
 /// [`TimeError::NotGranted`] with its text, [`TimeError::Form`] if it is not an answer.
 pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
@@ -295,7 +260,8 @@ pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
     if status > 1 {
         let texts = about.inside_optional(SEQUENCE)?;
         let text = texts.and_then(|mut texts| texts.element(UTF8).ok());
-        return Err(TimeError::not_granted(status, text.and_then(|text| std::str::from_utf8(text.content).ok())));
+        let text = text.and_then(|text| std::str::from_utf8(text.content).ok()).map(|text| clean(text, 200));
+        return Err(TimeError::NotGranted { status, text });
     }
     let token = outer.element(SEQUENCE)?.whole;
     outer.end()?;
@@ -305,7 +271,7 @@ pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
 /// The most certificates between the first and the pinned one.
 const LONGEST: usize = 6;
 
-/// Checks the way; each certificate on it was valid at this time, seconds.
+/// Each certificate on the way was valid at this time, seconds.
 fn check(first: &Certificate, others: &[Certificate], pinned: &Certificate, at: u64) -> Result<(), TimeError> {
     let mut last = first;
     let mut fault = None;
@@ -345,21 +311,16 @@ fn issued(above: &Certificate, below: &Certificate, between: usize) -> Result<()
 const PART: &str = "token";
 const INFO: &str = "stamp";
 const SIGNER: &str = "signer's part";
-/// The most certificates in a token.
 const MOST_CERTIFICATES: usize = 8;
-/// The most signed attributes.
 const MOST_ATTRIBUTES: usize = 16;
 
-/// A token in its parts; nothing has been checked yet.
 struct Token<'a> {
     pub info: Info<'a>,
-    /// The signed content.
     pub content: &'a [u8],
     pub certificates: Vec<Certificate>,
     pub signer: Signer<'a>,
 }
 
-/// The authority's statement.
 struct Info<'a> {
     pub imprint: &'a [u8],
     /// When, seconds; fractions dropped.
@@ -369,7 +330,6 @@ struct Info<'a> {
     pub nonce: Option<&'a [u8]>,
 }
 
-/// Who signed it, and how.
 struct Signer<'a> {
     pub issuer: &'a [u8],
     pub serial: &'a [u8],
@@ -382,7 +342,6 @@ struct Signer<'a> {
 }
 
 impl<'a> Signer<'a> {
-    /// The only value of an attribute.
     pub fn attribute(&self, name: &[u8]) -> Option<Der<'a>> {
         self.attributes.iter().find(|(known, _)| *known == name).map(|(_, values)| *values)
     }
@@ -394,33 +353,25 @@ impl<'a> Token<'a> {
         if outer.object()? != certificate::SIGNED_DATA {
             return Err(form(PART, "it is not signed data"));
         }
-        let mut wrapped = outer.inside(context(0))?;
+        let mut data = outer.within(context(0), |wrapped| wrapped.inside(SEQUENCE))?;
         outer.end()?;
-        let mut data = wrapped.inside(SEQUENCE)?;
-        wrapped.end()?;
         // RFC 5652, 5.1: content other than plain data.
         if data.small()? != 3 {
             return Err(form(PART, "its version is not 3"));
         }
-        let mut hashes = data.inside(SET)?;
-        let hash = HashKind::read(&mut hashes, SEQUENCE)?;
-        hashes.end()?;
+        let hash = data.within(SET, |hashes| HashKind::read(hashes, SEQUENCE))?;
         let mut about = data.inside(SEQUENCE)?;
         if about.object()? != certificate::STAMP {
             return Err(form(PART, "it is signed data, but not a time stamp"));
         }
-        let mut explicit = about.inside(context(0))?;
+        let content = about.within(context(0), |explicit| explicit.element(OCTETS))?.content;
         about.end()?;
-        let content = explicit.element(OCTETS)?.content;
-        explicit.end()?;
         let certificates = certificates(&mut data)?;
         if data.next_tag() == Some(context(1)) {
             return Err(form(PART, "it includes certificate revocation lists, which are not supported"));
         }
-        let mut signers = data.inside(SET)?;
+        let signer = data.within(SET, Signer::parse)?;
         data.end()?;
-        let signer = Signer::parse(&mut signers)?;
-        signers.end()?;
         if signer.hash != hash {
             return Err(form(PART, "it names a different hash than its signer does"));
         }
@@ -493,9 +444,8 @@ impl<'a> Signer<'a> {
         if one.small()? != 1 {
             return Err(form(SIGNER, "it does not name its certificate by issuer and serial number"));
         }
-        let mut sid = one.inside(SEQUENCE)?;
-        let (issuer, serial) = (sid.element(SEQUENCE)?.whole, sid.integer()?);
-        sid.end()?;
+        let (issuer, serial) =
+            one.within(SEQUENCE, |sid| Ok::<_, TimeError>((sid.element(SEQUENCE)?.whole, sid.integer()?)))?;
         let hash = HashKind::read(&mut one, SEQUENCE)?;
         let listed = one.element(context(0))?;
         let signed = std::iter::once(SET).chain(listed.whole.iter().skip(1).copied()).collect();
@@ -514,10 +464,8 @@ fn attributes(bytes: &[u8]) -> Result<Vec<(&[u8], Der<'_>)>, TimeError> {
     while !all.is_empty() {
         let mut one = all.inside(SEQUENCE)?;
         let name = one.object()?;
-        let mut values = one.inside(SET)?;
+        let value = Der::new(SIGNER, one.within(SET, |values| values.any())?.whole);
         one.end()?;
-        let value = Der::new(SIGNER, values.any()?.whole);
-        values.end()?;
         if found.len() >= MOST_ATTRIBUTES || found.iter().any(|(known, _)| *known == name) {
             return Err(form(SIGNER, "an attribute is a duplicate, or one too many"));
         }
@@ -526,7 +474,6 @@ fn attributes(bytes: &[u8]) -> Result<Vec<(&[u8], Der<'_>)>, TimeError> {
     Ok(found)
 }
 
-/// The folder of stamps in a bundle.
 const STAMPS: &str = "stamps";
 /// The most roots under one stamp.
 pub const MOST_ROOTS: usize = MOST_LEAVES;
@@ -565,11 +512,7 @@ impl StampTree {
         self.roots.len() as u64
     }
 
-    /// The member `roots.json` of these roots, and the imprint under which it is filed; roots that are not in the tree
-    /// are left out.
-    ///
-    /// # Errors
-    /// If it cannot be written.
+    /// `roots.json` and the imprint under which it is filed; roots that are not in the tree are left out.
     pub(crate) fn listed(&self, wanted: &[Hash]) -> Result<(Hash, Vec<u8>), BundleError> {
         let places: BTreeMap<&Hash, usize> = self.roots.iter().enumerate().map(|(at, root)| (root, at)).collect();
         let wanted: std::collections::BTreeSet<&Hash> = wanted.iter().collect();
@@ -579,7 +522,7 @@ impl StampTree {
         });
         let listed =
             Listed { format: FORMAT.to_owned(), top: self.tree.root(), count: self.count(), roots: roots.collect() };
-        Ok((Hash(self.imprint()), places_text(&listed)?))
+        Ok((Hash(self.imprint()), crate::manifest::to_json(ROOTS, &listed)?))
     }
 }
 
@@ -604,17 +547,12 @@ pub(crate) struct Listed {
     roots: Vec<StampedRoot>,
 }
 
-fn places_text(listed: &Listed) -> Result<Vec<u8>, BundleError> {
-    serde_json::to_vec_pretty(listed).map_err(|error| BundleError::of(ROOTS, &error.to_string()))
-}
-
 /// The name of a token's file: half of its SHA-256, since names of members are no longer than 120 bytes.
 fn token_name(token: &[u8]) -> String {
     let digits = Hash(Sha256::digest(token).into()).to_hex();
     format!("{}.der", digits.get(..TOKEN_DIGITS).unwrap_or_default())
 }
 
-/// The members of one stamp.
 pub(crate) fn members(
     tree: &StampTree,
     wanted: &[Hash],
@@ -641,13 +579,11 @@ pub struct BundledStamp {
 }
 
 impl BundledStamp {
-    /// Whether a root's path leads to the stamped data.
     pub(crate) fn leads(&self, place: &StampedRoot) -> bool {
         root_of(stamp_hash(&place.root), place.index, self.count, &place.path) == Some(self.top)
     }
 }
 
-/// A stamp whose files are read one by one.
 #[derive(Default)]
 pub(crate) struct DraftStamp {
     listed: Option<Listed>,

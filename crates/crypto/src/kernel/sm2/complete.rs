@@ -7,19 +7,11 @@ use super::field::Element;
 use super::point::{Affine, B, Jacobian};
 
 /// The point (x / z, y / z); infinity where z is zero.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Zeroize)]
 pub(super) struct Point {
     x: Element,
     y: Element,
     z: Element,
-}
-
-impl Zeroize for Point {
-    fn zeroize(&mut self) {
-        self.x.zeroize();
-        self.y.zeroize();
-        self.z.zeroize();
-    }
 }
 
 impl Point {

@@ -12,25 +12,17 @@ use super::way::{multiply, square};
 #[cfg(target_arch = "x86_64")]
 use super::x86_64::{add, halve, subtract};
 
-/// p.
 pub(super) const MODULUS: Limbs = [u64::MAX, 0xffff_ffff_0000_0000, u64::MAX, 0xffff_fffe_ffff_ffff];
 /// 2^512 modulo p.
 const SQUARE: Limbs = [0x2_0000_0003, 0x2_ffff_ffff, 0x1_0000_0001, 0x4_0000_0002];
 
-/// A number modulo p.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Zeroize)]
 pub(super) struct Element(Limbs);
 
 /// Leaves out the number, which may belong to a secret point.
 impl fmt::Debug for Element {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Element")
-    }
-}
-
-impl Zeroize for Element {
-    fn zeroize(&mut self) {
-        self.0.zeroize();
     }
 }
 
@@ -43,7 +35,6 @@ impl Element {
         Self(limbs)
     }
 
-    /// In Montgomery form.
     #[inline(always)]
     pub fn montgomery(&self) -> &Limbs {
         &self.0
@@ -55,7 +46,6 @@ impl Element {
         below.then(|| Self(multiply(number, &SQUARE)))
     }
 
-    /// A number below p in 32 bytes, big endian, otherwise nothing.
     pub fn from_bytes(bytes: &[u8; 32]) -> Option<Self> {
         Self::from_limbs(&limbs::from_bytes(bytes))
     }
@@ -65,7 +55,6 @@ impl Element {
         multiply(&self.0, &[1, 0, 0, 0])
     }
 
-    /// 32 bytes, big endian.
     pub fn to_bytes(self) -> [u8; 32] {
         limbs::to_bytes(&self.to_limbs())
     }
@@ -85,7 +74,6 @@ impl Element {
         self.double() + *self
     }
 
-    /// Divided by two.
     #[inline(always)]
     pub fn half(&self) -> Self {
         Self(halve(&self.0))

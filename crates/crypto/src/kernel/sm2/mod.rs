@@ -1,6 +1,5 @@
-//! The arithmetic of SM2 (GB/T 32918-2016): its field, its numbers modulo the order, its points. Code that handles
-//! secrets (`secret`, and everything below it) takes the same time for all of them; code that verifies (`public`) need
-//! not.
+//! The arithmetic of SM2 (GB/T 32918-2016). Code that handles secrets (`secret`, and everything below it) takes the
+//! same time for all of them; code that verifies (`public`) need not.
 
 #![allow(clippy::inline_always, reason = "a call costs as much as what is called")]
 

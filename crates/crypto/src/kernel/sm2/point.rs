@@ -6,7 +6,6 @@ use zeroize::Zeroize;
 use super::field::Element;
 use super::limbs::{self, Limbs};
 
-/// b.
 pub(super) const B: Element = Element::from_montgomery([
     0x90d2_3063_2bc0_dd42,
     0x71cf_379a_e9b5_37ab,
@@ -14,7 +13,6 @@ pub(super) const B: Element = Element::from_montgomery([
     0x240f_e188_ba20_e2c8,
 ]);
 
-/// The generator G.
 pub(super) const GENERATOR: Affine = Affine {
     x: Element::from_montgomery([
         0x6132_8990_f418_029e,
@@ -31,17 +29,10 @@ pub(super) const GENERATOR: Affine = Affine {
 };
 
 /// A point that is not infinity.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Zeroize)]
 pub(crate) struct Affine {
     pub(super) x: Element,
     pub(super) y: Element,
-}
-
-impl Zeroize for Affine {
-    fn zeroize(&mut self) {
-        self.x.zeroize();
-        self.y.zeroize();
-    }
 }
 
 impl Affine {
@@ -54,7 +45,6 @@ impl Affine {
         point.is_on_curve().then_some(point)
     }
 
-    /// x || y.
     pub fn to_bytes(self) -> [u8; 64] {
         let mut bytes = [0; 64];
         bytes[..32].copy_from_slice(&self.x.to_bytes());
@@ -62,7 +52,6 @@ impl Affine {
         bytes
     }
 
-    /// x.
     pub fn x_bytes(&self) -> [u8; 32] {
         self.x.to_bytes()
     }
@@ -88,19 +77,11 @@ impl Affine {
 }
 
 /// The point (x / z^2, y / z^3); infinity where z is zero.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Zeroize)]
 pub(super) struct Jacobian {
     pub x: Element,
     pub y: Element,
     pub z: Element,
-}
-
-impl Zeroize for Jacobian {
-    fn zeroize(&mut self) {
-        self.x.zeroize();
-        self.y.zeroize();
-        self.z.zeroize();
-    }
 }
 
 impl From<Affine> for Jacobian {

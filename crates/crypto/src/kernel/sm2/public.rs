@@ -128,7 +128,6 @@ fn bits_from(number: &Limbs, place: usize) -> u64 {
 pub(crate) struct SignerTable(Box<[Affine]>);
 
 impl SignerTable {
-    /// Bytes that a table takes.
     pub const BYTES: usize = ROWS * ROW * size_of::<Affine>();
 
     /// Of a public key.
@@ -176,7 +175,6 @@ pub(crate) fn verifies(signer: &impl Signer, e: &Scalar, r: &Scalar, s: &Scalar)
     sum.has_x(wanted.limbs()) || (!carry && sum.has_x(&beyond))
 }
 
-/// Builds the table of the generator's multiples.
 pub(super) fn warm_up() {
     comb();
 }

@@ -7,7 +7,6 @@ use zeroize::{Zeroize, Zeroizing};
 
 use super::limbs::{self, Limbs};
 
-/// n.
 pub(super) const ORDER: Limbs = [0x53bb_f409_39d5_4123, 0x7203_df6b_21c6_052b, u64::MAX, 0xffff_fffe_ffff_ffff];
 /// (n - 1) / 2.
 pub(super) const HALF: Limbs =
@@ -20,7 +19,7 @@ const RADIX: Limbs = [0xac44_0bf6_c62a_bedd, 0x8dfc_2094_de39_fad4, 0, 0x1_0000_
 const FACTOR: u64 = 0x327f_9e88_7235_0975;
 
 /// A number modulo n.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Zeroize)]
 pub(crate) struct Scalar(Limbs);
 
 /// Leaves out the number, which may be a secret.
@@ -30,14 +29,7 @@ impl fmt::Debug for Scalar {
     }
 }
 
-impl Zeroize for Scalar {
-    fn zeroize(&mut self) {
-        self.0.zeroize();
-    }
-}
-
 impl Scalar {
-    /// 1.
     pub const ONE: Self = Self([1, 0, 0, 0]);
 
     /// A number from 1 to n - 1 in 32 bytes, big endian, otherwise nothing.
@@ -57,32 +49,26 @@ impl Scalar {
         Self(limbs::reduce_once(number, false, &ORDER))
     }
 
-    /// 32 bytes, big endian.
     pub fn to_bytes(self) -> [u8; 32] {
         limbs::to_bytes(&self.0)
     }
 
-    /// The number.
     pub(super) fn limbs(&self) -> &Limbs {
         &self.0
     }
 
-    /// Whether it is zero.
     pub fn is_zero(&self) -> bool {
         limbs::is_zero(&self.0) != 0
     }
 
-    /// `self + other`.
     pub fn plus(&self, other: &Self) -> Self {
         Self(limbs::add_modulo(&self.0, &other.0, &ORDER))
     }
 
-    /// `self - other`.
     pub fn minus(&self, other: &Self) -> Self {
         Self(limbs::subtract_modulo(&self.0, &other.0, &ORDER))
     }
 
-    /// `self * other`.
     pub fn times(&self, other: &Self) -> Self {
         Self(multiply(&multiply(&self.0, &SQUARE), &other.0))
     }

@@ -144,7 +144,6 @@ fn first_multiples(point: &Affine) -> [Jacobian; ROW] {
     row
 }
 
-/// k G.
 pub(crate) fn multiply_generator(k: &Scalar) -> Affine {
     let mut product = times_generator(k);
     let point = product.normalized();
@@ -152,7 +151,6 @@ pub(crate) fn multiply_generator(k: &Scalar) -> Affine {
     point
 }
 
-/// k times a point.
 pub(crate) fn multiply(k: &Scalar, point: &Affine) -> Affine {
     let mut product = times_point(k, point);
     let out = product.normalized();
@@ -160,7 +158,6 @@ pub(crate) fn multiply(k: &Scalar, point: &Affine) -> Affine {
     out
 }
 
-/// k G and k times a point.
 pub(crate) fn multiply_both(k: &Scalar, point: &Affine) -> [Affine; 2] {
     let (mut one, mut other) = (times_generator(k), times_point(k, point));
     let out = complete::normalized(&one, &other);
@@ -169,7 +166,6 @@ pub(crate) fn multiply_both(k: &Scalar, point: &Affine) -> [Affine; 2] {
     out
 }
 
-/// Builds the table of the generator's multiples.
 pub(super) fn warm_up() {
     comb();
 }
