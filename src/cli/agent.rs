@@ -20,9 +20,6 @@ use crate::store::TopicCounts;
 use authros_output::Output;
 
 /// `agent …`; the home of `run` follows from its enrolment.
-///
-/// # Errors
-/// Errors of the arguments, the site or the outbox.
 pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
     match verb {
         AgentVerb::Enrol(arguments) => {
@@ -35,9 +32,6 @@ pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result
 }
 
 /// Enrols a robot and writes its file.
-///
-/// # Errors
-/// Errors of the site, the gateway or the arguments.
 async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
     let out = arguments.out;
     if out.exists() {
@@ -106,9 +100,6 @@ struct Summary {
 }
 
 /// Runs an agent until it is done or told to stop.
-///
-/// # Errors
-/// Errors of the enrolment, the outbox or the arguments.
 async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = AgentWishes {
         topics: parse::values(&arguments.topics)?,

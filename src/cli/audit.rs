@@ -30,9 +30,6 @@ impl AuditArguments {
     }
 
     /// From when on.
-    ///
-    /// # Errors
-    /// A time that cannot be read.
     pub fn since(&self) -> Result<Option<Timestamp>, Failure> {
         self.since.as_deref().map(parse::past).transpose()
     }
@@ -80,9 +77,6 @@ pub enum AuditVerb {
 }
 
 /// The beginning and the length of `audit list`.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
     if !(1..=1000).contains(&limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));

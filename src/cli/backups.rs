@@ -31,9 +31,6 @@ use crate::term;
 const NAME: (&str, &str) = ("authros-", ".backup");
 
 /// `backup FILE`, or `backup --to DIR --keep N`: one more file, then at most `keep` of them.
-///
-/// # Errors
-/// If the folder does not exist, or errors of the site; nothing is removed then.
 pub async fn run(context: Context, backup: BackupArguments, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let folder = backup.to.as_deref().map(absolute).transpose()?;
@@ -94,9 +91,6 @@ fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
 }
 
 /// `restore --check FILE`: restores it into a folder of its own, audits every record of it, and removes it.
-///
-/// # Errors
-/// If the file is not a backup, its passphrase is wrong, or the disk has no room for it.
 pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let beside = absolute(context.home.root())?.parent().map_or_else(std::env::temp_dir, Path::to_path_buf);
@@ -133,9 +127,6 @@ impl Successor {
     }
 
     /// The passphrase, which opens the keyring.
-    ///
-    /// # Errors
-    /// If none is given that does.
     pub fn passphrase(&self) -> Result<SecretText, Failure> {
         let keyring = self.home.keyring(&self.profile);
         // A descriptor was read at the start.

@@ -20,9 +20,6 @@ const QUIET: Duration = Duration::from_secs(20);
 const LOOK: Duration = Duration::from_secs(3);
 
 /// Runs one capture; Ctrl-C ends it early, a second one exits at once.
-///
-/// # Errors
-/// Errors of the site or the arguments.
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
     let ask = Capture {

@@ -23,9 +23,6 @@ use crate::service::{Client, Failure, Needs};
 use authros_output::Output;
 
 /// `chain …`; only `genesis` needs no home.
-///
-/// # Errors
-/// Errors of the arguments or the site.
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
     let unlocked = |act: Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, Administer(act));
     let plan = match verb {
@@ -76,9 +73,6 @@ fn seconds(text: &str) -> Result<u64, Failure> {
 }
 
 /// Serves the embedded chain's JSON-RPC until a signal: through this home's running site, or as the site itself.
-///
-/// # Errors
-/// If the address is not loopback or not free, or the chain is a node.
 async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     if !listen.ip().is_loopback() {
         // Reported before a site is started for it.
@@ -96,9 +90,6 @@ async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<
 }
 
 /// Makes a genesis file, or prints the guide.
-///
-/// # Errors
-/// If the arguments do not match, or a file exists already.
 fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
     let Some(consensus) = &arguments.consensus else {
         output.result(&serde_json::json!({ "guide": GUIDE }), || GUIDE.to_owned());

@@ -87,9 +87,6 @@ pub fn backed_up(view: &BackupView) -> String {
 }
 
 /// `doctor`.
-///
-/// # Errors
-/// If nothing can be examined.
 pub async fn run_doctor(context: Context, output: &Output) -> Result<u8, Failure> {
     let site = running_site(&context).await;
     let view = doctor::examine(&context.home, &context.config, site).await;
@@ -128,9 +125,6 @@ fn doctor_text(view: &DoctorView) -> String {
 }
 
 /// `verify DIR`.
-///
-/// # Errors
-/// If the folder is not an export, or a flag is invalid.
 pub async fn run_verify(global: &Global, folder: &Path, genesis: Option<&str>, output: &Output) -> Result<u8, Failure> {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let url = global.chain.clone().or_else(|| set("AUTHROS_CHAIN"));
@@ -155,9 +149,6 @@ fn verify_text(check: &FolderCheck) -> String {
 }
 
 /// The passphrase of a backup: given, never the home's own.
-///
-/// # Errors
-/// If none was given, or errors of its file.
 pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
     passphrase::of_file(global, Path::new(""))?.ok_or_else(|| {
         Failure::new(ErrorKind::Usage, "a backup needs its own passphrase: pass --passphrase-file or --passphrase-fd")
@@ -165,9 +156,6 @@ pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
 }
 
 /// `restore FILE`.
-///
-/// # Errors
-/// If the home is not empty, or the file is not a backup.
 pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let view = restoring::restore(file, &context.home, &passphrase)?;

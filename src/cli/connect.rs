@@ -97,9 +97,6 @@ fn say_without_home(home: &Home, output: &Output) {
 
 impl Context {
     /// Resolves profile, home and settings.
-    ///
-    /// # Errors
-    /// If one of them is invalid.
     pub fn new(global: Global, output: &Output) -> Result<Self, Failure> {
         let profile = super::parse::value(global.profile.as_deref().unwrap_or("default"))?;
         let standard = || Home::standard().map_err(misplaced);
@@ -116,9 +113,6 @@ impl Context {
     }
 
     /// For an agent: without `--home` it has its own home below the standard one.
-    ///
-    /// # Errors
-    /// See [`Self::new`].
     pub fn for_agent(global: Global, name: &ProfileName, output: &Output) -> Result<Self, Failure> {
         if global.home.is_some() {
             return Self::new(global, output);
@@ -142,9 +136,6 @@ impl Context {
     }
 
     /// Connects, brings the profile to the state needed, does `work`, and closes the connection.
-    ///
-    /// # Errors
-    /// Errors of the site and of the work.
     pub async fn with<T>(
         &self,
         needs: Needs,
@@ -163,9 +154,6 @@ impl Context {
     }
 
     /// Joins the running site, or opens one here with the parts needed.
-    ///
-    /// # Errors
-    /// If the home cannot be used, or flags contradict the running site.
     pub async fn connect(&self, needs: Needs) -> Result<Connection, Failure> {
         if let Some(operator) = &self.operator {
             return self.connect_to(&operator.socket).await;
@@ -228,9 +216,6 @@ impl Context {
     }
 
     /// Opens a site that is to stay. A command that is the site of this home until it ends is waited for.
-    ///
-    /// # Errors
-    /// If the home cannot be used, or has a site that stays.
     pub async fn open(&self, needs: Needs, output: &Output) -> Result<Connection, Failure> {
         if self.operator.is_some() {
             let text = "--site-socket joins a site that runs already; omit it, and AUTHROS_SITE_SOCKET, to start one of \
@@ -249,9 +234,6 @@ impl Context {
 
     /// Joins a site that stays, or opens one that is to. A command that is the site of this home until it ends is waited
     /// for: a command that joined it would end with it. `again` is what to run again.
-    ///
-    /// # Errors
-    /// If the home cannot be used, or the command does not end.
     pub async fn stay(&self, needs: Needs, output: &Output, again: &str) -> Result<Connection, Failure> {
         let (root, most, mut told) = (self.home.root().display(), LONGEST_COMMAND.as_secs(), false);
         let waits = |greeting: &Greeting, _: Duration| {
@@ -286,9 +268,6 @@ impl Context {
     }
 
     /// The home's lock, if no other process holds it.
-    ///
-    /// # Errors
-    /// If the home cannot be created or written.
     pub fn lock(&self) -> Result<Option<SiteLock>, Failure> {
         files::private_directory(self.home.root())?;
         Ok(SiteLock::acquire(&self.home.site_lock())?)
@@ -312,9 +291,6 @@ impl Context {
     }
 
     /// Brings the profile to the state the command needs.
-    ///
-    /// # Errors
-    /// If there is no identity or no passphrase.
     pub async fn prepare(&self, client: &Client, need: ProfileNeed, output: &Output) -> Result<(), Failure> {
         // The keyring is the owner's to make and to open.
         if need == ProfileNeed::None || self.operator.is_some() {

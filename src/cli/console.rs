@@ -19,9 +19,6 @@ use crate::service::{Call, Client, Event, Failure, Needs, Site};
 use crate::term::{self, ExitReason};
 
 /// Runs the console until it is left, with the tour if there is one; the exit code is the terminal's.
-///
-/// # Errors
-/// Without a terminal, or if the profile's console is open already.
 pub fn run(
     runtime: &Runtime,
     context: Context,
@@ -141,9 +138,6 @@ const OWNER: &str = "cura-a";
 const READER: &str = "cura-b";
 
 /// Runs the console with the tour.
-///
-/// # Errors
-/// Without a terminal or robots, or if no temporary home can be created.
 pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArguments) -> Result<u8, Failure> {
     if context.global.home.is_some() {
         let text = "the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME";
@@ -164,9 +158,6 @@ pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArgument
 }
 
 /// Creates the reader, registers it on the chain and adds it to the address book.
-///
-/// # Errors
-/// Errors of the site.
 pub async fn prepare_tour(client: &Client, reader: ProfileName) -> Result<(), Failure> {
     let name: ContactName = super::parse::value(reader.as_str())?;
     let of_reader = client.for_profile(reader);

@@ -32,9 +32,6 @@ pub struct CoverageArguments {
 
 impl CoverageArguments {
     /// What is asked of the site.
-    ///
-    /// # Errors
-    /// A topic or time that cannot be read.
     pub fn question(&self) -> Result<TopicCoverage, Failure> {
         Ok(TopicCoverage {
             topic: parse::value(&self.topic)?,

@@ -70,9 +70,6 @@ pub struct Story {
 }
 
 /// Runs the demo; exit 0 with `ok: true`, otherwise 1.
-///
-/// # Errors
-/// If a step cannot be taken at all.
 pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
     if context.config.robots == 0 && context.global.ros2.is_none() {
         let text = "the demo needs robots; use --robots 1 to 32 and no real ROS master";
@@ -115,9 +112,6 @@ fn in_domain(context: &mut Context) -> Robots {
 }
 
 /// Gives a context a home of its own, which is removed with the value, and default settings.
-///
-/// # Errors
-/// If none can be created.
 pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<tempfile::TempDir, Failure> {
     let uncreated = |error: std::io::Error| {
         Failure::new(ErrorKind::Home, format!("no temporary directory can be created: {error}"))
@@ -191,9 +185,6 @@ pub struct Listener {
 
 impl Listener {
     /// Begins to watch `topics`.
-    ///
-    /// # Errors
-    /// If no node can be started.
     pub fn start(master_uri: &str, topics: &[String]) -> Result<Self, Failure> {
         let hashes = Arc::new(Hashes::default());
         let (master_uri, node_name) = (master_uri.to_owned(), "/authros_listener".to_owned());
@@ -206,9 +197,6 @@ impl Listener {
     }
 
     /// The same in a ROS 2 domain, by a program of its own.
-    ///
-    /// # Errors
-    /// If that program is missing.
     pub fn start_in(domain: u16, program: Option<&Path>, topics: &[String]) -> Result<Self, Failure> {
         let hashes = Arc::new(Hashes::default());
         let capture = Ros2Capture::start(domain, program, hashes.clone())?;
@@ -253,9 +241,6 @@ pub struct Genuine {
 
 impl Genuine {
     /// Takes a record of `owner` from the store.
-    ///
-    /// # Errors
-    /// If it is not there.
     pub fn take(plant: &Plant, network: &Network, owner: &Owner, row: RecordRow) -> Result<Self, Failure> {
         let missing = || crate::pipeline::PipelineError::Missing(row.id.clone());
         let blob = plant.ciphertext.get(row.digest)?.ok_or_else(missing)?;
@@ -288,9 +273,6 @@ impl Genuine {
 }
 
 /// Names of the checks that let their forgery pass; empty = all checks work.
-///
-/// # Errors
-/// If a forgery cannot even be made.
 pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result<Vec<&'static str>, Failure> {
     let (own, anchor, key) = (&one.row.signature, Anchor::Chain(one.row.digest), &one.key);
     let stranger = SmKeyPair::generate(provider)?;
@@ -308,9 +290,6 @@ pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result
 }
 
 /// A record sealed and signed by the owner that was never anchored, as a row that claims it was.
-///
-/// # Errors
-/// If it cannot be sealed.
 pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8>), Failure> {
     let opened = one.open(plant.provider, (&one.blob, &one.row.signature), Anchor::Unanchored, &one.key)?;
     let OpenedRecord { header, head, body, .. } = opened;

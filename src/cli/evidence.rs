@@ -55,9 +55,6 @@ pub enum EvidenceVerb {
 }
 
 /// `evidence export`.
-///
-/// # Errors
-/// What the arguments or the site say.
 pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
     let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
         return stamp(context, output).await;
@@ -106,9 +103,6 @@ pub fn is_bundle(path: &Path) -> bool {
 }
 
 /// `verify` of a bundle: no home, no network.
-///
-/// # Errors
-/// Where it is no bundle, or the trust file is none.
 pub fn run_verify(
     (path, recording): (&Path, Option<&Path>),
     trust: Option<&Path>,

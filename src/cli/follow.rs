@@ -14,9 +14,6 @@ use authros_output::Output;
 const WINDOW: u64 = 60_000_000_000;
 
 /// Follows until a signal; opens the site, including robots and chain, if none runs.
-///
-/// # Errors
-/// Errors of the site.
 pub async fn run<A: Ask<Answer = RecordPage>>(
     context: Context,
     list: fn(UploadQuery) -> A,

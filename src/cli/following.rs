@@ -58,9 +58,6 @@ impl FollowArguments {
 }
 
 /// Follows; Ctrl-C ends it, a second one leaves at once.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn run(context: Context, arguments: FollowArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = arguments.wishes()?;
     let words = (

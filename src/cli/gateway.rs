@@ -16,9 +16,6 @@ use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
 /// `gateway …`
-///
-/// # Errors
-/// Errors of the arguments or the site.
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
@@ -31,9 +28,6 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
 }
 
 /// Serves until a signal: through this home's running site, or as a site of its own without ROS.
-///
-/// # Errors
-/// If the profile cannot be opened or registered, or the address is not free.
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let needs = Needs { ros: false, chain: true };
     let connection = match context.operator {

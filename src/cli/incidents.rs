@@ -65,9 +65,6 @@ pub enum IncidentVerb {
 }
 
 /// What is asked.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
     let kept = |question: super::show::Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {

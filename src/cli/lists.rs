@@ -62,9 +62,6 @@ pub fn profiles(context: &Context, output: &Output) -> u8 {
 }
 
 /// The identities of a home by their public sides; the one used by commands is marked.
-///
-/// # Errors
-/// A keyring that cannot be read.
 pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
     let mut rows = Vec::new();
     for profile in context.home.profiles() {

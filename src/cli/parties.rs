@@ -42,9 +42,6 @@ pub enum ContactsVerb {
 }
 
 /// What is asked for a verb.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn contacts(verb: ContactsVerb) -> Result<Question, Failure> {
     Ok(match verb {
         ContactsVerb::Add { name, address, fingerprint } => {

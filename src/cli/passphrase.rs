@@ -25,9 +25,6 @@ fn first_line(text: &str) -> SecretText {
 }
 
 /// The first line of a 0600 file.
-///
-/// # Errors
-/// If the file cannot be read, or others can read it.
 pub fn from_file(path: &Path) -> Result<SecretText, Failure> {
     let bytes = private_file::read_private(path, LONGEST)?;
     let text = std::str::from_utf8(&bytes).map_err(|_| input(format!("{} is not text", path.display())))?;
@@ -44,9 +41,6 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
 }
 
 /// The passphrase given, or the one stored by headless use; `None` if there is neither.
-///
-/// # Errors
-/// If a given file or descriptor cannot be read, or the site is somebody else's.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
     if global.site_socket.is_some() {
         let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
@@ -62,9 +56,6 @@ pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
 
 /// The plan of `keys passphrase`: the present passphrase as given, stored beside the keyring or asked for; the new one
 /// from its file or descriptor, or asked for twice.
-///
-/// # Errors
-/// If one of them is neither given nor can be asked for.
 pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
     let (global, home, profile) = (&context.global, &context.home, &context.profile);
     if descriptor.is_some() && descriptor == global.passphrase_fd {
@@ -85,9 +76,6 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
 
 /// Removes the file that headless use stored beside the keyring: after a change it opens nothing, and it may be the
 /// very reason for the change.
-///
-/// # Errors
-/// If it cannot be removed.
 pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(), Failure> {
     let own = home.passphrase(profile);
     if !own.exists() {
@@ -123,9 +111,6 @@ fn asked_twice(option: &str) -> Result<SecretText, Failure> {
 }
 
 /// The passphrase given, or that in a file beside what it protects; `None` if there is neither.
-///
-/// # Errors
-/// If a given file or descriptor cannot be read.
 pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
     match (&global.passphrase_file, global.passphrase_fd) {
         (Some(path), _) => from_file(path).map(Some),
@@ -144,9 +129,6 @@ pub fn forget_unused(is_new: bool, home: &Home, profile: &ProfileName) {
 }
 
 /// The passphrase given, or a new random one stored beside the keyring, which is reported; `true` if it is new.
-///
-/// # Errors
-/// If the file cannot be written.
 pub fn given_or_new(
     global: &Global,
     home: &Home,

@@ -16,9 +16,6 @@ use crate::service::command::{
 use crate::service::{Epochs, Failure, KeyKind, SecretText};
 
 /// `audit …`
-///
-/// # Errors
-/// An invalid time.
 pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
     let Some(verb) = &arguments.verb else {
         let ask = AuditRecords { deep: arguments.deep, since: arguments.since()? };
@@ -55,9 +52,6 @@ fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, question: impl I
 }
 
 /// `keys …`
-///
-/// # Errors
-/// An unreadable file, a missing key.
 pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     let secret = |file: Option<PathBuf>| file.as_deref().map(passphrase::from_file).transpose();
     Ok(match verb {
@@ -96,9 +90,6 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
 }
 
 /// `grant …`
-///
-/// # Errors
-/// An invalid party, topic or time.
 pub fn grant(arguments: &GrantArguments) -> Result<Grant, Failure> {
     let expires = arguments.expires.as_deref().map(super::parse::end).transpose()?;
     Ok(Grant {

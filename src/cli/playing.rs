@@ -83,9 +83,6 @@ impl PlayArguments {
 }
 
 /// Plays; Ctrl-C ends it, a second one leaves at once.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn run(context: Context, arguments: PlayArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = arguments.wishes(context.config.ros_domain)?;
     // If a graph is given, no capturing node of ours is needed.

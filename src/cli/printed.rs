@@ -25,9 +25,6 @@ use crate::term::ConsoleOptions;
 use crate::ui::{Themes, theme};
 
 /// The defaults requested; `None` if something is to be done instead.
-///
-/// # Errors
-/// If the requested theme is not embedded.
 pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
         PrintArguments { default_config: true, .. } => Ok(Some(config())),
@@ -84,9 +81,6 @@ pub fn completions(shell: clap_complete::Shell) -> String {
 }
 
 /// The program's page, followed by one section per command.
-///
-/// # Errors
-/// If it cannot be rendered.
 pub fn manual() -> Result<String, Failure> {
     let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
     let mut bytes = Vec::new();
@@ -131,9 +125,6 @@ fn roff(text: &str) -> String {
 const LONGEST: u64 = 256 * 1024;
 
 /// The result of flags, settings and files.
-///
-/// # Errors
-/// If a file is wrong, with file and line.
 pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<ConsoleOptions, Failure> {
     let (settings, owner) = (&context.config.console, context.operator.is_none());
     let given = passphrase::is_given(&context.global, &context.home, &context.profile);

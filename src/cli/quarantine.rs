@@ -22,9 +22,6 @@ pub struct PinArguments {
 
 impl PinArguments {
     /// What is asked.
-    ///
-    /// # Errors
-    /// What is wrong with the arguments.
     pub fn question(&self) -> Result<Question, Failure> {
         let publishers: Vec<Publisher> = parse::values(&self.publishers)?;
         Ok(PinTopic { topic: parse::value(&self.topic)?, publishers }.into())
@@ -79,9 +76,6 @@ pub enum QuarantineVerb {
 }
 
 /// The command for a verb.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
     Ok(match verb {
         QuarantineVerb::List { topic, limit } => {

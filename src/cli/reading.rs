@@ -18,9 +18,6 @@ use crate::service::command::{OpenShared, ViewFile};
 use crate::service::reply::{OpenedView, PathView};
 
 /// Refuses such a command where there is no home.
-///
-/// # Errors
-/// If there is no home, or the standard places cannot be used.
 pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure> {
     // An operator works at the home of somebody else.
     if global.site_socket.is_some() || verb.is_none_or(makes_a_home) {

@@ -36,9 +36,6 @@ pub struct Recording {
 
 impl Recording {
     /// Compares a file with the statements that are opened in a bundle.
-    ///
-    /// # Errors
-    /// If the file cannot be read.
     pub fn compare(report: &Report, path: &Path) -> Result<Self, Failure> {
         let failed = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display()));
         let mut worst = None;

@@ -115,9 +115,6 @@ impl ExportArguments {
 }
 
 /// Runs an import; Ctrl-C ends it early, a second one leaves at once.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
     let view = run(context, ImportRecording(arguments.wishes()?), ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
@@ -125,9 +122,6 @@ pub async fn import(context: Context, arguments: ImportArguments, output: &Outpu
 }
 
 /// Brings every message of another home, and first its keyring if this home has none of the profile.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn import_home(context: Context, home: &Path, output: &Output) -> Result<u8, Failure> {
     let home = absolute(home)?;
     bring_keyring(&context, &home, output)?;
@@ -162,9 +156,6 @@ fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), 
 }
 
 /// Runs an export.
-///
-/// # Errors
-/// What the site or the arguments say.
 pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
     let view = run(context, ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
     output.result(&view, || exported(&view));

@@ -54,9 +54,6 @@ pub enum RetentionVerb {
 }
 
 /// Shows what would be erased, asks, and erases.
-///
-/// # Errors
-/// Errors of the arguments and the site; incidents that hold some of the records.
 pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
     let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
     let wishes = ErasureWishes {

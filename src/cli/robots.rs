@@ -69,9 +69,6 @@ pub enum RobotsVerb {
 }
 
 /// What is asked.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
     let question: Question = match verb {
         RobotsVerb::Pull { robot, since, until, topics, incident } => PullRing {
@@ -235,9 +232,6 @@ pub enum AddressesVerb {
 }
 
 /// The command for a verb.
-///
-/// # Errors
-/// What is wrong with the arguments.
 pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
@@ -314,9 +308,6 @@ pub struct PolicyArguments {
 
 impl PolicyArguments {
     /// What is asked.
-    ///
-    /// # Errors
-    /// Where the time is none.
     pub fn question(&self) -> Result<Question, Failure> {
         let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
         Ok(if self.learn { LearnPolicy { milliseconds }.into() } else { ShowPolicy.into() })

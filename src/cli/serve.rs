@@ -87,9 +87,6 @@ pub async fn asked_to_end() -> Ending {
 const PATIENCE: Duration = Duration::from_secs(15);
 
 /// Runs the site until a signal ends it.
-///
-/// # Errors
-/// If another process is the site already, or the profile cannot be opened.
 pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -> Result<u8, Failure> {
     if arguments.detach {
         return tokio::task::block_in_place(|| run_detached(&context, output));
@@ -174,9 +171,6 @@ pub async fn follow(
 
 /// Serves at a site, the running one or this process's own, until a signal, or until that site is gone: `begin` starts it,
 /// and `tell` says what is served, and whether the site was joined.
-///
-/// # Errors
-/// Errors of the beginning; the loss of the site.
 pub async fn until_signal<T>(
     connection: Connection,
     output: &Output,
@@ -224,9 +218,6 @@ async fn lost(client: &Client) -> Failure {
 
 /// Waits for an answer that takes its time, while `meanwhile` goes on for ever. The first Ctrl-C sends `stop` and says what
 /// is still done; a second one, or an order to end, leaves at once, with the other words.
-///
-/// # Errors
-/// Errors of the site, and where it was left.
 pub async fn until_done<A: Ask>(
     client: &Client,
     ask: A,
@@ -314,9 +305,6 @@ const LONGEST_LOG: u64 = 1 << 20;
 const LONGEST: u64 = 64 * 1024;
 
 /// Starts the same command without `--detach`, and returns when it serves or has ended.
-///
-/// # Errors
-/// If it cannot be started, or says nothing that is understood.
 pub fn run_detached(context: &Context, output: &Output) -> Result<u8, Failure> {
     files::private_directory(context.home.root())?;
     let log = context.home.serve_log();

@@ -23,9 +23,6 @@ use authros_output::Output;
 /// An answer that a verb prints.
 pub trait Printed: Answer {
     /// Prints it; `out` is where its files go. Returns the exit code.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure>;
 }
 
@@ -68,9 +65,6 @@ impl Told {
     }
 
     /// Prints the answer; returns the exit code.
-    ///
-    /// # Errors
-    /// The site's failure, or a file that cannot be written.
     pub fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         (self.print)(self.reply, out, output)
     }

@@ -20,9 +20,6 @@ use crate::service::reply::{
 use crate::service::{Failure, doctor};
 
 /// `status`.
-///
-/// # Errors
-/// If there is no such profile, or neither a site nor the home's files answer.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
@@ -48,9 +45,6 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
 const LOOK: Duration = Duration::from_secs(2);
 
 /// `status --watch`: the running site's status, whenever it changes, until a signal.
-///
-/// # Errors
-/// If no site runs, or it ends.
 pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;

@@ -47,9 +47,6 @@ impl Plan {
 }
 
 /// Sends the planned request and prints the answer.
-///
-/// # Errors
-/// Errors of the site.
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(plan.needs).await?;
     connection.tell_read_only(output);
@@ -75,9 +72,6 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
 }
 
 /// `config …`
-///
-/// # Errors
-/// If the settings name users or groups that this machine does not have.
 pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
     let settings = context.config.show();
     match verb {
@@ -94,9 +88,6 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u
 }
 
 /// `identity create`: the passphrase is written once the site is there, because a file without its keyring opens nothing.
-///
-/// # Errors
-/// Errors of the site or the passphrase.
 pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Failure> {
     let create = async |client: &Client| {
         let (passphrase, is_new) = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
@@ -108,9 +99,6 @@ pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Fa
 }
 
 /// `identity …`
-///
-/// # Errors
-/// Invalid arguments.
 pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
     use ProfileNeed::{None as NoProfile, Unlocked};
     Ok(match verb {
@@ -130,9 +118,6 @@ pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
 }
 
 /// `topics …`
-///
-/// # Errors
-/// Invalid arguments.
 pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
     let kept = |question: Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
@@ -151,9 +136,6 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
 }
 
 /// `quarantine …`
-///
-/// # Errors
-/// Invalid arguments.
 pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
     let decides = !matches!(verb, QuarantineVerb::List { .. });
     let (needs, profile) = if decides { (CHAIN, ProfileNeed::Unlocked) } else { (NEITHER, ProfileNeed::None) };
@@ -161,9 +143,6 @@ pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
 }
 
 /// `uploads …`
-///
-/// # Errors
-/// Errors of the arguments or the site.
 pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         UploadsVerb::List(list) if list.follow => {
@@ -184,9 +163,6 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
 }
 
 /// `grants …`
-///
-/// # Errors
-/// Invalid arguments.
 pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         GrantsVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, ListGrants),
@@ -198,9 +174,6 @@ pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
 }
 
 /// `shared …`
-///
-/// # Errors
-/// Errors of the arguments or the site.
 pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         SharedVerb::Export(export) => return recordings::export(context, export, output).await,

@@ -83,9 +83,6 @@ impl Call {
     }
 
     /// The call data.
-    ///
-    /// # Errors
-    /// [`ChainError::Input`] if a value breaks a limit of the contract.
     pub fn encode(&self) -> Result<Vec<u8>, ChainError> {
         artefact()?.encode(self.name(), &self.arguments()?)
     }
@@ -298,9 +295,6 @@ fn read(json: &str) -> Result<Artefact, String> {
 }
 
 /// The artefact.
-///
-/// # Errors
-/// [`ChainError::Internal`] if the file built into the program is broken.
 pub fn artefact() -> Result<&'static Artefact, ChainError> {
     READ.as_ref().map_err(|error| ChainError::Internal(error.clone()))
 }
@@ -312,9 +306,6 @@ impl Artefact {
     }
 
     /// Call data of a function.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if name or arguments do not match the ABI.
     pub fn encode(&self, name: &str, arguments: &[AbiToken]) -> Result<Vec<u8>, ChainError> {
         let encoded = self.function(name)?.encode_input(arguments);
         encoded.map_err(|error| ChainError::Internal(format!("{name}: {error}")))
@@ -328,9 +319,6 @@ impl Artefact {
 
     /// Creation code with the constructor's arguments: whether registration is open, and the delay of a succession,
     /// seconds.
-    ///
-    /// # Errors
-    /// [`ChainError::Internal`] if the artefact has no constructor.
     pub fn creation(&self, open: bool, delay: u64) -> Result<Vec<u8>, ChainError> {
         let constructor = self.abi.constructor().ok_or_else(|| ChainError::Internal("no constructor".into()))?;
         let arguments = [AbiToken::Bool(open), AbiToken::Uint(delay.into())];

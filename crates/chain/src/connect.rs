@@ -79,11 +79,6 @@ impl Inner {
 
 impl Chain {
     /// Opens the embedded chain, or connects to a node, and compares it with the pin.
-    ///
-    /// # Errors
-    /// [`ChainError::Unreachable`] naming the URL if a node does not answer within 5 s, [`ChainError::Swapped`] if
-    /// chain id, genesis block, contract or its code are not the pinned ones, [`ChainError::Gone`],
-    /// [`ChainError::Tampered`] and [`ChainError::File`] for the embedded chain's file.
     pub async fn connect(options: ChainOptions) -> Result<Self, ChainError> {
         if let (Endpoint::Embedded { directory, .. }, Some(_)) = (&options.endpoint, &options.pinned)
             && !embedded::file_in(directory).exists()
@@ -121,10 +116,6 @@ impl Chain {
     }
 
     /// Asks again for chain id, genesis block and contract code, and compares them with those in use.
-    ///
-    /// # Errors
-    /// [`ChainError::Swapped`] if the chain behind the URL is now another one or was wiped; [`ChainError::NoContract`]
-    /// before a contract is used, or an error of the node.
     pub async fn identify(&self) -> Result<(), ChainError> {
         let pin = self.pin().ok_or(ChainError::NoContract)?;
         let chain_id: U64 = self.rpc("eth_chainId", json!([])).await?;
@@ -408,11 +399,6 @@ impl Chain {
     }
 
     /// Like [`Chain::deploy`], with another delay of successions and within limits of the price.
-    ///
-    /// # Errors
-    /// [`ChainError::Reverted`] if the contract refuses the delay, [`ChainError::NoEther`], [`ChainError::TooDear`],
-    /// [`ChainError::NotMined`] if no block includes it within 60 s at the highest price allowed, or an error of the
-    /// node.
     pub async fn deploy_with(
         &self,
         eoa: &EoaSecret,

@@ -97,9 +97,6 @@ impl Event {
     }
 
     /// From the topics and data of a log of the contract.
-    ///
-    /// # Errors
-    /// What is wrong with the log, or with the artefact.
     pub fn decode(topics: &[Hash], data: &[u8]) -> Result<Self, String> {
         let artefact = artefact().map_err(|error| error.to_string())?;
         let first = topics.first().ok_or("an event without a topic")?;

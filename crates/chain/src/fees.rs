@@ -322,9 +322,6 @@ pub(super) fn known_cost(function: &str, data: &[u8]) -> u64 {
 
 /// The gas limit of a transaction: what the call is known to cost, or the node's estimate with a quarter to spare where
 /// that is higher, up to four times the known cost and never more than a block holds.
-///
-/// # Errors
-/// [`ChainError::BlockTooSmall`] if a block holds less than the call is known to cost.
 pub(super) fn limit(estimate: u64, known: u64, block: Option<u64>) -> Result<u64, ChainError> {
     let block = block.filter(|limit| *limit > 0).unwrap_or(u64::MAX);
     if block < known {

@@ -94,9 +94,6 @@ impl Chain {
     }
 
     /// Simulates a call without sending it.
-    ///
-    /// # Errors
-    /// [`ChainError::Reverted`] with the reason if the contract would refuse, otherwise an error of the node.
     pub async fn simulate(&self, from: Address, call: &Call) -> Result<(), ChainError> {
         self.eth_call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
     }
@@ -206,9 +203,6 @@ impl Chain {
     }
 
     /// Runs every block of the embedded chain again and compares; returns how many, `None` for other chains.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that was altered.
     pub async fn run_again(&self) -> Result<Option<u64>, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.audit().await.map(Some),
@@ -343,9 +337,6 @@ impl Chain {
     }
 
     /// The first block with an event of a contract: asked for all blocks at once, then for as many as the node likes.
-    ///
-    /// # Errors
-    /// An error of the node that it also gives for a single block.
     pub(super) async fn first_with(&self, contract: Address, event: Hash) -> Result<Option<u64>, ChainError> {
         let (topics, head) = (json!([event.to_string()]), self.head().await?.number);
         let (mut next, mut chunk) = (0, head + 1);

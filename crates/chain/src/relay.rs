@@ -127,10 +127,6 @@ fn refused<T>(code: i64, words: impl Into<String>) -> Result<T, RelayError> {
 }
 
 /// Examines a request.
-///
-/// # Errors
-/// [`RelayError::NotAllowed`] for a method that is not passed on for this caller, [`RelayError::Answered`] saying what
-/// else is wrong.
 pub fn examine(ground: Ground<'_>, asker: Asker, method: &str, parameters: &Value) -> Result<Passed, RelayError> {
     check(method, parameters)?;
     let first = parameters.get(0).unwrap_or(&Value::Null);

@@ -28,9 +28,6 @@ pub struct Sealing {
 
 impl Chain {
     /// How the blocks are sealed.
-    ///
-    /// # Errors
-    /// Errors of the node; what a node does not report is left out.
     pub async fn sealing(&self) -> Result<Sealing, ChainError> {
         if let Some(chain) = self.transport().embedded() {
             let sealers = chain.sealers().to_vec();

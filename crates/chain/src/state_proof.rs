@@ -21,9 +21,6 @@ const FIELDS: &str = "parentHash sha3Uncles miner stateRoot transactionsRoot rec
 
 impl Chain {
     /// A block's header, RLP, exactly as hashed; `None` if there is no such block.
-    ///
-    /// # Errors
-    /// Errors of the node, or if its fields do not give its hash.
     pub async fn header_rlp(&self, number: u64) -> Result<Option<Vec<u8>>, ChainError> {
         let block: Value = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
         if block.is_null() {
@@ -35,9 +32,6 @@ impl Chain {
 
     /// The nodes that prove slots of the contract's storage after a block (EIP-1186). The caller must check what they
     /// prove.
-    ///
-    /// # Errors
-    /// Errors of the node: most keep the state of the newest blocks only.
     pub async fn storage_nodes(&self, number: u64, slots: &[Slot]) -> Result<Vec<Vec<u8>>, ChainError> {
         let contract = self.contract()?.to_string();
         let mut nodes = Vec::new();

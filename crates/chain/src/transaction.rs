@@ -213,9 +213,6 @@ impl Chain {
     ///
     /// Gas is estimated and held against what the call is known to cost; for uploads and anchors once per account, then
     /// remembered until a transaction fails, so that many can be signed in advance.
-    ///
-    /// # Errors
-    /// [`ChainError::Reverted`] if the contract would refuse the call, [`ChainError::Input`], or an error of the node.
     pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
         let price = self.market().await?.offer();
         self.sign_at(eoa, nonce, call, price).await

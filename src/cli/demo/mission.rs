@@ -51,9 +51,6 @@ pub struct Mission {
 
 impl Mission {
     /// Starts site and robots, creates and registers the three persons.
-    ///
-    /// # Errors
-    /// If the home is in use, or a part does not start.
     pub async fn start(context: &Context, robots: Robots, seconds: u64, output: Output) -> Result<Self, Failure> {
         let root = context.home.root().display();
         let in_use = format!("a site of {root} is already running; stop it, or give the demo another --home");
@@ -105,9 +102,6 @@ impl Mission {
     }
 
     /// Plays the story and counts.
-    ///
-    /// # Errors
-    /// If a step cannot be taken at all; a failed check is part of the story.
     pub async fn run(mut self) -> Result<Story, Failure> {
         let played = self.play().await;
         let site = Arc::clone(&self.site);
@@ -117,9 +111,6 @@ impl Mission {
     }
 
     /// The story itself; the site keeps running.
-    ///
-    /// # Errors
-    /// If a step cannot be taken at all.
     pub(super) async fn play(&mut self) -> Result<Story, Failure> {
         let first = self.capture(self.milliseconds * 6 / 10, has_what_is_shown).await?;
         self.output

@@ -79,10 +79,6 @@ pub struct ChainFile {
 
 impl ChainFile {
     /// Opens or creates `chain.db` in `directory` (0700, files 0600).
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written or another process has it open, [`ChainError::Tampered`] if it is
-    /// not a chain.
     pub fn open(directory: &Path) -> Result<Self, ChainError> {
         let path = super::file_in(directory);
         let blame = |error: std::io::Error| ChainError::File { path: path.clone(), reason: error.to_string() };

@@ -165,9 +165,6 @@ impl Embedded {
     }
 
     /// Runs every block again, alongside other requests; returns how many.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that was altered.
     pub async fn audit(&self) -> Result<u64, ChainError> {
         let (reply, answer) = oneshot::channel();
         self.begin(move |node| node.begin_audit(reply))?;

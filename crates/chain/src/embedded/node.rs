@@ -250,9 +250,6 @@ impl Again {
     }
 
     /// Runs the next block.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] if the result differs from the file, or its seal does not meet the chain's consensus.
     pub fn step(&mut self) -> Result<(), ChainError> {
         let number = self.last.number + 1;
         let blame = |what: &str| self.file.tampered(number, what);

@@ -358,9 +358,6 @@ fn too_many(what: &str) -> Fault {
 }
 
 /// The logs that match a filter.
-///
-/// # Errors
-/// [`Fault`] -32005 if that is more than one answer holds, or for a malformed filter.
 fn logs(node: &Node, filter: &Value) -> Reply {
     if let Some(hash) = filter.get("blockHash").and_then(read_hash)
         && node.file.number_of(hash)?.is_none()

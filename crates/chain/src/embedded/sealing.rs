@@ -255,10 +255,6 @@ pub struct Founded {
 }
 
 /// The chain in the file, or a new one.
-///
-/// # Errors
-/// [`ChainError::OtherConsensus`] if a different consensus is requested from the one the chain was founded with,
-/// [`ChainError::Tampered`] if the founding data do not match the genesis block.
 pub fn open(file: &ChainFile, asked: Option<Consensus>) -> Result<Founded, ChainError> {
     let Founding { chain_id, consensus, keys } = match file.founding()? {
         Some(founding) => founding,

@@ -23,9 +23,6 @@ const SHORTEST: usize = 32;
 /// The store of nodes.
 pub trait Nodes {
     /// The node with this hash.
-    ///
-    /// # Errors
-    /// [`ChainError::Tampered`] naming the node if it is missing or altered, or an error if it cannot be read.
     fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError>;
 
     /// The error for bytes that are not a trie node.

@@ -141,9 +141,6 @@ impl Heavy {
     }
 
     /// Counts a transaction, signed and in hex, if it is heavy.
-    ///
-    /// # Errors
-    /// How long to wait for the next one, if no more are taken now.
     pub fn count(&self, raw: Option<&Value>, now: Instant) -> Result<(), Duration> {
         let raw = raw.and_then(Value::as_str).and_then(unhex).unwrap_or_default();
         // What is no transaction is refused by the chain.
