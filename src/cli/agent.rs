@@ -1,4 +1,4 @@
-//! `authros agent`: the robot's side. `enrol` is run by the owner, `run` on the robot or its host.
+//! `authros agent`: `enrol` runs at the owner, `run` on the robot.
 
 use std::future::pending;
 use std::path::{Path, PathBuf};
@@ -19,11 +19,10 @@ use crate::service::{
 use crate::store::TopicCounts;
 use authros_output::Output;
 
-/// `agent …`; the home of `run` follows from its enrolment.
 pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
     match verb {
         AgentVerb::Enrol(arguments) => {
-            // It is the key of the robot's gateway here, not of the one that this home's site has joined.
+            // Names the robot's gateway, not the one that this home's site joined.
             global.gateway_key = None;
             enrol(Context::new(global, output)?, arguments, output).await
         }
@@ -31,7 +30,6 @@ pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result
     }
 }
 
-/// Enrols a robot and writes its file.
 async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
     let out = arguments.out;
     if out.exists() {
@@ -90,7 +88,6 @@ fn open(global: &Global, path: &Path) -> Result<SealedEnrolment, Failure> {
     Ok(SealedEnrolment::open(path, &Passphrase::new(secret.expose().to_owned())?)?)
 }
 
-/// The last document of a run.
 #[derive(Serialize)]
 struct Summary {
     #[serde(flatten)]
@@ -99,7 +96,6 @@ struct Summary {
     topics: Vec<TopicCounts>,
 }
 
-/// Runs an agent until it is done or told to stop.
 async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = AgentWishes {
         topics: parse::values(&arguments.topics)?,
@@ -116,7 +112,7 @@ async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Re
     let site = Site::start(context.home, context.config, lock, Needs { ros: true, chain: false })?;
     site.oversee();
     let (mut events, beside) = (site.events(), *output);
-    // What the site tells goes to stderr.
+    // Notices of the site go to stderr.
     let notes = tokio::spawn(async move { serve::follow(&mut events, NoticeLevel::Info, &beside, pending()).await });
     let mut agent = match Agent::start(&site, sealed, wishes).await {
         Ok(agent) => agent,
@@ -153,7 +149,7 @@ fn text(figures: &AgentFigures) -> String {
     format!("{name}: {counts}{ring}; gateway: {gateway}")
 }
 
-/// For an agent that runs indefinitely, being told to stop is success: the outbox continues later.
+/// An unlimited agent that is told to stop succeeds: its outbox continues later.
 fn code(end: AgentEnd, unlimited: bool, figures: &AgentFigures) -> u8 {
     let kind = match end {
         _ if figures.tampered > 0 => Some(ErrorKind::Tampered),

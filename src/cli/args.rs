@@ -38,8 +38,8 @@ pub struct Arguments {
     pub verb: Option<Verb>,
 }
 
-/// The words of a command line, in which a value that is named like a command stands in one word with its option. Before the
-/// command, clap takes it for the command itself, because commands go before values for the sake of `--ros2 topics list`.
+/// Joins an option and a value that is named like a command by `=`. Otherwise clap takes the value for the command,
+/// because commands go before values for the sake of `--ros2 topics list`.
 pub fn with_values_joined(words: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let command = Arguments::command();
     let is_command = |word: &OsString| command.find_subcommand(word).is_some();
@@ -401,7 +401,6 @@ pub struct Global {
 }
 
 impl Global {
-    /// The flag's value for a setting.
     pub fn setting(&self, name: &str) -> Option<String> {
         match name {
             "ros.master" => self.ros_master.clone(),
@@ -423,7 +422,7 @@ impl Global {
     }
 }
 
-/// The domain that a flag without a number means.
+/// A flag without a number means $ROS_DOMAIN_ID, else 0.
 fn domain(written: String) -> String {
     let of_environment = || std::env::var("ROS_DOMAIN_ID").ok().filter(|value| !value.is_empty());
     Some(written).filter(|written| !written.is_empty()).or_else(of_environment).unwrap_or_else(|| "0".to_owned())

@@ -24,12 +24,10 @@ pub struct AuditArguments {
 }
 
 impl AuditArguments {
-    /// The audit of all records; `deep` = of their bytes and signatures too.
     pub fn of_records(deep: bool) -> Self {
         Self { verb: None, deep, since: None }
     }
 
-    /// From when on.
     pub fn since(&self) -> Result<Option<Timestamp>, Failure> {
         self.since.as_deref().map(parse::past).transpose()
     }
@@ -76,7 +74,6 @@ pub enum AuditVerb {
     },
 }
 
-/// The beginning and the length of `audit list`.
 pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
     if !(1..=1000).contains(&limit) {
         return Err(Failure::new(ErrorKind::Input, format!("--limit {limit} is not between 1 and 1000")));
@@ -84,7 +81,6 @@ pub fn query(since: Option<&str>, limit: usize) -> Result<AuditQuery, Failure> {
     Ok(AuditQuery { since: since.map(parse::past).transpose()?, limit, ..AuditQuery::default() })
 }
 
-/// The lines, for people.
 pub fn lines(lines: &[AuditView]) -> String {
     let row = |line: &AuditView| {
         let (action, subject, outcome) = (line.action.clone(), line.subject.clone(), line.outcome.clone());
@@ -93,7 +89,6 @@ pub fn lines(lines: &[AuditView]) -> String {
     table(&["line", "at", "by", "action", "subject", "outcome"], lines.iter().map(row))
 }
 
-/// What a check found, for people.
 pub fn check(check: &AuditCheck) -> String {
     let mut lines = Vec::new();
     match &check.text {
@@ -106,7 +101,6 @@ pub fn check(check: &AuditCheck) -> String {
     lines.join("\n")
 }
 
-/// The exit code of a check.
 pub fn code(check: &AuditCheck) -> u8 {
     if check.ok { 0 } else { ErrorKind::Tampered.exit_code() }
 }

@@ -1,5 +1,4 @@
-//! Scheduled backups: a new file in a folder, removing the oldest of its kind; and the drill that shows one of them
-//! can be restored. A console that is left running hands its home over to `authros serve`.
+//! Scheduled backups, the restore drill, and the hand-over from a console to `authros serve`.
 
 use std::ffi::OsString;
 use std::io::Write as _;
@@ -27,10 +26,9 @@ use crate::service::failure::input;
 use crate::service::{Client, Failure, SecretText, restoring};
 use crate::term;
 
-/// Prefix and suffix of these files' names; the time they were written is in between.
+/// Prefix and suffix of backup files; the time is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
 
-/// `backup FILE`, or `backup --to DIR --keep N`: one more file, then at most `keep` of them.
 pub async fn run(context: Context, backup: BackupArguments, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let folder = backup.to.as_deref().map(absolute).transpose()?;
@@ -63,7 +61,6 @@ fn name_at(now: Timestamp) -> String {
     format!("{}{}Z{}", NAME.0, digits.trim_end_matches('Z'), NAME.1)
 }
 
-/// Whether a file of this name is one of ours.
 fn is_own(name: &str) -> bool {
     let Some(time) = name.strip_prefix(NAME.0).and_then(|rest| rest.strip_suffix(NAME.1)) else { return false };
     let fits = |(index, byte): (usize, u8)| match index {
@@ -74,7 +71,7 @@ fn is_own(name: &str) -> bool {
     time.len() == 16 && time.bytes().enumerate().all(fits)
 }
 
-/// Removes all but the newest `keep` of our files; returns their names. Anything else in the folder stays.
+/// Keeps the newest `keep` backups and all other files; returns the removed names.
 fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
     let mut own = Vec::new();
     for entry in std::fs::read_dir(folder)? {
@@ -90,7 +87,7 @@ fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
     Ok(own)
 }
 
-/// `restore --check FILE`: restores it into a folder of its own, audits every record of it, and removes it.
+/// `restore --check FILE`: restores into a temporary folder, audits every record, removes the folder.
 pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let beside = absolute(context.home.root())?.parent().map_or_else(std::env::temp_dir, Path::to_path_buf);
@@ -110,10 +107,8 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     code
 }
 
-/// How often a passphrase is asked for.
 const ATTEMPTS: usize = 3;
 
-/// What the successor of a console needs to know.
 pub struct Successor {
     global: Global,
     home: Home,
@@ -121,15 +116,13 @@ pub struct Successor {
 }
 
 impl Successor {
-    /// Of a console that begins with these settings.
     pub fn of(context: &Context) -> Self {
         Self { global: context.global.clone(), home: context.home.clone(), profile: context.profile.clone() }
     }
 
-    /// The passphrase, which opens the keyring.
     pub fn passphrase(&self) -> Result<SecretText, Failure> {
         let keyring = self.home.keyring(&self.profile);
-        // A descriptor was read at the start.
+        // The descriptor was read at the start.
         let global = Global { passphrase_fd: None, ..self.global.clone() };
         if let Ok(Some(given)) = passphrase::given(&global, &self.home, &self.profile)
             && opens(&keyring, &given).is_ok()
@@ -150,7 +143,7 @@ impl Successor {
         Err(refusal.unwrap_or_else(none_given))
     }
 
-    /// Becomes the successor; returns only if that fails. The site must have been stopped.
+    /// Replaces this process; returns only on failure. The site must have been stopped.
     pub fn become_it(&self, secret: &SecretText) -> Failure {
         let failed = |error: std::io::Error| {
             let text = format!("nothing was left running: {error}; capture has stopped, start it with `authros serve`");
@@ -160,7 +153,7 @@ impl Successor {
             Ok(ends) => ends,
             Err(error) => return failed(error),
         };
-        // At most 4 KiB, which a pipe holds; what is written stays readable for the program that follows.
+        // A pipe holds these at most 4 KiB, so the write does not block and the next program can read them.
         if let Err(error) = writer.write_all(secret.expose().as_bytes()).and_then(|()| writer.write_all(b"\n")) {
             return failed(error);
         }
@@ -171,7 +164,6 @@ impl Successor {
     }
 }
 
-/// What to say when the passphrase was not given after all: the console was told to leave.
 fn none_given() -> Failure {
     let text =
         "no passphrase was given, so nothing is left running; capture has stopped, start it with `authros serve`";
@@ -184,8 +176,8 @@ fn opens(keyring: &Path, secret: &SecretText) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The flags of the console as those of its successor. Each has its place here, so that one that is forgotten does not
-/// compile; those of a passphrase and of an operator, who leaves no site, are not passed on.
+/// The console's flags for its successor. The exhaustive pattern makes a forgotten flag a compile error; flags of a
+/// passphrase and of an operator are not passed on.
 fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
     let Global {
         home: _,

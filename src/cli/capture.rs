@@ -14,12 +14,10 @@ use crate::service::reply::{CaptureSummary, ChainView, HealthLevel, SiteView, To
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
-/// Without a verified record for this long, the person is told what the capture waits for.
+/// Time without a verified record after which the wait is explained.
 const QUIET: Duration = Duration::from_secs(20);
-/// How often to look.
 const LOOK: Duration = Duration::from_secs(3);
 
-/// Runs one capture; Ctrl-C ends it early, a second one exits at once.
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
     let ask = Capture {
@@ -49,7 +47,7 @@ pub async fn run(context: Context, arguments: CaptureArguments, output: &Output)
     Ok(code(&summary, output))
 }
 
-/// While records are captured and none gets verified: says why, as far as the site knows; each cause once. Never ends.
+/// Explains why nothing gets verified, each cause once. Never ends.
 async fn tell_what_it_waits_for(client: &Client, output: &Output) -> Infallible {
     let (mut verified, mut block) = ((0, Instant::now()), (0, Instant::now()));
     let mut told = None;
@@ -75,7 +73,7 @@ async fn tell_what_it_waits_for(client: &Client, output: &Output) -> Infallible 
     }
 }
 
-/// Why nothing gets verified: a word for the cause, and what to say. `still` is the time since the last block.
+/// The cause and its explanation; `still` is the time since the last block.
 fn obstacle(site: &SiteView, chain: &ChainView, still: Duration) -> (&'static str, String) {
     let unwell = site.health.iter().find(|part| part.part == "chain" && part.level != HealthLevel::Ok);
     if let Some(part) = unwell {

@@ -22,7 +22,6 @@ use crate::service::reply::ServedView;
 use crate::service::{Client, Failure, Needs};
 use authros_output::Output;
 
-/// `chain …`; only `genesis` needs no home.
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
     let unlocked = |act: Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, Administer(act));
     let plan = match verb {
@@ -72,10 +71,9 @@ fn seconds(text: &str) -> Result<u64, Failure> {
     parse::duration(text).map(|length| length.as_secs())
 }
 
-/// Serves the embedded chain's JSON-RPC until a signal: through this home's running site, or as the site itself.
 async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     if !listen.ip().is_loopback() {
-        // Reported before a site is started for it.
+        // Refuses before a site is started.
         drop(crate::chain::serve::listen(listen).await?);
     }
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
@@ -89,7 +87,6 @@ async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<
     .await
 }
 
-/// Makes a genesis file, or prints the guide.
 fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
     let Some(consensus) = &arguments.consensus else {
         output.result(&serde_json::json!({ "guide": GUIDE }), || GUIDE.to_owned());
@@ -124,7 +121,7 @@ fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure>
     Ok(0)
 }
 
-/// A genesis file that a network was founded with must not be lost by accident.
+/// Never overwrites: the genesis file of a network must not be lost by accident.
 fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
     let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(file) => file,

@@ -1,4 +1,4 @@
-//! Completion of words that only the home knows: the hidden `complete` looks them up, and the shells' scripts ask it.
+//! Completion of words that only the home knows: the shells' scripts ask the hidden `complete`.
 
 use std::fmt::Write as _;
 
@@ -33,7 +33,7 @@ impl Word {
     }
 }
 
-/// Commands whose first argument is such a word.
+/// Commands, and the kind of their first argument.
 const COMMANDS: &[(&str, Word)] = &[
     ("topics watch", Word::Topic),
     ("topics unwatch", Word::Topic),
@@ -52,7 +52,7 @@ const COMMANDS: &[(&str, Word)] = &[
     ("shared path", Word::Record),
 ];
 
-/// Options whose value is such a word, on every command.
+/// Options of every command, and the kind of their value.
 const OPTIONS: &[(&str, Word)] = &[
     ("topic", Word::Topic),
     ("owner", Word::Contact),
@@ -61,7 +61,6 @@ const OPTIONS: &[(&str, Word)] = &[
     ("profile", Word::Profile),
 ];
 
-/// The words, one a line.
 pub fn candidates(global: &Global, what: Word, begun: &str) -> String {
     let home = global.home.clone().map_or_else(Home::standard, |root| Ok(Home::new(root)));
     let Ok(home) = home else { return String::new() };
@@ -74,11 +73,10 @@ pub fn candidates(global: &Global, what: Word, begun: &str) -> String {
     completing::words(&home, kind, begun).into_iter().map(|word| word + "\n").collect()
 }
 
-/// The shell's script with these words in it; of shells other than bash, zsh and fish as it is.
 pub fn with_words(shell: Shell, script: String) -> String {
     match shell {
         Shell::Bash => format!("{script}\n{}", BASH.replace("CASES", &cases())),
-        // Loaded by its name, `_authros` is what zsh calls from the second time on.
+        // Once loaded, zsh calls `_authros` by its name.
         Shell::Zsh => {
             let script = script.replacen("_authros() {", "_authros_commands_alone() {", 1);
             let head = ZSH.replace("CASES", &cases());
@@ -89,7 +87,6 @@ pub fn with_words(shell: Shell, script: String) -> String {
     }
 }
 
-/// What is asked for by which words, as `case` of a shell has it.
 fn cases() -> String {
     let mut text = String::new();
     for (option, word) in OPTIONS {
@@ -102,7 +99,7 @@ fn cases() -> String {
     text
 }
 
-/// Words that stand before the one that is completed, flags of every command left out but for the last.
+/// `before` holds the words before the cursor, without global flags.
 const BASH: &str = r#"_authros_words() {
     local begun="${COMP_WORDS[COMP_CWORD]}" before=" " what="" home="" place word
     for ((place = 1; place < COMP_CWORD; place++)); do

@@ -1,5 +1,4 @@
-//! From arguments to a client: settings resolved, the running site joined or one opened here, the profile created or
-//! unlocked if the command needs it.
+//! Resolves settings, joins the running site or opens one, and prepares the profile.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,64 +17,50 @@ use crate::service::{Client, Failure, Needs, Site, looking};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
-/// How often it is tried to become the site.
+/// Interval between attempts to become the site.
 const AGAIN: Duration = Duration::from_millis(100);
-/// How long a process that has the home and does not answer is waited for.
+/// Patience with a silent process that holds the home.
 const SILENCE: Duration = Duration::from_secs(5);
-/// How long a command that is the site until it ends is waited for: less than systemd waits for a service to start.
+/// Patience with a command that is the site: below systemd's start timeout.
 const LONGEST_COMMAND: Duration = Duration::from_secs(60);
-/// How long joined processes may still wait for an answer after a signal.
+/// Time for joined processes to get their answers after a signal.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// The start of every command.
 pub struct Context {
-    /// The flags.
     pub global: Global,
-    /// The home.
     pub home: Home,
-    /// The profile.
     pub profile: ProfileName,
-    /// The settings.
     pub config: Config,
-    /// As which operator a site is joined that is somebody else's; `None` = as the owner.
+    /// Set where somebody else's site is joined; `None` = the owner.
     pub operator: Option<Operator>,
 }
 
-/// A user at somebody else's site.
 pub struct Operator {
-    /// The socket of that site.
     pub socket: PathBuf,
-    /// The user's name, as the site will find it.
+    /// The user's name, as the site will see it.
     pub name: OperatorName,
 }
 
 impl Operator {
-    /// With `--site-socket`.
     fn of(global: &Global) -> Result<Option<Self>, Failure> {
         let Some(socket) = global.site_socket.clone() else { return Ok(None) };
         Ok(Some(Self { socket, name: Account::own()?.name }))
     }
 }
 
-/// A client, and the site if this process is it.
 pub struct Connection {
-    /// Acts for the profile.
     pub client: Client,
-    /// The site, to be stopped at the end.
+    /// Set if this process is the site.
     pub site: Option<Arc<Site>>,
 }
 
-/// What a command needs of the profile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProfileNeed {
-    /// Nothing.
     None,
-    /// Its keyring open.
     Unlocked,
-    /// Its keyring open at a running site, for what that site is to do from now on. It is not required: what is wished for
-    /// begins when the keyring is opened, and that is said.
+    /// Keyring open if a passphrase is given; otherwise the site begins once it is opened, and the command says so.
     OpenAtSite,
-    /// Its keyring open; created first if there is none.
+    /// Keyring open, created first if missing.
     Made,
 }
 
@@ -87,7 +72,7 @@ fn misplaced(error: PlaceError) -> Failure {
     Failure::new(error.kind(), error.to_string())
 }
 
-/// Nobody should have to search for a home that is in whichever directory the program was started.
+/// Names the home where HOME is not set, so that nobody has to search for it.
 fn say_without_home(home: &Home, output: &Output) {
     if std::env::var_os("HOME").is_none_or(|value| value.is_empty()) {
         let root = home.root().display();
@@ -96,7 +81,6 @@ fn say_without_home(home: &Home, output: &Output) {
 }
 
 impl Context {
-    /// Resolves profile, home and settings.
     pub fn new(global: Global, output: &Output) -> Result<Self, Failure> {
         let profile = super::parse::value(global.profile.as_deref().unwrap_or("default"))?;
         let standard = || Home::standard().map_err(misplaced);
@@ -112,7 +96,7 @@ impl Context {
         Ok(Self { global, home, profile, config, operator })
     }
 
-    /// For an agent: without `--home` it has its own home below the standard one.
+    /// Without `--home`, an agent has its own home below the standard one.
     pub fn for_agent(global: Global, name: &ProfileName, output: &Output) -> Result<Self, Failure> {
         if global.home.is_some() {
             return Self::new(global, output);
@@ -135,7 +119,7 @@ impl Context {
         Ok(Config::resolve(&|name| global.setting(name), &environment, file)?)
     }
 
-    /// Connects, brings the profile to the state needed, does `work`, and closes the connection.
+    /// Connects, prepares the profile, does `work`, closes the connection.
     pub async fn with<T>(
         &self,
         needs: Needs,
@@ -153,12 +137,11 @@ impl Context {
         result
     }
 
-    /// Joins the running site, or opens one here with the parts needed.
     pub async fn connect(&self, needs: Needs) -> Result<Connection, Failure> {
         if let Some(operator) = &self.operator {
             return self.connect_to(&operator.socket).await;
         }
-        // A short command's site has only the parts that this command needs, and ends with it.
+        // A short command's site has only the parts that it needs, and ends with it.
         let waits = |greeting: &Greeting, waited: Duration| match greeting.has {
             _ if greeting.stays => None,
             has if needs.chain && !has.chain => Some(LONGEST_COMMAND),
@@ -167,8 +150,8 @@ impl Context {
         self.join_or_start(needs, "this command", waits).await
     }
 
-    /// Joins the running site, or becomes one. `waits` says how long in all it is waited for the end of a site that is not
-    /// to be joined; `again` is what to run again then.
+    /// `waits` gives the whole patience with a site that must end first, or `None` to join it; `again` names the
+    /// command to repeat.
     async fn join_or_start(
         &self,
         needs: Needs,
@@ -205,7 +188,7 @@ impl Context {
         Err(Failure::new(ErrorKind::Home, text))
     }
 
-    /// Joins the site of somebody else. Its settings are its owner's.
+    /// The settings are those of the site's owner.
     async fn connect_to(&self, path: &Path) -> Result<Connection, Failure> {
         if let Some(name) = socket::BINDING.into_iter().find(|name| self.config.source(name) == Source::Flag) {
             let text = format!("{name} is set by the owner of the site at {}; omit the option", path.display());
@@ -215,7 +198,7 @@ impl Context {
         Ok(Connection { client, site: None })
     }
 
-    /// Opens a site that is to stay. A command that is the site of this home until it ends is waited for.
+    /// Opens a site that stays, after waiting for a command that is the site.
     pub async fn open(&self, needs: Needs, output: &Output) -> Result<Connection, Failure> {
         if self.operator.is_some() {
             let text = "--site-socket joins a site that runs already; omit it, and AUTHROS_SITE_SOCKET, to start one of \
@@ -232,8 +215,8 @@ impl Context {
         }
     }
 
-    /// Joins a site that stays, or opens one that is to. A command that is the site of this home until it ends is waited
-    /// for: a command that joined it would end with it. `again` is what to run again.
+    /// Joins a site that stays, or opens one. Waits for a command that is the site, because a joined command would end
+    /// with it.
     pub async fn stay(&self, needs: Needs, output: &Output, again: &str) -> Result<Connection, Failure> {
         let (root, most, mut told) = (self.home.root().display(), LONGEST_COMMAND.as_secs(), false);
         let waits = |greeting: &Greeting, _: Duration| {
@@ -245,7 +228,7 @@ impl Context {
         self.join_or_start(needs, again, waits).await
     }
 
-    /// Becomes the site, unless another process has the home.
+    /// `None` if another process holds the home.
     fn start(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
         if looking::is_read_only(&self.home) {
             return self.look(needs);
@@ -256,7 +239,7 @@ impl Context {
         Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
     }
 
-    /// A site over a working copy of a home that cannot be written; it sends nothing, and goes with its copy.
+    /// Opens a read-only home through a working copy; such a site sends nothing.
     fn look(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
         let Some(copy) = looking::working_copy(&self.home)? else { return Ok(None) };
         let started = || {
@@ -267,7 +250,6 @@ impl Context {
         started().inspect_err(|_: &Failure| looking::forget(&copy))
     }
 
-    /// The home's lock, if no other process holds it.
     pub fn lock(&self) -> Result<Option<SiteLock>, Failure> {
         files::private_directory(self.home.root())?;
         Ok(SiteLock::acquire(&self.home.site_lock())?)
@@ -277,7 +259,7 @@ impl Context {
         let mine = self.config.show();
         for (name, theirs) in &greeting.settings {
             let Some(setting) = mine.iter().find(|setting| setting.name == name) else { continue };
-            // Without a site's address they concern another gateway than the one joined through.
+            // Without a site's address these concern a gateway other than the joined one.
             if name.starts_with("site.") && self.config.source("site.address") != Source::Flag {
                 continue;
             }
@@ -290,9 +272,8 @@ impl Context {
         Ok(())
     }
 
-    /// Brings the profile to the state the command needs.
     pub async fn prepare(&self, client: &Client, need: ProfileNeed, output: &Output) -> Result<(), Failure> {
-        // The keyring is the owner's to make and to open.
+        // Only the owner makes or opens the keyring.
         if need == ProfileNeed::None || self.operator.is_some() {
             return Ok(());
         }
@@ -327,7 +308,6 @@ impl Context {
 }
 
 impl Connection {
-    /// Says that a home cannot be written, if that is so.
     pub fn tell_read_only(&self, output: &Output) {
         let home = self.site.as_ref().map(|site| site.place());
         if let Some(original) = home.as_ref().and_then(Home::original) {
@@ -338,14 +318,13 @@ impl Connection {
         }
     }
 
-    /// Starts supervision of a site that is to stay, if this process is it.
     pub fn oversee(&self) {
         if let Some(site) = &self.site {
             site.oversee();
         }
     }
 
-    /// Ends the site if this process is it, once no joined process waits for its answer.
+    /// Waits until joined processes have their answers.
     pub async fn close(self) {
         if let Some(site) = self.site {
             tokio::select! {
@@ -356,7 +335,7 @@ impl Connection {
         }
     }
 
-    /// The same after a signal: waiting joined processes get half a second; they can ask the next site.
+    /// After a signal: joined processes get half a second, and can ask the next site.
     pub async fn end(self) {
         if let Some(site) = self.site {
             // Whether all were answered makes no difference.

@@ -18,7 +18,6 @@ use crate::service::event::NoticeLevel;
 use crate::service::{Call, Client, Event, Failure, Needs, Site};
 use crate::term::{self, ExitReason};
 
-/// Runs the console until it is left, with the tour if there is one; the exit code is the terminal's.
 pub fn run(
     runtime: &Runtime,
     context: Context,
@@ -38,10 +37,10 @@ pub fn run(
     let (calls, waiting) = mpsc::unbounded_channel();
     let client = Client::new(context.profile.clone(), calls, events.clone());
     let site = Arc::new(OnceLock::new());
-    // The first frame does not wait for the site: calls are answered as soon as it is there.
+    // The first frame does not wait for the site: calls queue until it is there.
     runtime.spawn(serve(context, reader, Arc::clone(&site), waiting, events));
     let ended = term::run(client, runtime.handle(), &options);
-    // The site captures until the passphrase is known to be the right one.
+    // The site captures until the passphrase proves right.
     let secret = matches!(ended, Ok(ExitReason::LeaveSite)).then(|| successor.passphrase());
     if let Some(site) = site.get() {
         runtime.block_on(Arc::clone(site).stop());
@@ -68,7 +67,7 @@ async fn serve(
         Ok(Connection { client, site: own }) => {
             if let Some(own) = own {
                 own.oversee();
-                // Set once: this is the only place.
+                // Set only here.
                 drop(site.set(own));
             }
             tokio::spawn(unlock(context, client.clone()));
@@ -81,7 +80,6 @@ async fn serve(
     }
 }
 
-/// The reader of the tour; if there is none, that is said on screen.
 async fn prepare(client: Client, reader: ProfileName, events: broadcast::Sender<Event>) {
     if let Err(failure) = prepare_tour(&client, reader).await {
         let text = format!("the tour has no one to share with: {}", failure.message);
@@ -121,7 +119,6 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
     }
 }
 
-/// Opens the keyring automatically if its passphrase was given or is stored beside it.
 async fn unlock(context: Context, client: Client) {
     if context.operator.is_some() || !context.home.keyring(&context.profile).exists() {
         return;
@@ -134,10 +131,8 @@ async fn unlock(context: Context, client: Client) {
 
 /// The robots' owner in the paper.
 const OWNER: &str = "cura-a";
-/// The reader.
 const READER: &str = "cura-b";
 
-/// Runs the console with the tour.
 pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArguments) -> Result<u8, Failure> {
     if context.global.home.is_some() {
         let text = "the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME";
@@ -157,7 +152,6 @@ pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArgument
     ended
 }
 
-/// Creates the reader, registers it on the chain and adds it to the address book.
 pub async fn prepare_tour(client: &Client, reader: ProfileName) -> Result<(), Failure> {
     let name: ContactName = super::parse::value(reader.as_str())?;
     let of_reader = client.for_profile(reader);

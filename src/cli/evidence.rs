@@ -20,7 +20,6 @@ use crate::service::{Client, Failure, definition_of};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
-/// The most characters of a disclosed message that are shown.
 const MOST_SHOWN: usize = 4000;
 
 /// `evidence …`
@@ -54,7 +53,6 @@ pub enum EvidenceVerb {
     Stamp,
 }
 
-/// `evidence export`.
 pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Result<u8, Failure> {
     let EvidenceVerb::Export { file, records, topic, incident, since, until, reveal } = verb else {
         return stamp(context, output).await;
@@ -78,7 +76,6 @@ async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(if view.problem.is_some() { ErrorKind::Incomplete.exit_code() } else { 0 })
 }
 
-/// What authorities gave, for people.
 pub fn stamped(view: &StampView) -> String {
     let mut lines = vec![format!("{} batches stamped, {} stamps pending", view.roots, view.waiting)];
     lines.extend(view.tokens.iter().map(|token| {
@@ -89,7 +86,6 @@ pub fn stamped(view: &StampView) -> String {
     lines.join("\n")
 }
 
-/// What an export wrote, for people.
 pub fn exported(view: &EvidenceView) -> String {
     let EvidenceView { file, bytes, records, revealed, notes } = view;
     let mut lines = vec![format!("{records} records, {revealed} of them disclosed, in {file} (0600, {bytes} bytes)")];
@@ -97,12 +93,10 @@ pub fn exported(view: &EvidenceView) -> String {
     lines.join("\n")
 }
 
-/// Whether `verify` is given a bundle, and not a folder of `uploads export`.
 pub fn is_bundle(path: &Path) -> bool {
     !path.is_dir() || path.join("manifest.json").exists()
 }
 
-/// `verify` of a bundle: no home, no network.
 pub fn run_verify(
     (path, recording): (&Path, Option<&Path>),
     trust: Option<&Path>,
@@ -134,8 +128,7 @@ pub fn run_verify(
     })
 }
 
-/// The reader's pins. Nothing of the bundle is shown where they cannot be read: without them it would look as if nothing
-/// were proven.
+/// Unreadable pins are an error: without them it would look as if nothing were proven.
 fn read_trust(path: &Path) -> Result<Trust, Failure> {
     let failed = |why: String| input(format!("{}: {why}", path.display()));
     let unread = |error: std::io::Error| match error.kind() {
@@ -146,13 +139,13 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
         ),
         _ => failed(format!("the trust file cannot be read, so the bundle was not checked: {error}")),
     };
-    // One byte more than the longest: a longer one is refused as such.
+    // One byte more, so that a longer file is refused.
     let (mut bytes, most) = (Vec::new(), LONGEST_TRUST as u64 + 1);
     std::fs::File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(unread)?;
     Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
 }
 
-/// What is made into JSON only where JSON is asked for.
+/// Builds the JSON only where JSON is asked for.
 struct Shown<'a> {
     bundle: &'a Bundle,
     report: &'a Report,
@@ -169,7 +162,6 @@ impl serde::Serialize for Shown<'_> {
     }
 }
 
-/// The report as JSON, with the fields of disclosed messages.
 fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
     let (mut value, mut limits) = (serde_json::to_value(report).unwrap_or_default(), Limits::default());
     let records = value.get_mut("records").and_then(serde_json::Value::as_array_mut);
@@ -182,8 +174,7 @@ fn shown(bundle: &Bundle, report: &Report) -> serde_json::Value {
     value
 }
 
-/// A disclosed message's fields, where the definition that its head names is in the bundle, and as far as the limits of the
-/// whole file go.
+/// `None` without its definition in the bundle, or beyond the limits of the whole file.
 fn message(bundle: &Bundle, report: &Report, digest: Digest, limits: &mut Limits) -> Option<serde_json::Value> {
     let revealed = report.messages.get(&digest)?;
     let definition = definition_of(bundle, &revealed.head)?;
@@ -191,8 +182,7 @@ fn message(bundle: &Bundle, report: &Report, digest: Digest, limits: &mut Limits
     Some(value.to_json())
 }
 
-/// Whose a record is. A name counts where the key is shown to be its owner's; anybody can write another's account into a
-/// header.
+/// A name counts only with its owner's key: anybody can write another's account into a header.
 fn whose(record: &RecordReport) -> String {
     match (&record.person, record.owner) {
         (Some(person), Some(owner)) if record.is_believed() => format!("of {person} ({owner})"),
@@ -202,7 +192,6 @@ fn whose(record: &RecordReport) -> String {
     }
 }
 
-/// The first of a message's fields, as text.
 fn bounded(fields: &serde_json::Value) -> String {
     let text = serde_json::to_string_pretty(fields).unwrap_or_default();
     let first: String = text.chars().take(MOST_SHOWN).collect();
@@ -210,7 +199,6 @@ fn bounded(fields: &serde_json::Value) -> String {
     clean_lines(&first, MOST_SHOWN) + more
 }
 
-/// The verdict, and how many records reach each level.
 fn summary(report: &Report) -> [String; 2] {
     const STANDINGS: [Standing; 5] =
         [Standing::Proven, Standing::OwnChain, Standing::Unproven, Standing::Absent, Standing::Refused];
@@ -234,7 +222,7 @@ fn summary(report: &Report) -> [String; 2] {
     [format!("{records} records, {topics} topics: {}", report.last_line()), told.join("; ")]
 }
 
-/// Whether a line is enough for a record: what every bundle has to prove is not in doubt, and nothing contradicts it.
+/// Nothing that every bundle has to prove is in doubt or contradicted.
 fn is_whole(record: &RecordReport) -> bool {
     record.levels().iter().all(|(letter, level)| match level.standing {
         Standing::Proven | Standing::OwnChain | Standing::Absent => true,
@@ -255,7 +243,6 @@ fn standings(record: &RecordReport) -> String {
     groups.iter().map(|(standing, letters)| format!("{letters} {}", standing.word())).collect::<Vec<_>>().join(", ")
 }
 
-/// Which record it is, and how it stands: in a line, or with the reason of each level.
 fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
     let who = format!("record {} {}", record.digest, whose(record));
     let when = record.seq.zip(record.captured_at).map(|(seq, captured)| {

@@ -10,10 +10,9 @@ use crate::service::reply::{RecordPage, RecordView, ShownState};
 use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery};
 use authros_output::Output;
 
-/// Records captured longer than this before the newest are no longer followed, nanoseconds.
+/// Records older than this, measured from the newest, are no longer followed; nanoseconds.
 const WINDOW: u64 = 60_000_000_000;
 
-/// Follows until a signal; opens the site, including robots and chain, if none runs.
 pub async fn run<A: Ask<Answer = RecordPage>>(
     context: Context,
     list: fn(UploadQuery) -> A,

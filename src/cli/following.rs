@@ -20,9 +20,9 @@ use crate::service::reply::{FollowView, FollowedFile};
 use crate::service::{Client, Event, Failure};
 use authros_output::{Output, table};
 
-/// Between two lines about how far it is: it may go on for days.
+/// Interval of progress lines: a recording may last for days.
 const TELLING: Duration = Duration::from_secs(30);
-/// How long after the answer something that was said before it may still arrive.
+/// Grace for notices that were sent before the answer.
 const LAST_WORDS: Duration = Duration::from_millis(100);
 
 /// `bag follow …`
@@ -57,7 +57,6 @@ impl FollowArguments {
     }
 }
 
-/// Follows; Ctrl-C ends it, a second one leaves at once.
 pub async fn run(context: Context, arguments: FollowArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = arguments.wishes()?;
     let words = (
@@ -77,10 +76,10 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
     Ok(code(&view, arguments.until_closed, output))
 }
 
-/// What the site tells, and how far it is; never ends.
+/// Notices and progress; never ends.
 async fn tell(client: &Client, events: &mut Receiver<Event>, output: &Output) -> Infallible {
     let told = serve::follow(events, NoticeLevel::Info, output, pending());
-    // After the site's end there is only the answer to wait for.
+    // After the site's end only the answer is missing.
     let (never, ()) = tokio::join!(printed::tell_on(client, TELLING, output), told);
     never
 }
@@ -121,7 +120,7 @@ fn code(view: &FollowView, until_closed: bool, output: &Output) -> u8 {
     let is_whole = |file: &FollowedFile| {
         file.is_closed && file.proof.is_some() && file.damages.is_empty() && file.skipped + file.lost == 0
     };
-    // Who ends it while it is recorded has what he wanted, where everything read was sealed.
+    // Ending it early is success where everything read was sealed.
     let is_sound = |file: &FollowedFile| is_whole(file) || !until_closed && file.digest.is_none() && file.lost == 0;
     if view.files.is_empty() {
         output.note("authros: no recording appeared there");

@@ -15,7 +15,6 @@ use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
-/// `gateway …`
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
@@ -27,7 +26,6 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
     super::verbs::run(context, Plan::new(NEITHER, ProfileNeed::None, question), output).await
 }
 
-/// Serves until a signal: through this home's running site, or as a site of its own without ROS.
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let needs = Needs { ros: false, chain: true };
     let connection = match context.operator {
@@ -51,7 +49,6 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
     .await
 }
 
-/// Who may use a gateway, for people.
 pub fn admitted(rows: &[AdmittedView]) -> String {
     if rows.is_empty() {
         return "only this home's own profiles; `authros gateway admit OWNER` admits others".to_owned();
@@ -62,7 +59,6 @@ pub fn admitted(rows: &[AdmittedView]) -> String {
     table(&["owner", "contact", "since", "admitted by"], rows.iter().map(row))
 }
 
-/// A gateway for people.
 pub fn status(view: &GatewayStatusView) -> String {
     let mut lines = Vec::new();
     match (&view.served, &view.through) {

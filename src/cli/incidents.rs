@@ -64,14 +64,13 @@ pub enum IncidentVerb {
     },
 }
 
-/// What is asked.
 pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
     let kept = |question: super::show::Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
         IncidentVerb::Open { name, since, until, topics, note, rings_of } => {
             let (needs, profile) = match rings_of.is_empty() {
                 true => (NEITHER, ProfileNeed::None),
-                // Robots are asked by notices that the owner signs.
+                // The owner signs the notices that ask robots.
                 false => (CHAIN, ProfileNeed::Unlocked),
             };
             let question = OpenIncident {
@@ -96,7 +95,7 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
     })
 }
 
-/// A moment; so long ago with or without the sign.
+/// Accepts `-10m` for `10m` ago.
 pub(super) fn moment(text: &str) -> Result<Timestamp, Failure> {
     parse::past(text.strip_prefix('-').unwrap_or(text))
 }
@@ -105,7 +104,6 @@ fn state(incident: &IncidentView) -> &'static str {
     if incident.open { "open" } else { "closed" }
 }
 
-/// All incidents of a profile.
 pub fn all(incidents: &[IncidentView]) -> String {
     if incidents.is_empty() {
         return "no incidents; open one with `authros incident open NAME --since 10m`".to_owned();
@@ -124,14 +122,13 @@ pub fn all(incidents: &[IncidentView]) -> String {
     table(&["incident", "", "from", "to", "topics", "records", "bytes"], incidents.iter().map(row))
 }
 
-/// One incident with its notes and what there is of each topic.
 pub fn incident(view: &IncidentView) -> String {
     let to = view.until.map_or_else(|| "now, until it is closed".to_owned(), |until| until.to_string());
     let mut lines = vec![
         format!("{} ({}): {} to {to}", view.name, state(view), view.since),
         format!("{} records, {} bytes, held from retention", view.records, view.bytes),
     ];
-    // Further lines of a note are indented: none of them looks like a note of its own.
+    // Indented, so that no further line of a note looks like a note of its own.
     lines.extend(view.notes.iter().map(|note| format!("{}  {}", note.at, note.text.replace('\n', "\n    "))));
     let row = |one: &SpanCoverageView| {
         let [records, lost, quarantined, deleted] =

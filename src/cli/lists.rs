@@ -18,18 +18,15 @@ fn yes(value: bool) -> String {
     if value { "yes" } else { "no" }.to_owned()
 }
 
-/// The value, or a dash where there is none.
 pub fn or_dash<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| value.to_string())
 }
 
-/// A check, with the reason if the chain was not asked.
 pub fn verdict(view: &CheckView) -> String {
     let reason = view.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
     format!("{}: {}{reason}", view.id, view.verdict.word())
 }
 
-/// The exit code of a check.
 pub fn verdict_code(verdict: Verdict) -> u8 {
     match verdict {
         Verdict::Verified | Verdict::Unanchored | Verdict::Deleted => 0,
@@ -39,7 +36,6 @@ pub fn verdict_code(verdict: Verdict) -> u8 {
     }
 }
 
-/// Every setting.
 pub fn settings(settings: &[SettingView]) -> String {
     let row = |setting: &SettingView| {
         [setting.name.to_owned(), setting.value.clone(), setting.source.clone(), setting.text.to_owned()]
@@ -47,7 +43,6 @@ pub fn settings(settings: &[SettingView]) -> String {
     table(&["setting", "value", "from", "meaning"], settings.iter().map(row))
 }
 
-/// The profiles of a home, with the one in use marked.
 pub fn profiles(context: &Context, output: &Output) -> u8 {
     let all = context.home.profiles();
     let is_used = |profile: &ProfileName| *profile == context.profile;
@@ -61,7 +56,6 @@ pub fn profiles(context: &Context, output: &Output) -> u8 {
     0
 }
 
-/// The identities of a home by their public sides; the one used by commands is marked.
 pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
     let mut rows = Vec::new();
     for profile in context.home.profiles() {
@@ -87,7 +81,6 @@ pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
     Ok(0)
 }
 
-/// One identity.
 pub fn identity(view: &IdentityView) -> String {
     pairs(&[
         ("profile", view.profile.to_string()),
@@ -101,7 +94,6 @@ pub fn identity(view: &IdentityView) -> String {
     ])
 }
 
-/// The keys.
 pub fn keys(view: &KeysView) -> String {
     let head = pairs(&[
         ("EOA", view.address.to_string()),
@@ -115,7 +107,7 @@ pub fn keys(view: &KeysView) -> String {
     format!("{head}\n\n{}", table(&["epoch", "state", "token"], rows))
 }
 
-/// The graph; which ROS a topic is of where there are topics of ROS 2.
+/// Shows a topic's ROS only where there are topics of ROS 2.
 pub fn topics(rows: &[TopicRow]) -> String {
     let second = rows.iter().any(|row| row.ros == 2);
     let row = |row: &TopicRow| {
@@ -143,7 +135,6 @@ pub fn topics(rows: &[TopicRow]) -> String {
     table(&head, rows.iter().map(row)) + &rows.iter().flat_map(unreached).collect::<String>()
 }
 
-/// A page of records.
 pub fn records(page: &RecordPage) -> String {
     let row = |record: &RecordView| {
         [
@@ -170,7 +161,7 @@ pub fn records(page: &RecordPage) -> String {
     lines.join("\n")
 }
 
-/// Which parts of a page come only from the ledger, or contradict the records.
+/// Parts of a page that only the ledger states, or that contradict the records.
 fn doubts(page: &RecordPage) -> Vec<String> {
     let count = |is: &dyn Fn(&RecordView) -> bool| page.records.iter().filter(|record| is(record)).count();
     let differs = |record: &RecordView| Some(format!("{} ({})", record.id, record.differs.as_ref()?));
@@ -203,7 +194,6 @@ fn doubts(page: &RecordPage) -> Vec<String> {
     lines
 }
 
-/// The steps of one record.
 pub fn provenance(view: &Provenance) -> String {
     let record = &view.record;
     let mut rows = vec![("id", record.id.clone()), ("topic", record.topic.clone()), ("type", record.type_name.clone())];
@@ -211,7 +201,6 @@ pub fn provenance(view: &Provenance) -> String {
     pairs(&rows)
 }
 
-/// Grants.
 pub fn grants(rows: &[GrantRow]) -> String {
     let row = |row: &GrantRow| {
         [
@@ -228,7 +217,6 @@ pub fn grants(rows: &[GrantRow]) -> String {
     table(&head, rows.iter().map(row))
 }
 
-/// The chain.
 pub fn chain(view: &ChainView) -> String {
     let paused = |lane: &LaneState| lane.paused.as_ref().map(|reason| ("paused", reason.text(lane.account)));
     let mut rows = vec![
@@ -266,7 +254,6 @@ fn listed(accounts: &[Address]) -> String {
     or_dash((!listed.is_empty()).then(|| listed.join(" ")))
 }
 
-/// A deployed contract.
 pub fn deployed(view: &DeployedView) -> String {
     pairs(&[
         ("contract", view.pin.contract.to_string()),

@@ -25,7 +25,6 @@ impl From<LogForm> for Log {
     }
 }
 
-/// A panic of a task is told in the same form as everything else.
 pub fn panics_too() {
     std::panic::set_hook(Box::new(|about| {
         use std::io::Write as _;

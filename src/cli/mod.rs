@@ -1,7 +1,6 @@
-//! Arguments in, results out: the headless twin of the console, over the same commands.
+//! Arguments in, results out: the headless twin of the console.
 //!
-//! stdout carries the result and nothing else, stderr the rest; `--json` changes the format, never the channel. Nothing
-//! here does work of its own except the demo's story.
+//! stdout carries the result, stderr the rest; `--json` changes the format, never the channel.
 
 mod agent;
 pub mod args;
@@ -54,7 +53,6 @@ use crate::model::ErrorKind;
 use crate::service::{Failure, command};
 use authros_output::Output;
 
-/// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
     memory::keep_few_arenas();
     memory::keep_private();
@@ -83,7 +81,7 @@ pub fn main() -> ExitCode {
         .and_then(|runtime| {
             let there = reading::needs_a_home(&arguments.global, arguments.verb.as_ref());
             let result = there.and_then(|()| run(&runtime, arguments, &output));
-            // Everything is flushed; tasks that still wait end with the process, not one by one.
+            // Data is flushed; tasks that still wait end with the process.
             std::mem::forget(runtime);
             result
         });
@@ -96,7 +94,6 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// What the parser of arguments says, in one line.
 fn misused(error: &clap::Error) -> Failure {
     let text = error.to_string();
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
@@ -104,7 +101,7 @@ fn misused(error: &clap::Error) -> Failure {
     Failure::new(ErrorKind::Usage, text.strip_prefix("error: ").unwrap_or(&text))
 }
 
-/// Every verb has its arm here, so one that nothing runs does not compile. Some need no home and do not touch one.
+/// Exhaustive: a verb that nothing runs does not compile.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
     if let Some(text) = printed::defaults(&arguments.print)? {

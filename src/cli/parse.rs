@@ -13,27 +13,23 @@ use crate::service::{Failure, UploadQuery};
 
 use super::args::ListArguments;
 
-/// Parses one value.
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| input(error.to_string()))
 }
 
-/// Parses several values.
 pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {
     texts.iter().map(|text| value(text)).collect()
 }
 
-/// The path from the root.
 pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| input(format!("{}: {error}", path.display())))
 }
 
-/// Tags, each as NAME=VALUE.
 pub fn tags(texts: &[String]) -> Result<Vec<(String, String)>, Failure> {
     texts.iter().map(|text| tag(text)).collect()
 }
 
-/// An end: a moment, or a length of time from now.
+/// A moment, or a length of time from now.
 pub fn end(text: &str) -> Result<Timestamp, Failure> {
     if let Ok(time) = moment(text) {
         return Ok(Timestamp::from_seconds(time.seconds()));
@@ -41,12 +37,10 @@ pub fn end(text: &str) -> Result<Timestamp, Failure> {
     Ok(Timestamp::now().end_after(duration(text)?))
 }
 
-/// A time span other than 0.
 pub fn duration(text: &str) -> Result<Duration, Failure> {
     positive_span(text).map_err(|error| input(error.to_string()))
 }
 
-/// A gateway's fingerprint: the whole id, with or without spaces in between.
 pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     let digits: String = text.chars().filter(|character| !character.is_whitespace()).collect();
     unhex(&digits).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
@@ -58,12 +52,11 @@ pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     })
 }
 
-/// A moment in the past: a time, a day, or a time span ago.
+/// A time, a day, or a span ago.
 pub fn past(text: &str) -> Result<Timestamp, Failure> {
     filter::past(text, Timestamp::now())
 }
 
-/// The query of a list command.
 pub fn query(arguments: &ListArguments) -> Result<UploadQuery, Failure> {
     if !(1..=1000).contains(&arguments.limit) {
         return Err(input(format!("--limit {} is not between 1 and 1000", arguments.limit)));

@@ -41,7 +41,6 @@ pub enum ContactsVerb {
     },
 }
 
-/// What is asked for a verb.
 pub fn contacts(verb: ContactsVerb) -> Result<Question, Failure> {
     Ok(match verb {
         ContactsVerb::Add { name, address, fingerprint } => {
@@ -55,7 +54,6 @@ pub fn contacts(verb: ContactsVerb) -> Result<Question, Failure> {
     })
 }
 
-/// The address book, for people.
 pub fn contact_table(rows: &[ContactRow]) -> String {
     let row = |row: &ContactRow| {
         let from = if row.given { "told" } else { "found" };
@@ -65,24 +63,20 @@ pub fn contact_table(rows: &[ContactRow]) -> String {
     table(&["name", "address", "key", "noted", "registered"], rows.iter().map(row))
 }
 
-/// Two fingerprints, for people.
 pub fn comparison(view: &CompareView) -> String {
     let account = named(view.account, view.name.as_ref());
     let word = if view.equal { "EQUAL" } else { "DIFFERENT" };
     format!("{word}\n{}  of {account}\n{}  as given", view.fingerprint, view.given)
 }
 
-/// The exit code of a comparison.
 pub fn comparison_code(view: &CompareView) -> u8 {
     if view.equal { 0 } else { ErrorKind::Refused.exit_code() }
 }
 
-/// An address with its name, where it has one.
 pub fn named(account: Address, name: Option<&String>) -> String {
     name.map_or_else(|| account.to_string(), |name| format!("{name} {account}"))
 }
 
-/// What the administrator decided, as lines of `chain status`.
 pub fn administration(view: &AdministrationView) -> Vec<(&'static str, String)> {
     let Some(administrator) = view.administrator else { return Vec::new() };
     let registration = if view.open { "open to all" } else { "only admitted accounts" };
@@ -107,7 +101,6 @@ fn waiting(delay: u64) -> String {
     format!("delay {}, or {} if no recovery account was named", days(delay), days(2 * delay))
 }
 
-/// Successions and the own recovery account, for people.
 pub fn successions(view: &AdministrationView) -> String {
     let recovery = &view.recovery;
     let now = recovery.account.map_or_else(|| "nobody".to_owned(), |account| account.to_string());

@@ -1,5 +1,5 @@
-//! Where headless use gets a keyring's passphrase: a file, a descriptor, or the file it stored for itself beside the
-//! keyring. Never argv, never the environment.
+//! Passphrases for headless use: from a file, a descriptor, or the file stored beside the keyring. Never from argv or
+//! the environment.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -40,7 +40,7 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
     Ok(first_line(&text))
 }
 
-/// The passphrase given, or the one stored by headless use; `None` if there is neither.
+/// The one given, or stored by headless use.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
     if global.site_socket.is_some() {
         let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
@@ -49,13 +49,11 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     of_file(global, &home.passphrase(profile))
 }
 
-/// Whether a passphrase is given, or stored beside the keyring, without reading it.
+/// Does not read it.
 pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
     global.passphrase_file.is_some() || global.passphrase_fd.is_some() || home.passphrase(profile).exists()
 }
 
-/// The plan of `keys passphrase`: the present passphrase as given, stored beside the keyring or asked for; the new one
-/// from its file or descriptor, or asked for twice.
 pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
     let (global, home, profile) = (&context.global, &context.home, &context.profile);
     if descriptor.is_some() && descriptor == global.passphrase_fd {
@@ -74,8 +72,7 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
     Ok(Plan::new(NEITHER, ProfileNeed::None, ChangePassphrase { old, new }))
 }
 
-/// Removes the file that headless use stored beside the keyring: after a change it opens nothing, and it may be the
-/// very reason for the change.
+/// Removes the stored passphrase after a change: it opens nothing, and may be the reason for the change.
 pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(), Failure> {
     let own = home.passphrase(profile);
     if !own.exists() {
@@ -110,7 +107,7 @@ fn asked_twice(option: &str) -> Result<SecretText, Failure> {
     Err(input("the passphrases do not match; nothing was changed, try again"))
 }
 
-/// The passphrase given, or that in a file beside what it protects; `None` if there is neither.
+/// The one given, or in a file beside what it protects.
 pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
     match (&global.passphrase_file, global.passphrase_fd) {
         (Some(path), _) => from_file(path).map(Some),
@@ -120,7 +117,7 @@ pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Fai
     }
 }
 
-/// Deletes a passphrase that was new, of keys that were not made then. Any other may open a keyring that is put back.
+/// Deletes a new passphrase whose keys were not made; an older one may open a restored keyring.
 pub fn forget_unused(is_new: bool, home: &Home, profile: &ProfileName) {
     if is_new && !home.keyring(profile).exists() {
         // Nothing is lost if it stays.
@@ -128,7 +125,7 @@ pub fn forget_unused(is_new: bool, home: &Home, profile: &ProfileName) {
     }
 }
 
-/// The passphrase given, or a new random one stored beside the keyring, which is reported; `true` if it is new.
+/// Stores a new random one beside the keyring if none is given; `true` if it is new.
 pub fn given_or_new(
     global: &Global,
     home: &Home,

@@ -15,7 +15,6 @@ use crate::service::command::{
 };
 use crate::service::{Epochs, Failure, KeyKind, SecretText};
 
-/// `audit …`
 pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
     let Some(verb) = &arguments.verb else {
         let ask = AuditRecords { deep: arguments.deep, since: arguments.since()? };
@@ -42,7 +41,7 @@ pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Fail
     })
 }
 
-/// A change of a key pair: those affected are reported first, or only they are.
+/// Reports those affected first, or only them.
 fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, question: impl Into<Question>) -> Plan {
     let touched = ForeseeKeyChange { kind };
     if dry_run {
@@ -51,7 +50,6 @@ fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, question: impl I
     Plan { first: Some(touched), ..Plan::new(CHAIN, profile, question) }
 }
 
-/// `keys …`
 pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     let secret = |file: Option<PathBuf>| file.as_deref().map(passphrase::from_file).transpose();
     Ok(match verb {
@@ -68,7 +66,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
             let (kind, path) =
                 chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "give the key with --sm4, --sm2 or --eoa"))?;
             if dry_run {
-                // It tells who is affected by this key, so it has to be one.
+                // The report is about this key, so it must be one.
                 crate::crypto::keyfile::load_sm2(&path)?;
             }
             let ask = LoadKey { kind, path: parse::absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
@@ -89,7 +87,6 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     })
 }
 
-/// `grant …`
 pub fn grant(arguments: &GrantArguments) -> Result<Grant, Failure> {
     let expires = arguments.expires.as_deref().map(super::parse::end).transpose()?;
     Ok(Grant {

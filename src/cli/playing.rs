@@ -56,7 +56,6 @@ pub struct PlayArguments {
 }
 
 impl PlayArguments {
-    /// What is asked of the site; `domain` is the one that the flag means.
     fn wishes(&self, domain: Option<u16>) -> Result<PlayWishes, Failure> {
         Ok(PlayWishes {
             owner: self.owner.as_deref().map(parse::value).transpose()?,
@@ -82,10 +81,9 @@ impl PlayArguments {
     }
 }
 
-/// Plays; Ctrl-C ends it, a second one leaves at once.
 pub async fn run(context: Context, arguments: PlayArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = arguments.wishes(context.config.ros_domain)?;
-    // If a graph is given, no capturing node of ours is needed.
+    // A named graph needs no capturing node of ours.
     let is_named = wishes.master.is_some() || wishes.domain.is_some() || context.config.ros_master.is_some();
     let live = Needs { ros: !is_named, chain: true };
     let words = (

@@ -1,5 +1,5 @@
-//! What is printed and needs no home: defaults as templates, completions, the manual page; the looks of the console,
-//! and the progress of long work.
+//! Output that needs no home (defaults, completions, the manual page), the console's options, and progress of long
+//! work.
 
 use std::convert::Infallible;
 use std::fmt::Write as _;
@@ -24,7 +24,6 @@ use crate::service::{Client, Failure};
 use crate::term::ConsoleOptions;
 use crate::ui::{Themes, theme};
 
-/// The defaults requested; `None` if something is to be done instead.
 pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
         PrintArguments { default_config: true, .. } => Ok(Some(config())),
@@ -39,7 +38,6 @@ pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     }
 }
 
-/// Every setting with its default, as a `config.toml` in which nothing is set.
 fn config() -> String {
     let mut text = "# Settings of AuthROS. Precedence: option, then environment, then this file (config.toml).\n# \
                     Without any settings everything is embedded. Remove the # from what you set.\n"
@@ -73,14 +71,12 @@ fn setting(text: &mut String, key: &str, default: &str, help: &str, variable: &s
     let _ = writeln!(text, "\n# {help} ({variable})\n#{key} = {value}");
 }
 
-/// A shell's completion script for the commands.
 pub fn completions(shell: clap_complete::Shell) -> String {
     let mut bytes = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "authros", &mut bytes);
     complete::with_words(shell, String::from_utf8_lossy(&bytes).into_owned())
 }
 
-/// The program's page, followed by one section per command.
 pub fn manual() -> Result<String, Failure> {
     let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
     let mut bytes = Vec::new();
@@ -115,7 +111,6 @@ fn commands(text: &mut String, command: &clap::Command, path: &str) {
     }
 }
 
-/// Text escaped for roff.
 fn roff(text: &str) -> String {
     let text = text.replace('\\', "\\e").replace('-', "\\-").replace('\n', " ");
     if text.starts_with(['.', '\'']) { format!("\\&{text}") } else { text }
@@ -124,7 +119,6 @@ fn roff(text: &str) -> String {
 /// The longest file read, bytes.
 const LONGEST: u64 = 256 * 1024;
 
-/// The result of flags, settings and files.
 pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<ConsoleOptions, Failure> {
     let (settings, owner) = (&context.config.console, context.operator.is_none());
     let given = passphrase::is_given(&context.global, &context.home, &context.profile);
@@ -134,7 +128,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
             operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
             read_only: arguments.read_only,
             keymap: keymap(&context.home)?,
-            // The keyring is the owner's to lock and to unlock.
+            // Only the owner locks and unlocks the keyring.
             lock_after: settings.lock_after.filter(|_| owner),
             profiles: if owner { context.home.profiles() } else { Vec::new() },
             asks_passphrase: owner && !given,
@@ -173,7 +167,6 @@ fn themes(home: &Home) -> Result<Themes, Failure> {
     Themes::with_files(&files).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
 }
 
-/// A file of the operator's; `None` if there is none.
 fn read(path: &Path) -> Result<Option<String>, Failure> {
     let wrong = |what: String| Failure::new(ErrorKind::Input, format!("{}: {what}", path.display()));
     match std::fs::metadata(path) {
@@ -185,7 +178,7 @@ fn read(path: &Path) -> Result<Option<String>, Failure> {
     std::fs::read_to_string(path).map(Some).map_err(|error| wrong(error.to_string()))
 }
 
-/// Whether the locale allows more than ASCII; if it does not say, terminals nowadays do.
+/// Without a locale, terminals are taken to know Unicode.
 fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
     let set = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().filter_map(variable).find(|value| !value.is_empty());
     set.is_none_or(|value| {
@@ -194,14 +187,11 @@ fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
     })
 }
 
-/// What an import or a capture says of altered records.
 pub const TAMPERED: &str =
     "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them";
 
-/// Between two looks.
 pub const LOOK: Duration = Duration::from_secs(3);
 
-/// Tells what is new of what runs.
 #[derive(Debug, Default)]
 pub struct Teller {
     progress: Progress,
@@ -209,7 +199,7 @@ pub struct Teller {
 }
 
 impl Teller {
-    /// Asks the site, and writes the lines that are not what was written last.
+    /// Writes only lines that were not written last.
     pub async fn tell(&mut self, client: &Client, output: &Output) {
         let Ok(runs) = client.ask(RecordingProgress).await else { return };
         let now = Timestamp::now();
@@ -220,12 +210,10 @@ impl Teller {
     }
 }
 
-/// Whether a request may take so long that its progress is shown.
 pub fn takes_long(command: &Command) -> bool {
     matches!(command, Command::AuditRecords { .. })
 }
 
-/// Tells every so often how far what runs is; never ends.
 pub async fn tell_on(client: &Client, every: Duration, output: &Output) -> Infallible {
     let mut teller = Teller::default();
     loop {
@@ -234,7 +222,6 @@ pub async fn tell_on(client: &Client, every: Duration, output: &Output) -> Infal
     }
 }
 
-/// Waits for `work`, and tells meanwhile how far it is.
 pub async fn told<T>(client: &Client, work: impl Future<Output = T>, output: &Output) -> T {
     tokio::select! {
         done = work => done,

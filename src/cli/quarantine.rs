@@ -21,7 +21,6 @@ pub struct PinArguments {
 }
 
 impl PinArguments {
-    /// What is asked.
     pub fn question(&self) -> Result<Question, Failure> {
         let publishers: Vec<Publisher> = parse::values(&self.publishers)?;
         Ok(PinTopic { topic: parse::value(&self.topic)?, publishers }.into())
@@ -75,7 +74,6 @@ pub enum QuarantineVerb {
     },
 }
 
-/// The command for a verb.
 pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
     Ok(match verb {
         QuarantineVerb::List { topic, limit } => {
@@ -89,7 +87,6 @@ pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
     })
 }
 
-/// Pins and alarms.
 pub fn pins(view: &PinsView) -> String {
     let pins = view
         .pins
@@ -107,7 +104,6 @@ pub fn pins(view: &PinsView) -> String {
     text
 }
 
-/// What is held back.
 pub fn held(view: &QuarantineView) -> String {
     let rows = view.records.iter().map(|held| {
         let (record, reason, publisher) = (&held.record, held.reason.clone(), held.publisher.clone());

@@ -11,31 +11,22 @@ use crate::service::Failure;
 use authros_evidence::recorded::{RecordedFile, TAG};
 use authros_evidence::{Report, Standing};
 
-/// The most places that are named.
 const MOST_NAMED: usize = 100;
 
-/// How a file compares with what a bundle states of it.
 #[derive(Debug, Serialize)]
 pub struct Recording {
-    /// `proven` if it is as stated, `refused` if it differs, `absent` if the bundle states nothing of a file. What the
-    /// statement itself is worth, the levels of its record say.
+    /// `refused` if the file differs, `absent` if the bundle states nothing of a file.
     pub standing: Standing,
-    /// The record that states it.
     pub record: Option<Digest>,
-    /// The name it had.
     pub name: Option<String>,
-    /// Its length now, bytes.
     pub bytes: u64,
-    /// How many chunks are stated.
     pub chunks: u64,
-    /// Where the chunks begin that differ; the first 100.
+    /// Offsets of the chunks that differ; the first 100.
     pub differing: Vec<u64>,
-    /// In words.
     pub text: String,
 }
 
 impl Recording {
-    /// Compares a file with the statements that are opened in a bundle.
     pub fn compare(report: &Report, path: &Path) -> Result<Self, Failure> {
         let failed = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display()));
         let mut worst = None;
@@ -87,7 +78,7 @@ impl Recording {
     }
 }
 
-/// What is stated of files in the records that are opened and signed.
+/// Statements about files in records that are opened and signed.
 fn statements(report: &Report) -> impl Iterator<Item = (Digest, RecordedFile)> {
     let opened = report.records.iter().filter(|record| {
         let is_open = matches!(record.opened.standing, Standing::Proven | Standing::OwnChain | Standing::Unproven);

@@ -114,14 +114,12 @@ impl ExportArguments {
     }
 }
 
-/// Runs an import; Ctrl-C ends it early, a second one leaves at once.
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
     let view = run(context, ImportRecording(arguments.wishes()?), ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }
 
-/// Brings every message of another home, and first its keyring if this home has none of the profile.
 pub async fn import_home(context: Context, home: &Path, output: &Output) -> Result<u8, Failure> {
     let home = absolute(home)?;
     bring_keyring(&context, &home, output)?;
@@ -130,7 +128,7 @@ pub async fn import_home(context: Context, home: &Path, output: &Output) -> Resu
     Ok(import_code(&view, output))
 }
 
-/// Copies the profile's keyring from the other home, and the passphrase that headless use stored beside it.
+/// Also copies the passphrase stored beside it.
 fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), Failure> {
     let (old, profile) = (Home::new(from.to_owned()), &context.profile);
     let (source, target) = (old.keyring(profile), context.home.keyring(profile));
@@ -155,7 +153,6 @@ fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), 
     Ok(())
 }
 
-/// Runs an export.
 pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
     let view = run(context, ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
     output.result(&view, || exported(&view));

@@ -18,9 +18,8 @@ use crate::service::reply::ErasureView;
 use crate::service::{Client, Failure};
 use authros_output::Output;
 
-/// What a person writes to confirm.
 const WORD: &str = "erase";
-/// Characters of the tag that names an imported file.
+/// Characters of an imported file's tag.
 const TAG: usize = 16;
 
 /// `retention …`
@@ -53,7 +52,6 @@ pub enum RetentionVerb {
     },
 }
 
-/// Shows what would be erased, asks, and erases.
 pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
     let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
     let wishes = ErasureWishes {
@@ -84,12 +82,12 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     };
     let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
     output.result(&view, || text(&view));
-    // Nobody was asked and nobody said yes: a script must not take it for done.
+    // Without a confirmation, a script must not take it for done.
     let unconfirmed = !sure && !asks && view.records > 0;
     Ok(if unconfirmed { ErrorKind::Usage.exit_code() } else { 0 })
 }
 
-/// The tag of what was imported from a file: the beginning of its SM3. Without such a file, the tag itself.
+/// The beginning of the file's SM3, or the tag itself.
 fn tag_of(file: &str) -> Result<String, Failure> {
     if file.len() == TAG && file.bytes().all(|byte| byte.is_ascii_hexdigit()) && !Path::new(file).exists() {
         return Ok(file.to_ascii_lowercase());
@@ -119,7 +117,6 @@ fn confirmed() -> bool {
     std::io::stdin().lock().read_line(&mut line).is_ok_and(|_| line.trim() == WORD)
 }
 
-/// What would be erased, or was.
 fn text(view: &ErasureView) -> String {
     let topics = if view.topics.is_empty() { String::new() } else { format!(" of {}", view.topics.join(", ")) };
     let mut lines = vec![match (view.named, view.deleted) {

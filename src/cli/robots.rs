@@ -68,7 +68,6 @@ pub enum RobotsVerb {
     },
 }
 
-/// What is asked.
 pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
     let question: Question = match verb {
         RobotsVerb::Pull { robot, since, until, topics, incident } => PullRing {
@@ -85,13 +84,13 @@ pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
             SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
         }
         RobotsVerb::Show { robot } => ShowRobot { name: robot }.into(),
-        // To show is what is done unless something else is asked.
+        // The default.
         RobotsVerb::Policy { robot, show: _show, .. } => ShowRobot { name: robot }.into(),
     };
     Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, question))
 }
 
-/// The text of a file, read no further than a policy may be long.
+/// Reads at most one byte more than a policy may have.
 fn policy_of(file: &Path) -> Result<String, Failure> {
     let shown = clean(&file.display().to_string(), 200);
     let unread = |error: std::io::Error| input(format!("{shown} cannot be read: {error}"));
@@ -109,7 +108,6 @@ fn policy_of(file: &Path) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// All robots.
 pub fn all(robots: &[RobotRow]) -> String {
     if robots.is_empty() {
         return "no robots; enrol one with `authros agent enrol`".to_owned();
@@ -130,7 +128,6 @@ pub fn all(robots: &[RobotRow]) -> String {
     table(&head, robots.iter().map(row))
 }
 
-/// One robot.
 pub fn one(view: &RobotView) -> String {
     let row = &view.row;
     let wanted = match (row.wanted, view.set_at) {
@@ -162,7 +159,6 @@ pub fn one(view: &RobotView) -> String {
     lines.join("\n")
 }
 
-/// What was asked of a ring.
 pub fn pulled(view: &RingPullView) -> String {
     let topics = if view.topics.is_empty() { "all its topics".to_owned() } else { view.topics.join(", ") };
     format!(
@@ -172,7 +168,7 @@ pub fn pulled(view: &RingPullView) -> String {
     )
 }
 
-/// The longest file that is looked at for a public key, bytes.
+/// Longest key file read, bytes.
 const LONGEST: u64 = 16 * 1024;
 
 /// `devices …`
@@ -231,7 +227,6 @@ pub enum AddressesVerb {
     },
 }
 
-/// The command for a verb.
 pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
@@ -272,7 +267,6 @@ fn public_key(path: &Path) -> Result<PublicKey, Failure> {
     Ok(SmKeyPair::from_secret(provider(ProviderName::default()), secret)?.public)
 }
 
-/// The devices, for people.
 pub fn devices(rows: &[DeviceRow]) -> String {
     let row = |row: &DeviceRow| {
         [
@@ -288,9 +282,9 @@ pub fn devices(rows: &[DeviceRow]) -> String {
     table(&head, rows.iter().map(row))
 }
 
-/// From this many bytes a second on, a rate is suggested.
+/// Bytes a second from which a rate is suggested.
 const HEAVY: f64 = 500_000.0;
-/// From so many messages a second on sampling is suggested.
+/// Messages a second from which sampling is suggested.
 const FAST: f64 = 50.0;
 /// The rate suggested for heavy topics, messages a second.
 const CALM: f64 = 5.0;
@@ -307,14 +301,12 @@ pub struct PolicyArguments {
 }
 
 impl PolicyArguments {
-    /// What is asked.
     pub fn question(&self) -> Result<Question, Failure> {
         let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
         Ok(if self.learn { LearnPolicy { milliseconds }.into() } else { ShowPolicy.into() })
     }
 }
 
-/// Prints the rules, or the draft.
 pub fn show(view: &PolicyView, output: &Output) {
     if view.learned {
         let draft = draft(&view.topics);
@@ -342,7 +334,6 @@ fn text(view: &PolicyView) -> String {
     text
 }
 
-/// What a rule says, in a line.
 fn terms(rule: &TopicRule) -> String {
     let mut terms = Vec::new();
     terms.extend(rule.type_name.as_ref().map(|name| format!("only {name}")));
@@ -367,7 +358,7 @@ fn span(seconds: u64) -> String {
     }
 }
 
-/// A draft of rules: topics that differ by numbers alone share one.
+/// Topics that differ only in numbers share a rule.
 fn draft(topics: &[PolicyRow]) -> String {
     let mut groups: BTreeMap<(String, Option<&str>), Vec<&PolicyRow>> = BTreeMap::new();
     for row in topics {
@@ -410,7 +401,6 @@ fn suggestions(rows: &[&PolicyRow]) -> String {
     }
 }
 
-/// Digits replaced by a star.
 fn without_numbers(topic: &str) -> String {
     let mut pattern = String::with_capacity(topic.len());
     for letter in topic.chars() {

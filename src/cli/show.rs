@@ -20,17 +20,14 @@ use crate::service::reply::{
 use crate::service::{Client, Failure};
 use authros_output::Output;
 
-/// An answer that a verb prints.
 pub trait Printed: Answer {
-    /// Prints it; `out` is where its files go. Returns the exit code.
+    /// `out` is the place for files; returns the exit code.
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure>;
 }
 
 type Print = fn(Result<Reply, Failure>, Option<&Path>, &Output) -> Result<u8, Failure>;
 
-/// A request whose answer a verb prints.
 pub struct Question {
-    /// The request.
     pub command: Command,
     print: Print,
 }
@@ -46,31 +43,27 @@ where
 }
 
 impl Question {
-    /// Asks; the result prints the answer.
     pub async fn ask(self, client: &Client) -> Told {
         Told { reply: client.request(self.command).await, print: self.print }
     }
 }
 
-/// The site's answer to a [`Question`].
 pub struct Told {
     reply: Result<Reply, Failure>,
     print: Print,
 }
 
 impl Told {
-    /// Whether it was done.
     pub fn is_done(&self) -> bool {
         self.reply.is_ok()
     }
 
-    /// Prints the answer; returns the exit code.
     pub fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         (self.print)(self.reply, out, output)
     }
 }
 
-/// Answers that are a document of their own, and the exit code where it depends on them.
+/// Answers printed as one document: their text, and their exit code if not 0.
 macro_rules! documents {
     ($($view:ty => $text:path $(, $code:path)?;)+) => {$(
         impl Printed for $view {
@@ -82,7 +75,7 @@ macro_rules! documents {
     )+};
 }
 
-/// Answers that are rows, and their name in JSON.
+/// Answers printed as rows, and their name in JSON.
 macro_rules! rows {
     ($($row:ty, $name:literal => $text:path;)+) => {$(
         impl Printed for Vec<$row> {
@@ -154,7 +147,7 @@ impl Printed for CheckView {
 impl Printed for Box<OpenedView> {
     fn print(mut self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         if let (Some(path), Some(bytes)) = (out, self.file.take()) {
-            // Nobody else may read what its owner sealed.
+            // Only the owner may read it.
             let file = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(path);
             file.and_then(|mut file| file.write_all(&bytes)).map_err(|error| not_written(path, &error))?;
         }
@@ -168,7 +161,7 @@ impl Printed for Vec<ExportedFile> {
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         let directory = out.unwrap_or(Path::new("."));
         std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
-        // Nothing is written if any file exists already: files of two records side by side would prove nothing.
+        // All or nothing: files of two records side by side would prove nothing.
         if let Some(there) = self.iter().map(|file| directory.join(&file.name)).find(|path| path.exists()) {
             let what = "exists and will not be overwritten; choose another folder with --dir";
             return Err(input(format!("{} {what}", there.display())));
@@ -226,7 +219,6 @@ fn device_addresses(view: &DeviceAddressesView) -> String {
     format!("'{}' uses the first address that answers of {}", view.name, view.gateway.addresses.join(", "))
 }
 
-/// A file that a verb writes cannot be written.
 pub fn not_written(path: &Path, error: &std::io::Error) -> Failure {
     input(format!("{} cannot be written: {error}", path.display()))
 }

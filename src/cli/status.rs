@@ -1,5 +1,4 @@
-//! `authros status`: health of the site's parts and the states of the profile's records. Without a running site the
-//! peers are queried here. The exit code says what is wrong: 6 if records are gone or altered, 4 if a part is not
+//! `authros status`: health of parts and states of records. Exit code 6: records are gone or altered; 4: a part is not
 //! healthy.
 
 #![deny(clippy::wildcard_enum_match_arm)]
@@ -19,12 +18,11 @@ use crate::service::reply::{
 };
 use crate::service::{Failure, doctor};
 
-/// `status`.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
     let asked = connection.client.ask(SiteStatus).await;
-    // Of a home that cannot be written, the chain is opened in its copy too.
+    // A home that cannot be written has its chain opened in a copy.
     let peers = match connection.site.as_ref().map(|site| site.place()) {
         Some(home) => doctor::peers(&home, &context.config).await,
         None => Vec::new(),
@@ -41,10 +39,8 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(code(&view))
 }
 
-/// The interval of `--watch`.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// `status --watch`: the running site's status, whenever it changes, until a signal.
 pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
@@ -72,7 +68,7 @@ pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     }
 }
 
-/// A profile that was given, or the default one beside others, must exist.
+/// A named profile, or the default one beside others, must exist.
 fn known(context: &Context) -> Result<(), Failure> {
     if context.operator.is_some() || context.home.keyring(&context.profile).exists() {
         return Ok(());
@@ -86,7 +82,6 @@ fn known(context: &Context) -> Result<(), Failure> {
     Err(input(format!("the home {root} has no profile '{}'; {there}: choose one with --profile", context.profile)))
 }
 
-/// The exit code of a status.
 fn code(view: &SiteView) -> u8 {
     let is_well = |part: &PartHealth| matches!(part.level, HealthLevel::Ok | HealthLevel::Absent);
     if view.life.tampered > 0 || !view.life.conserved {
@@ -108,7 +103,6 @@ fn row(part: &PartHealth) -> String {
     format!("{:<9} {word:<8} {}", part.part, part.text)
 }
 
-/// The site at a glance.
 fn text(view: &SiteView) -> String {
     let mut lines: Vec<String> = view.health.iter().map(row).collect();
     lines.extend(life(&view.life));
@@ -153,7 +147,6 @@ pub enum AlertsVerb {
     Test,
 }
 
-/// What is asked.
 pub fn plan(verb: &AlertsVerb) -> Plan {
     match verb {
         AlertsVerb::List => Plan::new(NEITHER, ProfileNeed::None, ListAlerts),
@@ -161,7 +154,6 @@ pub fn plan(verb: &AlertsVerb) -> Plan {
     }
 }
 
-/// Alerts that stand, for people.
 pub fn standing(view: &AlertsView) -> String {
     let row = |alert: &AlertView| {
         [alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
@@ -175,12 +167,10 @@ pub fn standing(view: &AlertsView) -> String {
     lines.join("\n")
 }
 
-/// One that is over, for people.
 pub fn over(ended: &EndedAlert) -> String {
     format!("resolved {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
 }
 
-/// What came back, for people.
 pub fn tested(view: &AlertTestView) -> String {
     format!("{} accepted it: {}", view.place, view.text)
 }

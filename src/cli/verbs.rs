@@ -18,35 +18,25 @@ use crate::service::command::{
 use crate::service::{Client, Command, Failure, Needs, accounts};
 use authros_output::Output;
 
-/// Only the chain.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
-/// Only ROS.
 pub const ROS: Needs = Needs { ros: true, chain: false };
-/// The store is enough.
 pub const NEITHER: Needs = Needs { ros: false, chain: false };
 
-/// A verb as a request to the site.
 pub struct Plan {
-    /// Parts of the site it needs.
     pub needs: Needs,
-    /// The state the profile must be in.
     pub profile: ProfileNeed,
-    /// A question asked first, its answer shown beside the result.
+    /// Asked first; its answer goes to stderr.
     pub first: Option<ForeseeKeyChange>,
-    /// The request.
     pub question: Question,
-    /// Where files of the answer go.
     pub out: Option<PathBuf>,
 }
 
 impl Plan {
-    /// A plan that writes no file.
     pub fn new(needs: Needs, profile: ProfileNeed, question: impl Into<Question>) -> Self {
         Self { needs, profile, first: None, question: question.into(), out: None }
     }
 }
 
-/// Sends the planned request and prints the answer.
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(plan.needs).await?;
     connection.tell_read_only(output);
@@ -71,7 +61,6 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
     told.print(plan.out.as_deref(), output)
 }
 
-/// `config …`
 pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
     let settings = context.config.show();
     match verb {
@@ -87,7 +76,7 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u
     Ok(0)
 }
 
-/// `identity create`: the passphrase is written once the site is there, because a file without its keyring opens nothing.
+/// The passphrase is written once the site is there: without its keyring it opens nothing.
 pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Failure> {
     let create = async |client: &Client| {
         let (passphrase, is_new) = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
@@ -98,11 +87,10 @@ pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Fa
     printed.inspect_err(|_| passphrase::forget_unused(is_new, &context.home, &context.profile))
 }
 
-/// `identity …`
 pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
     use ProfileNeed::{None as NoProfile, Unlocked};
     Ok(match verb {
-        // `run` makes one by itself, and a list asks no site.
+        // `run` handles creation and lists.
         IdentityVerb::Create | IdentityVerb::Show | IdentityVerb::List => Plan::new(CHAIN, NoProfile, ShowIdentity),
         IdentityVerb::Compare { fingerprint, account } => {
             let needs = if account.is_some() { CHAIN } else { NEITHER };
@@ -117,7 +105,6 @@ pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
     })
 }
 
-/// `topics …`
 pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
     let kept = |question: Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
@@ -135,21 +122,19 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
     })
 }
 
-/// `quarantine …`
 pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
     let decides = !matches!(verb, QuarantineVerb::List { .. });
     let (needs, profile) = if decides { (CHAIN, ProfileNeed::Unlocked) } else { (NEITHER, ProfileNeed::None) };
     Ok(Plan::new(needs, profile, quarantine::question(verb)?))
 }
 
-/// `uploads …`
 pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         UploadsVerb::List(list) if list.follow => {
             return follow::run(context, ListUploads, parse::query(&list)?, output).await;
         }
         UploadsVerb::List(list) => {
-            // Tags are found by the profile's own key.
+            // Ids of tags derive from the profile's own key.
             let need = if list.tags.is_empty() { ProfileNeed::None } else { ProfileNeed::Unlocked };
             Plan::new(NEITHER, need, check::list_uploads(&context, parse::query(&list)?))
         }
@@ -162,7 +147,6 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
     run(context, plan, output).await
 }
 
-/// `grants …`
 pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         GrantsVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, ListGrants),
@@ -173,7 +157,6 @@ pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
     })
 }
 
-/// `shared …`
 pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         SharedVerb::Export(export) => return recordings::export(context, export, output).await,

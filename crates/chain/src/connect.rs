@@ -20,10 +20,8 @@ use crate::{
     BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, Policy, Priced, STARVING, Shortfall, Wait, embedded, fees,
 };
 
-/// How often a node is polled for news.
 pub(super) const POLL: Duration = Duration::from_millis(200);
 
-/// State shared by all clones of a [`Chain`].
 #[derive(Debug)]
 pub(super) struct Inner {
     pub transport: Transport,
@@ -33,15 +31,14 @@ pub(super) struct Inner {
     pub consensus: &'static str,
     pub confirmations: u64,
     pub contract: RwLock<Option<Pin>>,
-    /// Estimates of calls that are made often.
+    /// Estimates of frequent calls.
     pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
-    /// How much gas the newest block seen may hold.
+    /// Gas limit of the newest block seen.
     pub block_room: Mutex<Option<u64>>,
-    /// Whether headers name the logs of their blocks, once that is known.
+    /// Whether headers have blooms, once known.
     pub makes_blooms: OnceLock<bool>,
 }
 
-/// A block as a node returns it, as far as it is read.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct RawBlock {
@@ -108,14 +105,14 @@ impl Chain {
         Ok(chain)
     }
 
-    /// What a pin says of a chain that cannot be asked, and why; every request fails.
+    /// A chain known only by its pin; every request fails with `why`.
     pub fn absent(pin: Pin, why: String) -> Self {
         let transport = Transport::absent(ChainError::Absent { why });
         let inner = Inner::new(transport, pin.chain_id, pin.genesis);
         Self { inner: Arc::new(Inner { contract: RwLock::new(Some(pin)), ..inner }) }
     }
 
-    /// Asks again for chain id, genesis block and contract code, and compares them with those in use.
+    /// Asks again for chain id, genesis block and code, and compares them with the pin.
     pub async fn identify(&self) -> Result<(), ChainError> {
         let pin = self.pin().ok_or(ChainError::NoContract)?;
         let chain_id: U64 = self.rpc("eth_chainId", json!([])).await?;
@@ -149,14 +146,14 @@ impl Chain {
         Ok(())
     }
 
-    /// The same connection with another pin, as if the chain behind it had been swapped; for the tests of other crates.
+    /// Pretends that the chain was swapped; for the tests of other crates.
     #[doc(hidden)]
     pub fn pretending(&self, pin: Pin) -> Self {
         self.set_pin(pin);
         self.clone()
     }
 
-    /// Uses an existing contract, after checking that its code is this program's.
+    /// Uses an existing contract if its code is this program's.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
         let code_hash = artefact()?.code_hash;
         if self.code_hash(contract).await? != Some(code_hash) {
@@ -166,17 +163,14 @@ impl Chain {
         Ok(self.set_pin(self.pin_of(contract, code_hash, deployed_at)))
     }
 
-    /// Whether a contract of this program is at an address.
     pub async fn has_contract(&self, contract: Address) -> Result<bool, ChainError> {
         Ok(self.code_hash(contract).await? == Some(artefact()?.code_hash))
     }
 
-    /// The address of the contract that an account creates with its transaction of this nonce.
     pub fn created_by(&self, account: Address, nonce: u64) -> Address {
         created_address(account, nonce)
     }
 
-    /// The domain of a contract on this chain.
     pub fn domain_of(&self, contract: Address) -> Domain {
         crate::crypto::domain(self.chain_id(), &self.genesis(), &contract)
     }
@@ -191,7 +185,7 @@ impl Chain {
         pin
     }
 
-    /// The block of the constructor's event; 0 if the node does not say, which only makes reading slower.
+    /// Block of the constructor's event; 0 if the node does not say, which only slows reading.
     async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
         let signature = artefact()?.event_signature("AdministratorChanged")?;
         match self.first_with(contract, signature).await {
@@ -201,14 +195,14 @@ impl Chain {
         }
     }
 
-    /// Keccak-256 of the code at an address; `None` if there is no code.
+    /// Keccak-256; `None` without code.
     pub(super) async fn code_hash(&self, contract: Address) -> Result<Option<Hash>, ChainError> {
         let code: String = self.rpc("eth_getCode", json!([contract.to_string(), "latest"])).await?;
         let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is not hex"))?;
         Ok((!bytes.is_empty()).then(|| Hash(keccak256(bytes))))
     }
 
-    /// The pin: chain, contract, its code and its deployment block. `None` before a contract is used.
+    /// `None` before a contract is used.
     pub fn pin(&self) -> Option<Pin> {
         self.inner.contract.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -221,17 +215,15 @@ impl Chain {
         self.inner.chain_id
     }
 
-    /// Hash of block 0.
     pub fn genesis(&self) -> Hash {
         self.inner.genesis
     }
 
-    /// How many blocks on top make a block final.
     pub fn confirmations(&self) -> u64 {
         self.inner.confirmations
     }
 
-    /// The chain's URL, without credentials.
+    /// Without credentials.
     pub fn url(&self) -> String {
         self.transport().url().to_owned()
     }
@@ -252,7 +244,7 @@ impl Chain {
         Ok(self.newest().await?.reference())
     }
 
-    /// The block of that number; `None` above the head.
+    /// `None` above the head.
     pub async fn block(&self, number: u64) -> Result<Option<BlockRef>, ChainError> {
         Ok(self.raw_block(number).await?.as_ref().map(RawBlock::reference))
     }
@@ -267,7 +259,7 @@ impl Chain {
 }
 
 impl RawBlock {
-    /// The gas that the block may hold; `None` if the node does not say, or says nonsense.
+    /// `None` if the node does not say, or says nonsense.
     pub(super) fn room(&self) -> Option<u64> {
         self.gas_limit.and_then(|limit| u64::try_from(limit).ok()).filter(|limit| *limit > 0)
     }
@@ -282,7 +274,6 @@ async fn rpc<R: DeserializeOwned>(transport: &Transport, method: &str, parameter
     transport.request(method, parameters).await.map_err(|error| error.explained(transport.url(), method))
 }
 
-/// The network's consensus, as far as a block shows it.
 fn consensus(latest: &RawBlock, client: &str) -> &'static str {
     /// Written into the mix hash by QBFT and IBFT.
     const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
@@ -300,18 +291,16 @@ fn consensus(latest: &RawBlock, client: &str) -> &'static str {
     }
 }
 
-// Ether for test accounts, from development nodes, which have plenty; never from other nodes.
+// Ether for test accounts, only from development nodes.
 
 /// 10 ether, in wei.
 const GIFT: u64 = 10_000_000_000_000_000_000;
-/// How long the gift may take to arrive.
 const ARRIVAL: Duration = Duration::from_secs(15);
 /// The chain id of `geth --dev`, which its client version does not reveal.
 const GETH_DEV: u64 = 1337;
 
 impl Chain {
-    /// On a development node (anvil, ganache, hardhat, EthereumJS, `geth --dev`), gives an account that holds nothing
-    /// 10 ether. Returns whether it did; `false` elsewhere, or if it is not possible.
+    /// On a development node, gives an empty account 10 ether; returns whether it did.
     pub async fn fund_from_node(&self, account: Address) -> Result<bool, ChainError> {
         if !self.is_development() || !self.balance(account).await?.is_zero() {
             return Ok(false);
@@ -361,7 +350,7 @@ impl Chain {
     }
 }
 
-/// A refusal just means no; a broken connection stays an error.
+/// A refusal means no; a broken connection stays an error.
 fn answered<T>(result: Result<T, ChainError>) -> Result<Option<T>, ChainError> {
     match result {
         Ok(value) => Ok(Some(value)),
@@ -372,33 +361,30 @@ fn answered<T>(result: Result<T, ChainError>) -> Result<Option<T>, ChainError> {
 
 // Deploying the contract.
 
-/// How long a deployment may wait for its block at one price.
+/// Patience with a deployment at one price.
 const PATIENCE: Duration = Duration::from_secs(60);
 const DAY: Duration = Duration::from_secs(86_400);
-/// The default delay of a succession.
 pub const DEFAULT_DELAY: Duration = Duration::from_secs(7 * DAY.as_secs());
-/// The shortest delay of a succession (contract limit).
+/// Contract limit.
 pub const SHORTEST_DELAY: Duration = DAY;
-/// The longest delay of a succession (contract limit).
+/// Contract limit.
 pub const LONGEST_DELAY: Duration = Duration::from_secs(365 * DAY.as_secs());
-/// The longest pause (contract limit).
+/// Contract limit.
 pub const LONGEST_PAUSE: Duration = Duration::from_secs(3 * DAY.as_secs());
 
-/// A contract that was deployed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Deployment {
     pub pin: Pin,
-    /// The price in wei per gas at which it was mined, if blocks had passed it by at lower ones.
+    /// Wei per gas, if blocks passed it by at lower prices.
     pub raised: Option<u128>,
 }
 
 impl Chain {
-    /// Deploys the contract with open registration and [`DEFAULT_DELAY`], waits until it is mined, and uses it.
+    /// Deploys with open registration and [`DEFAULT_DELAY`], and waits until it is mined.
     pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
         Ok(self.deploy_with(eoa, DEFAULT_DELAY, Policy::default()).await?.pin)
     }
 
-    /// Like [`Chain::deploy`], with another delay of successions and within limits of the price.
     pub async fn deploy_with(
         &self,
         eoa: &EoaSecret,
@@ -422,7 +408,7 @@ impl Chain {
         Ok(Deployment { pin, raised })
     }
 
-    /// Sends a creation, at a higher price each time that blocks pass it by, until it is mined.
+    /// Raises the price whenever blocks pass it by, until it is mined.
     async fn create(
         &self,
         eoa: &EoaSecret,
@@ -449,7 +435,7 @@ impl Chain {
             match self.broadcast(&signed.raw).await {
                 Ok(_) | Err(ChainError::AlreadyKnown) => {}
                 Err(ChainError::InsufficientFunds) => return Err(self.poor(eoa, price, gas).await),
-                // One of those sent before may be in a block by now.
+                // An earlier one may be in a block by now.
                 Err(ChainError::NonceTooLow | ChainError::Underpriced) if !sent.is_empty() => {}
                 Err(error) => return Err(error),
             }
@@ -486,7 +472,6 @@ impl Chain {
         Ok(None)
     }
 
-    /// What the account lacks.
     async fn poor(&self, eoa: &EoaSecret, price: u128, gas: u64) -> ChainError {
         let needed = Wei(price.saturating_mul(u128::from(gas)));
         match self.wealth(eoa.address()).await {

@@ -1,5 +1,5 @@
-//! One JSON-RPC client for every kind of chain: embedded, http, https, ws, wss, ipc, relayed. Every answer has a time limit
-//! and a largest size, and no error shows a path or a password.
+//! One JSON-RPC client for every kind of chain. Every answer has a time limit and a largest size, and no error shows a
+//! path or a password.
 
 mod socket;
 #[cfg(test)]
@@ -21,28 +21,23 @@ use crate::model::clean;
 use crate::relay::RelayLine;
 use crate::{ChainError, Endpoint};
 
-/// The most requests to a node at a time; further ones wait.
+/// Requests to a node at a time; further ones wait.
 const TOGETHER: usize = 8;
-/// The most of those with a wide answer.
+/// Of these, requests with a wide answer.
 const WIDE_TOGETHER: usize = 2;
-/// How long a connection is kept that nothing is asked over: shorter than servers keep theirs, so that no request is sent
-/// into one that is just being closed.
+/// Shorter than servers keep connections, so that no request goes into a closing one.
 const IDLE: Duration = Duration::from_secs(4);
-/// How long connecting may take, to all addresses of a name together.
+/// For all addresses of a name together.
 const CONNECTING: Duration = Duration::from_secs(4);
-/// Bytes of a megabyte, as people are told of it.
 const MIB: usize = 1 << 20;
 
-/// What a request may cost.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
-    /// The most bytes of its answer.
     bytes: usize,
-    /// How long it may take in all.
     patience: Duration,
 }
 
-/// Most answers are a number or one block.
+/// A number, or one block.
 const USUAL: Limits = Limits { bytes: 4 * MIB, patience: Duration::from_secs(5) };
 /// All logs of many blocks, or all receipts of one.
 const WIDE: Limits = Limits { bytes: 64 * MIB, patience: Duration::from_secs(20) };
@@ -52,17 +47,16 @@ impl Limits {
         if matches!(method, "eth_getLogs" | "eth_getBlockReceipts") { WIDE } else { USUAL }
     }
 
-    /// Whether such an answer takes so much memory that there are only a few of them at a time.
+    /// Such an answer takes so much memory that only a few run at a time.
     fn is_wide(&self) -> bool {
         self.bytes > USUAL.bytes
     }
 }
 
-/// A connection to a chain.
 pub struct Transport {
     line: Line,
     url: String,
-    /// Each request to a node needs a connection to itself, and a node has only so many.
+    /// Each request to a node needs a connection of its own, and a node has only so many.
     places: Semaphore,
     wide_places: Semaphore,
 }
@@ -76,13 +70,11 @@ enum Line {
     Absent(ChainError),
 }
 
-/// Why a request failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TransportError {
-    /// The node answered with an error.
     #[error("{0}")]
     Answered(JsonRpcError),
-    /// Its answer is not JSON-RPC, or not of the expected shape.
+    /// Not JSON-RPC, or not of the expected shape.
     #[error("{0}")]
     Malformed(String),
     /// The embedded chain cannot continue.
@@ -90,14 +82,11 @@ pub enum TransportError {
     Chain(ChainError),
     #[error("{0}")]
     Broken(String),
-    /// No answer came in time.
     #[error("no answer within {} s", .0.as_secs())]
     Slow(Duration),
-    /// The answer has more than this many bytes.
     #[error("an answer of more than {} MiB", .0 / MIB)]
     TooLong(usize),
-    /// The node, or what stands before it, cannot be used with the present settings; the reason is a predicate
-    /// of the node.
+    /// Unusable with the present settings; the reason is a predicate of the node.
     #[error("the node {reason}")]
     Unusable { reason: String, advice: String },
 }
@@ -112,7 +101,6 @@ impl From<Fault> for TransportError {
 }
 
 impl TransportError {
-    /// What it means for who asked the node at `url` for `method`.
     pub fn explained(self, url: &str, method: &str) -> ChainError {
         let unreachable = |reason: String, advice: &str| ChainError::Unreachable {
             url: url.to_owned(),
@@ -143,7 +131,7 @@ impl Transport {
         Self { line, url, places, wide_places }
     }
 
-    /// Opens the embedded chain, or prepares the connection to a node; the first request opens it.
+    /// The first request opens the connection to a node.
     pub async fn open(endpoint: &Endpoint) -> Result<Self, ChainError> {
         match endpoint {
             Endpoint::Embedded { directory, consensus } => {
@@ -165,22 +153,20 @@ impl Transport {
         Ok(Self::new(line, address.shown))
     }
 
-    /// A line to no chain; every request fails with this error.
+    /// Every request fails with this error.
     pub fn absent(error: ChainError) -> Self {
         Self::new(Line::Absent(error), "nowhere".to_owned())
     }
 
-    /// Where it leads, without credentials and path.
+    /// Without credentials and path.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// Whether requests go through a relay.
     pub fn is_relayed(&self) -> bool {
         matches!(self.line, Line::Relay(_))
     }
 
-    /// The embedded chain behind it.
     pub fn embedded(&self) -> Option<&Embedded> {
         if let Line::Embedded(embedded) = &self.line { Some(embedded) } else { None }
     }
@@ -189,7 +175,7 @@ impl Transport {
         self.request_within(method, parameters, Limits::of(method)).await
     }
 
-    /// Makes one request whose answer is passed on as it is: as a tree of values it takes many times its bytes.
+    /// Bounded more tightly, since a tree of values takes many times its bytes.
     pub async fn request_for_another(&self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         let limits = Limits { bytes: USUAL.bytes, ..Limits::of(method) };
         self.request_within(method, parameters, limits).await
@@ -234,27 +220,24 @@ impl Transport {
     }
 }
 
-/// Without what its parts hold: credentials among them.
+/// Hides credentials.
 impl fmt::Debug for Transport {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.debug_struct("Transport").field("url", &self.url).finish_non_exhaustive()
     }
 }
 
-// A request, and what an answer to it says.
-
-/// The longest answer that is an error, bytes; the largest known one has the data of a revert.
+/// Longest error, bytes; the largest known one has the data of a revert.
 const LONGEST_ERROR: usize = MIB;
 
-/// An error that a node answers with.
 #[derive(Debug, Clone, PartialEq, Deserialize, thiserror::Error)]
 #[error("{message} (code {code})")]
 pub struct JsonRpcError {
-    /// JSON-RPC's code; nodes do not agree on them.
+    /// Nodes do not agree on codes.
     pub code: i64,
     #[serde(default)]
     pub message: String,
-    /// More: revert data, in whatever shape this node likes.
+    /// Revert data, in the shape that this node likes.
     #[serde(default)]
     pub data: Option<Value>,
 }
@@ -262,18 +245,17 @@ pub struct JsonRpcError {
 #[derive(Serialize)]
 struct Request<'a> {
     jsonrpc: &'static str,
-    /// Over one connection there is one request at a time.
+    /// A connection has one request at a time.
     id: u64,
     method: &'a str,
     params: &'a Value,
 }
 
-/// The text of a request.
 fn request(method: &str, params: &Value) -> String {
     serde_json::to_string(&Request { jsonrpc: "2.0", id: 1, method, params }).unwrap_or_default()
 }
 
-/// Whether it is an error, without building what is in it.
+/// Skips the content.
 #[derive(Deserialize)]
 struct Kind {
     #[serde(default)]
@@ -292,7 +274,7 @@ struct Succeeded<R> {
     result: R,
 }
 
-/// The result in an answer, read as what was asked for: what is not that is never built.
+/// Never builds what was not asked for.
 fn read<R: DeserializeOwned>(bytes: &[u8]) -> Result<R, TransportError> {
     let malformed = |error: serde_json::Error| TransportError::Malformed(error.to_string());
     let kind: Kind = serde_json::from_slice(bytes).map_err(malformed)?;
@@ -306,7 +288,7 @@ fn read<R: DeserializeOwned>(bytes: &[u8]) -> Result<R, TransportError> {
     Err(TransportError::Answered(failed.error))
 }
 
-/// Whether these bytes are an answer of JSON-RPC, whatever it says.
+/// Any answer of JSON-RPC.
 fn is_one(bytes: &[u8]) -> bool {
     #[derive(Deserialize)]
     struct Either {
@@ -318,26 +300,23 @@ fn is_one(bytes: &[u8]) -> bool {
     serde_json::from_slice(bytes).is_ok_and(|answer: Either| answer.error.is_some() || answer.result.is_some())
 }
 
-/// A value in the shape that was asked for.
 fn shaped<R: DeserializeOwned>(value: Value) -> Result<R, TransportError> {
     serde_json::from_value(value).map_err(|error| TransportError::Malformed(error.to_string()))
 }
 
 // Plain words for a server that refuses before its node gets to see the request.
 
-/// The setting that names authorities.
 const ROOTS: &str = "`chain.roots`";
 
-/// An answer of HTTP that is none of JSON-RPC.
+/// An HTTP answer that is not JSON-RPC.
 struct Refused<'a> {
     pub status: u16,
     pub location: Option<&'a str>,
-    /// The beginning of its text.
+    /// Its beginning.
     pub page: &'a [u8],
 }
 
 impl Refused<'_> {
-    /// What it means, and what to do.
     fn words(&self, server: &Server) -> TransportError {
         let (what, advice) = match self.status {
             401 if server.credentials.is_some() => (
@@ -382,7 +361,6 @@ impl Refused<'_> {
     }
 }
 
-/// A connection that broke: by TLS, or by something else.
 fn broken(error: &(dyn Error + 'static)) -> TransportError {
     match authros_tls::tls_fault(error, ROOTS) {
         Some(fault) => TransportError::Unusable { reason: fault.reason, advice: fault.advice },

@@ -1,6 +1,4 @@
-//! The EVM of the embedded chain: execution by revm under Istanbul rules.
-//!
-//! Running a block changes nothing; its changes are applied once the block is on disk.
+//! The EVM of the embedded chain: revm under Istanbul rules. A block's changes apply once it is on disk.
 
 use std::sync::Arc;
 
@@ -22,43 +20,35 @@ use crate::ChainError;
 use crate::model::{Address, Hash};
 use crate::transaction::{Transaction, Unsigned};
 
-/// The context of a block or call.
 #[derive(Debug, Clone, Copy)]
 pub struct Environment {
     pub number: u64,
     /// Seconds since 1970.
     pub timestamp: u64,
-    /// Its difficulty, as the DIFFICULTY instruction gives it.
     pub difficulty: u64,
-    /// The recipient of the fees: the signer or the miner.
+    /// Recipient of the fees.
     pub beneficiary: Address,
 }
 
-/// The result of running a block.
 pub struct Outcome {
-    /// Those included, in order.
     pub included: Vec<Transaction>,
     pub receipts: Vec<Receipt>,
-    /// Those that cannot go into any block, and why.
+    /// Those that no block can include, and why.
     pub refused: Vec<(Transaction, String)>,
-    /// Root of the state after the block.
     pub state_root: Hash,
-    /// Its changes to the state's nodes.
     pub written: Turnover,
 }
 
-/// The outcome of a message call.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
-    /// Returned these bytes, having used this much gas.
+    /// Output, and gas used.
     Returned(Vec<u8>, u64),
-    /// Reverted with these bytes.
+    /// Revert data.
     Reverted(Vec<u8>),
-    /// Ended otherwise: out of gas, bad instruction, not payable.
+    /// Out of gas, a bad instruction, not payable.
     Failed(String),
 }
 
-/// The world state, and the chain whose transactions change it.
 pub struct Machine {
     pub tries: Tries,
     pub chain_id: u64,
@@ -90,8 +80,8 @@ impl Machine {
             .with_precompiles(Weighed::new(surplus))
     }
 
-    /// Runs transactions one after the other on top of the state, which is unchanged. By the rules of admission (`new`)
-    /// those with too much surplus are refused, and none is started once the block has reached its limit.
+    /// Runs transactions without changing the state. By the rules of admission (`new`), refuses those with too much
+    /// surplus, and starts none beyond the block's limit.
     pub fn run(&self, place: &Environment, transactions: Vec<Transaction>, new: bool) -> Result<Outcome, ChainError> {
         let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
         let mut evm = self.evm(place, most);
@@ -128,7 +118,7 @@ impl Machine {
         Ok(outcome)
     }
 
-    /// Runs a message call, whatever its nonce, without changing anything.
+    /// Ignores the nonce and changes nothing.
     pub fn call(&self, place: &Environment, from: Address, message: &Unsigned) -> Result<Answer, ChainError> {
         let gas_limit = message.gas_limit.min(TRANSACTION_GAS);
         let message = Unsigned { nonce: self.nonce(from)?, gas_limit, ..message.clone() };
@@ -145,9 +135,7 @@ impl Machine {
         })
     }
 
-    /// The least gas limit under which a message call returns, or a higher one if finding the least takes more runs
-    /// than one estimate may.
-    ///
+    /// The least gas limit under which the call returns, or a higher one where [`ESTIMATE_GAS`] does not suffice.
     /// Inside: how the call ends if no limit is enough.
     pub fn estimate(
         &self,
@@ -177,17 +165,15 @@ impl Machine {
         Ok(Ok(high))
     }
 
-    /// The next nonce of an account, without pending transactions.
+    /// Without pending transactions.
     pub fn nonce(&self, account: Address) -> Result<u64, ChainError> {
         Ok(self.tries.account(account)?.map_or(0, |account| account.nonce))
     }
 
-    /// Wei held by an account.
     pub fn balance(&self, account: Address) -> Result<U256, ChainError> {
         Ok(self.tries.account(account)?.map_or(U256::ZERO, |account| account.balance))
     }
 
-    /// Code of a contract; empty for other accounts.
     pub fn code(&self, account: Address) -> Result<Arc<[u8]>, ChainError> {
         self.tries.code(self.tries.account(account)?.map_or(KECCAK256_EMPTY, |account| account.code_hash))
     }

@@ -1,5 +1,4 @@
-//! The chain itself: the pool, assembling blocks and sealing them. Single-threaded, except for the proof-of-work
-//! search, which runs beside it, one at a time, for the very block that was assembled.
+//! Pool, assembling and sealing on one thread; a proof-of-work search runs beside it, for the assembled block only.
 
 use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
@@ -23,26 +22,23 @@ use crate::model::{Hash, Timestamp};
 use crate::transaction::Transaction;
 use crate::{BlockRef, ChainError, Consensus};
 
-/// How long sealing pauses after the file could not be written.
+/// Pause after a failed write.
 const REST: Duration = Duration::from_secs(1);
-/// The most transactions in a block, so that sealing never keeps readers waiting long.
+/// Transactions in a block, so that sealing never keeps readers waiting long.
 const MOST_TRANSACTIONS: usize = 4096;
 
-/// Receives the nonce that a search found, on the search's thread.
+/// Called with the nonce on the search's thread.
 pub type Found = Arc<dyn Fn(u64) + Send + Sync>;
 
 pub struct Node {
-    /// Its rules and state.
     pub machine: Machine,
     pub file: Rc<ChainFile>,
-    /// The blocks whose transactions were read or written last.
     pub looked: Looked,
     pub pool: Pool,
     pub chain_id: u64,
     pub consensus: Consensus,
     pub sealing: Sealing,
     pub head: BlockRef,
-    /// What callers wait for.
     pub filters: Filters,
     pub audits: VecDeque<Auditing>,
     /// Why the last block could not be written.
@@ -52,7 +48,6 @@ pub struct Node {
     found: Found,
 }
 
-/// A block waiting for its proof of work.
 struct Work {
     header: Header,
     outcome: Outcome,
@@ -60,10 +55,7 @@ struct Work {
 }
 
 impl Node {
-    /// Opens the chain in `directory`, or founds one with the requested consensus, drawing its chain id and keys.
-    ///
-    /// The newest block is run again and must come out as in the file; older blocks are authenticated through it when
-    /// read.
+    /// Runs the newest block again, which must match the file; older blocks are authenticated through it when read.
     pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
         let file = Rc::new(ChainFile::open(directory)?);
         let founded = sealing::open(&file, asked)?;
@@ -78,7 +70,7 @@ impl Node {
         if machine.tries.root != EMPTY_ROOT {
             file.node(machine.tries.root)?;
         }
-        // The period is kept across a restart, even if the clock changed.
+        // Keeps the period across a restart, even if the clock changed.
         let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
         let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period()) };
         Ok(Self {
@@ -99,7 +91,6 @@ impl Node {
         })
     }
 
-    /// Takes a raw transaction into the pool.
     pub fn submit(&mut self, raw: &[u8]) -> Result<Hash, String> {
         if let Some(trouble) = &self.trouble {
             return Err(format!("no block can be written: {trouble}"));
@@ -123,24 +114,20 @@ impl Node {
         Ok(hash)
     }
 
-    /// How long until the next block is to be assembled; `None` while nothing can go into one, and while a proof of work is
-    /// being searched for.
+    /// `None` while no transaction is ready, or a search runs.
     pub fn due(&self) -> Option<Duration> {
         let ready = self.work.is_none() && self.pool.is_ready();
         ready.then(|| self.not_before.saturating_duration_since(Instant::now()))
     }
 
-    /// Whether a proof of work is being searched for.
     pub fn is_mining(&self) -> bool {
         self.work.is_some()
     }
 
-    /// The context of the next block.
     pub fn next_place(&self) -> Environment {
         self.sealing.place(self.head.number + 1, self.head.timestamp)
     }
 
-    /// Assembles a block of pending transactions, and seals it or begins to search for its proof of work.
     pub fn assemble(&mut self) {
         let ready = self.pool.ready(MOST_TRANSACTIONS, BLOCK_GAS);
         let place = self.next_place();
@@ -173,7 +160,6 @@ impl Node {
         search.map_err(|error| ChainError::Internal(format!("no work can be done: {error}")))
     }
 
-    /// Seals the assembled block with the nonce that its search found.
     pub fn worked(&mut self, nonce: u64) {
         let Some(Work { header, outcome, .. }) = self.work.take() else { return };
         let header = Header { nonce, ..header };
@@ -182,7 +168,7 @@ impl Node {
         }
     }
 
-    /// Writes a sealed block. One that cannot be written never happened.
+    /// A block that cannot be written never happened.
     fn settle(&mut self, header: &Header, outcome: Outcome) {
         let Outcome { included, receipts, written, state_root, .. } = outcome;
         let block = Sealed { header, sent: &included, receipts: &receipts, written: &written };
@@ -202,8 +188,8 @@ impl Node {
         self.not_before = Instant::now() + REST;
     }
 
-    /// At the end, seals pending transactions if that can be done at once: work takes time, and so does a period of a
-    /// second or more, which the next block's time would contradict.
+    /// Seals pending transactions at the end, unless it takes work, or a period that the next block's time would
+    /// contradict.
     pub fn finish(&mut self) {
         let brief = self.sealing.work().is_none() && self.sealing.period().as_secs() == 0;
         if brief && self.due().is_some() {
@@ -216,17 +202,16 @@ fn reference(header: &Header) -> BlockRef {
     BlockRef { number: header.number, hash: header.hash(), timestamp: header.timestamp }
 }
 
-// Running blocks from the file again: all of them for an audit, or only the newest when a chain is opened.
+// Runs blocks of the file again: all for an audit, the newest when a chain is opened.
 
-/// A chain being run again.
 pub struct Again {
-    /// Its state after the last block run.
+    /// After the last block run.
     pub machine: Machine,
     pub sealing: Sealing,
     /// The last block run.
     pub last: Header,
     file: Rc<ChainFile>,
-    /// The state's nodes, if all blocks are run; otherwise those of the file are read.
+    /// Set if all blocks are run; otherwise nodes come from the file.
     nodes: Option<Rc<Passing>>,
 }
 
@@ -249,7 +234,6 @@ impl Again {
         Ok(Self { machine, sealing, last, file, nodes: None })
     }
 
-    /// Runs the next block.
     pub fn step(&mut self) -> Result<(), ChainError> {
         let number = self.last.number + 1;
         let blame = |what: &str| self.file.tampered(number, what);
@@ -267,13 +251,12 @@ impl Again {
         Ok(())
     }
 
-    /// The nodes of the state after the last block, if all blocks were run.
+    /// Empty unless all blocks were run.
     pub fn state_nodes(&self) -> Vec<Hash> {
         self.nodes.iter().flat_map(|nodes| nodes.nodes.borrow().keys().copied().collect::<Vec<_>>()).collect()
     }
 }
 
-/// A block's header, checked against its hash in the file.
 pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     let blame = |what: &str| file.tampered(number, what);
     let (hash, bytes) = file.block(number)?.ok_or_else(|| blame("it is gone"))?;
@@ -284,7 +267,7 @@ pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     Ok(header)
 }
 
-/// Runs a block from the file again and compares everything its header commits to.
+/// Compares everything that the header commits to.
 fn rerun(
     file: &ChainFile,
     machine: &Machine,
@@ -309,7 +292,7 @@ fn rerun(
     if kept { Ok(outcome) } else { Err(blame("its receipts were changed")) }
 }
 
-/// The header of a block that has run, before its seal.
+/// Unsealed.
 fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outcome) -> Header {
     let (beneficiary, extra) = sealing.dress();
     let sent: Vec<&[u8]> = outcome.included.iter().map(|one| &one.raw[..]).collect();
@@ -330,15 +313,14 @@ fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outc
     }
 }
 
-/// Root of the trie of receipts.
 pub fn receipts_root<'a>(receipts: impl IntoIterator<Item = &'a Receipt>) -> Hash {
     list_root(&receipts.into_iter().map(Receipt::committed).collect::<Vec<_>>())
 }
 
-/// Nodes by their hash, with the number of their places in the state.
+/// With the number of their places in the state.
 type CountedNodes = HashMap<Hash, (Arc<[u8]>, u64)>;
 
-/// The nodes of a single state, in memory.
+/// Nodes of a single state, in memory.
 struct Passing {
     file: Rc<ChainFile>,
     nodes: RefCell<CountedNodes>,

@@ -15,16 +15,13 @@ use crate::ChainError;
 use crate::model::{Address, Hash, clean};
 use crate::transaction::Unsigned;
 
-/// A refused request: JSON-RPC code, message, revert data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
-    /// JSON-RPC or Ethereum error code.
     pub code: i64,
-    /// What is wrong, in geth's words.
+    /// In geth's words.
     pub message: String,
-    /// Revert data as hex.
+    /// Revert data, hex.
     pub data: Option<Value>,
-    /// The chain's own error, if it is one.
     pub cause: Option<Box<ChainError>>,
 }
 
@@ -40,14 +37,11 @@ impl From<ChainError> for Fault {
     }
 }
 
-/// The answer to a request.
 pub type Reply = Result<Value, Fault>;
 
-/// Positional parameters of a request.
 pub struct Parameters(Vec<Value>);
 
 impl Parameters {
-    /// One of them, parsed.
     pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
         self.0.get(index).and_then(read).ok_or_else(|| Self::missing(index))
     }
@@ -144,7 +138,7 @@ fn whole(parameters: &Parameters) -> bool {
     parameters.0.get(1) == Some(&Value::Bool(true))
 }
 
-/// The number that a block tag means; `None` if the tag is malformed.
+/// `None` if the tag is malformed.
 pub fn block_number(node: &Node, tag: &Value) -> Option<u64> {
     match tag.as_str()? {
         "latest" | "pending" | "safe" | "finalized" => Some(node.head.number),
@@ -153,7 +147,6 @@ pub fn block_number(node: &Node, tag: &Value) -> Option<u64> {
     }
 }
 
-/// The block that a tag, a number or a hash means; the inner `None` if there is none.
 #[allow(clippy::option_option, reason = "outside: is it a name of a block; inside: is there one")]
 fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
     match read_hash(which) {
@@ -243,7 +236,6 @@ fn read_message(value: &Value) -> Option<(Address, Unsigned)> {
     Some((address("from")?.unwrap_or(Address([0; 20])), message))
 }
 
-/// The most storage slots of one proof.
 const MOST_SLOTS: usize = 256;
 
 /// EIP-1186, for blocks whose state is kept.
@@ -271,7 +263,7 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     Ok(block::proof(account, &tries.proof(account, &slots)?))
 }
 
-/// A slot as a quantity or as 32 bytes.
+/// As a quantity, or as 32 bytes.
 fn read_slot(value: &Value) -> Option<U256> {
     read_hash(value).map(|word| U256::from_be_bytes(word.0)).or_else(|| read_quantity(value))
 }
@@ -301,18 +293,16 @@ fn receipt(node: &Node, hash: Hash) -> Reply {
     Ok(block::receipt(&done[place].transaction, &done[place].receipt, Mining::at(&header, place), first_log))
 }
 
-// `eth_getLogs`: bounded in blocks, in bytes searched and in bytes returned, before any of it is built.
+// `eth_getLogs`: bounded in blocks, bytes searched and bytes returned, before any of it is built.
 
-/// The most blocks of one request.
 const MOST_BLOCKS: u64 = 10_000;
-/// The most bytes of transactions and receipts searched for one request.
+/// Bytes of transactions and receipts searched for one request.
 const MOST_READ: usize = 32 * 1024 * 1024;
-/// The most bytes in the answer, counted roughly as JSON.
+/// Bytes of the answer, roughly as JSON.
 const MOST_GIVEN: usize = 8 * 1024 * 1024;
-/// The JSON size of a log without its data and topics, bytes.
+/// JSON size of a log without data and topics, bytes.
 const FRAME: usize = 500;
 
-/// The parameters of eth_getLogs.
 struct Filter {
     from: u64,
     to: u64,
@@ -357,7 +347,6 @@ fn too_many(what: &str) -> Fault {
     Fault::new(-32005, format!("{what}; ask for fewer blocks at once"))
 }
 
-/// The logs that match a filter.
 fn logs(node: &Node, filter: &Value) -> Reply {
     if let Some(hash) = filter.get("blockHash").and_then(read_hash)
         && node.file.number_of(hash)?.is_none()
@@ -395,23 +384,19 @@ fn logs(node: &Node, filter: &Value) -> Reply {
     Ok(Value::Array(found))
 }
 
-// Filters: what is new since a caller last asked. There are only a few, and they expire when unused.
+// Filters: what is new since the last request. Few, and they expire.
 
-/// The most filters at a time.
 const MOST_FILTERS: usize = 64;
-/// How long an unused filter lives.
 const LIFE: Duration = Duration::from_secs(300);
-/// The most block hashes returned at once; the rest follows with the next request.
+/// Hashes per answer; the rest follows with the next request.
 const MOST_HASHES: u64 = 1000;
 
-/// What a caller waits for: logs, or blocks.
 struct Waiting {
     wanted: Option<Map<String, Value>>,
     next: u64,
     asked: Instant,
 }
 
-/// The filters of all callers.
 #[derive(Default)]
 pub struct Filters {
     last: u64,
@@ -427,11 +412,10 @@ fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Wa
     id.and_then(|id| node.filters.open.get_mut(&id)).ok_or_else(unknown_filter)
 }
 
-/// A new filter's id.
 fn install(node: &mut Node, wanted: Option<Map<String, Value>>) -> Reply {
     let (next, now) = (node.head.number + 1, Instant::now());
     if let Some(wanted) = &wanted {
-        // Says what is wrong with it, if anything.
+        // Reports a malformed filter.
         logs(node, &within(wanted, next, next))?;
     }
     let Filters { last, open } = &mut node.filters;
@@ -463,7 +447,6 @@ fn changes(node: &mut Node, parameters: &Parameters) -> Reply {
     Ok(news)
 }
 
-/// A filter with other bounds.
 fn within(filter: &Map<String, Value>, first: u64, last: u64) -> Value {
     let mut filter = filter.clone();
     filter.remove("blockHash");

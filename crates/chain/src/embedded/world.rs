@@ -18,38 +18,32 @@ use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below};
 use crate::ChainError;
 use crate::model::{Address, Hash};
 
-/// What could not be read; revm needs its own error type.
+/// revm needs its own error type.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct Unread(pub ChainError);
 
 impl DBErrorMarker for Unread {}
 
-/// The state under one root.
 #[derive(Clone)]
 pub struct Tries {
-    /// The store of its nodes.
     pub ground: Rc<dyn Nodes>,
     pub root: Hash,
 }
 
-/// A slot, its value, and the nodes on the way to it.
+/// Slot, value, and the nodes on the way.
 pub type SlotProof = (U256, U256, Vec<Arc<[u8]>>);
 
-/// The proof of an account (EIP-1186).
+/// EIP-1186.
 pub struct Proof {
-    /// The account; an empty one if it does not exist.
+    /// Empty if it does not exist.
     pub account: TrieAccount,
-    /// The nodes on the way to it.
     pub way: Vec<Arc<[u8]>>,
-    /// Each requested slot: its value and the nodes on the way to it.
     pub slots: Vec<SlotProof>,
 }
 
-/// What remains of an account after a block.
 #[derive(Default)]
 struct Change {
-    /// Its former storage is deleted.
     wiped: bool,
     info: AccountInfo,
     slots: BTreeMap<U256, U256>,
@@ -65,19 +59,16 @@ impl Tries {
         found.map(|bytes| self.read(self.root, &bytes)).transpose()
     }
 
-    /// A storage slot of an account.
     pub fn slot(&self, address: Address, slot: U256) -> Result<U256, ChainError> {
         let storage = Hash(self.account(address)?.unwrap_or_default().storage_root.0);
         let found = Trie::new(&*self.ground, storage).get(&slot_key(slot)[..])?;
         found.map_or(Ok(U256::ZERO), |bytes| self.read(storage, &bytes))
     }
 
-    /// The code with this hash.
     pub fn code(&self, hash: B256) -> Result<Arc<[u8]>, ChainError> {
         if hash == KECCAK256_EMPTY || hash.is_zero() { Ok(Arc::default()) } else { self.ground.node(Hash(hash.0)) }
     }
 
-    /// The proof of an account and some of its slots.
     pub fn proof(&self, address: Address, slots: &[U256]) -> Result<Proof, ChainError> {
         let (found, way) = Trie::new(&*self.ground, self.root).prove(&keccak256(address.0)[..])?;
         let account: TrieAccount = found.map(|bytes| self.read(self.root, &bytes)).transpose()?.unwrap_or_default();
@@ -90,7 +81,7 @@ impl Tries {
         Ok(Proof { account, way, slots: slots.iter().map(prove).collect::<Result<_, ChainError>>()? })
     }
 
-    /// The root after a block's changes, and their effect on the nodes. Nothing is written.
+    /// Root and nodes after a block's changes; nothing is written.
     pub fn after<'c>(&self, changes: impl IntoIterator<Item = &'c EvmState>) -> Result<(Hash, Turnover), ChainError> {
         let mut folded: BTreeMap<B256, Change> = BTreeMap::new();
         let mut all = Turnover::default();
@@ -107,7 +98,7 @@ impl Tries {
         Ok((root, all))
     }
 
-    /// An account after its changes; `None` if nothing is left of it.
+    /// `None` if nothing is left of it.
     fn changed(
         &self,
         accounts: &Trie<'_, dyn Nodes>,
@@ -140,7 +131,6 @@ fn slot_key(slot: U256) -> B256 {
     keccak256(slot.to_be_bytes::<32>())
 }
 
-/// Adds one transaction's changes to an account.
 fn fold(change: &mut Change, account: &Account, made: &mut Vec<(Hash, Vec<u8>)>) {
     if account.is_selfdestructed() {
         *change = Change { wiped: true, ..Change::default() };
@@ -184,21 +174,18 @@ impl DatabaseRef for Tries {
     }
 }
 
-// The nodes of the state in the chain's file: each under its hash, with the number of places where it occurs in the
-// newest state or in one that is still kept. A block's nodes are written and old ones removed in the block's own
+// Nodes in the file: each under its hash, with the number of its places in kept states. A block changes them in its own
 // SQLite transaction.
 
-/// The number of newest blocks whose state is kept.
+/// Newest blocks whose state is kept.
 pub const KEPT: u64 = 128;
-/// The most nodes of deleted storage tries removed with one block.
+/// Nodes of deleted storage tries that one block removes.
 const FELLED_AT_ONCE: u32 = 512;
-/// Half of the memory for read and written nodes, bytes. Every block makes some KiB of new ones, so a running site
-/// grows by them until both halves are full: much more than the nodes that blocks need again would only look like a
-/// leak.
+/// Half of the node cache, bytes. In a running site both halves fill up, so a larger cache would look like a leak.
 const HALF: usize = 4 * 1024 * 1024;
 const HASH: usize = 32;
 
-/// The nodes used last, in two halves: when the newer is full it becomes the older one, and the older one is dropped.
+/// When the newer half is full, it replaces the older one.
 #[derive(Default)]
 pub struct Cache {
     halves: RefCell<Halves>,
@@ -277,7 +264,7 @@ impl ChainFile {
         Ok(found)
     }
 
-    /// Looks at a node as stored in the file, ignoring the cache.
+    /// Ignores the cache.
     pub fn look_at(&self, hash: Hash, may_be_gone: bool) -> Result<(), ChainError> {
         match self.read_node(hash)? {
             None if !may_be_gone => Err(self.wrong(hash, "is gone")),
@@ -285,18 +272,15 @@ impl ChainFile {
         }
     }
 
-    /// Caches the nodes of a block that is on disk, because they are likely to be read next.
     pub fn remember(&self, made: Vec<(Hash, Vec<u8>)>) {
         made.into_iter().for_each(|(hash, node)| self.cache.put(hash, node.into()));
     }
 
-    /// Every node of the state that the file holds.
     pub fn all_nodes(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         self.all("SELECT body FROM node ORDER BY hash", [], |row| row.get(0))
     }
 }
 
-/// Writes the state changes of block `number`, and removes what no kept state holds any more.
 pub fn write(transaction: &Transaction<'_>, number: u64, written: &Turnover) -> rusqlite::Result<()> {
     add(transaction, &written.made)?;
     let joined = |hashes: &[Hash]| hashes.iter().flat_map(|hash| hash.0).collect::<Vec<u8>>();
@@ -310,14 +294,12 @@ pub fn write(transaction: &Transaction<'_>, number: u64, written: &Turnover) -> 
     clear_felled(transaction)
 }
 
-/// Adds nodes, counting each place.
 pub fn add(transaction: &Connection, made: &[(Hash, Vec<u8>)]) -> rusqlite::Result<()> {
     let mut insert = transaction
         .prepare_cached("INSERT INTO node VALUES (?1, ?2, 1) ON CONFLICT (hash) DO UPDATE SET places = places + 1")?;
     made.iter().try_for_each(|(hash, body)| insert.execute(params![hash.0, body]).map(drop))
 }
 
-/// Removes what the blocks up to `due` left behind.
 fn retire(transaction: &Transaction<'_>, due: u64) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT block, nodes, felled FROM retired WHERE block <= ?1")?;
     let rows = select.query_map([integer(due)], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
@@ -339,7 +321,7 @@ fn take_out(transaction: &Transaction<'_>, hash: &[u8]) -> rusqlite::Result<()> 
     transaction.prepare_cached("DELETE FROM node WHERE hash = ?1 AND places <= 0")?.execute([hash]).map(drop)
 }
 
-/// Removes some of the nodes of deleted storage tries, from their roots down.
+/// From their roots down.
 fn clear_felled(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT id, hash FROM doomed ORDER BY id LIMIT ?1")?;
     let rows = select.query_map([FELLED_AT_ONCE], |row| Ok((row.get(0)?, row.get(1)?)))?;

@@ -9,12 +9,10 @@ use crate::embedded::{Embedded, Fault};
 use crate::model::bytes::unhex;
 use crate::transaction::Transaction;
 
-/// The most requests in a batch.
 const LONGEST_BATCH: usize = 100;
-/// The longest answer to one HTTP request, bytes.
+/// Bytes per HTTP request.
 const LONGEST_ANSWER: usize = 32 * 1024 * 1024;
 
-/// The chain, for all connections.
 pub struct Service {
     chain: Embedded,
     heavy: Heavy,
@@ -25,7 +23,7 @@ impl Service {
         Self { chain, heavy: Heavy::new(Instant::now()) }
     }
 
-    /// The answer to a body; empty if it needs none.
+    /// Empty if no answer is due.
     pub async fn answer(&self, body: &[u8]) -> Vec<u8> {
         let answer = match serde_json::from_slice::<Value>(body) {
             Err(_) => Some(failure(&Value::Null, &Fault::new(-32700, "the body is not JSON"))),
@@ -57,7 +55,7 @@ impl Service {
         all
     }
 
-    /// `None` for a notification, which expects no answer.
+    /// `None` for a notification.
     async fn single(&self, request: Value) -> Option<Value> {
         let Value::Object(mut request) = request else {
             return Some(failure(&Value::Null, &Fault::new(-32600, "a request is an object")));
@@ -118,20 +116,19 @@ fn written(answer: &Value, id: &Value) -> Vec<u8> {
     serde_json::to_vec(&failure(answer.get("id").unwrap_or(id), &too_long())).unwrap_or_default()
 }
 
-// Transactions that take much of a block. Gas costs nothing on this chain, and every user of the machine may send some: a
-// number of them at once, then one now and then. The contract's usual calls are not among them.
+// Heavy transactions. Gas is free here, and every user of the machine may send some: a burst passes, then one now and
+// then.
 
-/// A transaction that may use more gas is heavy: several times what an anchor, a registration or a grant uses.
+/// Several times the gas of an anchor, a registration or a grant.
 const HEAVY: u64 = 1_000_000;
-/// How many are taken at once, from all callers together.
+/// Burst, for all callers together.
 const AT_ONCE: u32 = 40;
-/// Time until one more is taken.
+/// Time until one more passes.
 const PAUSE: Duration = Duration::from_secs(10);
 
-/// How many heavy transactions are still taken.
 #[derive(Debug)]
 pub struct Heavy {
-    /// How many, and as of when.
+    /// How many are left, as of when.
     left: Mutex<(u32, Instant)>,
 }
 
@@ -140,10 +137,10 @@ impl Heavy {
         Self { left: Mutex::new((AT_ONCE, now)) }
     }
 
-    /// Counts a transaction, signed and in hex, if it is heavy.
+    /// Counts a heavy transaction, in hex; the error is the time to wait.
     pub fn count(&self, raw: Option<&Value>, now: Instant) -> Result<(), Duration> {
         let raw = raw.and_then(Value::as_str).and_then(unhex).unwrap_or_default();
-        // What is no transaction is refused by the chain.
+        // The chain refuses what is no transaction.
         let gas = Transaction::parse(&raw).map_or(0, |parsed| parsed.gas_limit);
         if gas <= HEAVY { Ok(()) } else { self.take(now) }
     }

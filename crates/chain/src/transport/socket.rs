@@ -30,35 +30,32 @@ use crate::model::{address_without_secrets, clean};
 
 pub(super) struct Address {
     pub shown: String,
-    /// What it leads to.
     pub place: Place,
 }
 
-/// The kind of address.
 pub(super) enum Place {
     Http(Server),
     WebSocket(Server),
-    /// A socket of this machine.
+    /// A Unix socket.
     Local(PathBuf),
 }
 
-/// A server of HTTP or of a WebSocket.
 #[derive(Clone)]
 pub(super) struct Server {
     /// Without user name and password.
     pub url: Url,
-    /// These two, as HTTP's basic authentication.
+    /// As HTTP basic authentication.
     pub credentials: Option<HeaderValue>,
     /// For https and wss.
     pub tls: Option<Arc<ClientConfig>>,
 }
 
 impl Address {
-    /// Parses a URL; `roots` is a PEM file of authorities.
+    /// `roots` is a PEM file of authorities.
     pub(super) fn parse(text: &str, roots: Option<&Path>) -> Result<Self, ChainError> {
         let shown = clean(&address_without_secrets(text), 120);
         let scheme = text.split_once("://").map_or("", |(scheme, _)| scheme);
-        // What cannot be taken apart may hold a secret anywhere.
+        // An unparsable URL may hold a secret anywhere.
         let is_web = matches!(scheme, "http" | "https" | "ws" | "wss");
         let refused = || ChainError::Url(if is_web { format!("{scheme}://…") } else { shown.clone() });
         let place = match scheme {
@@ -85,7 +82,6 @@ impl Server {
     }
 }
 
-/// The header of a URL's user name and password.
 fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
     if url.username().is_empty() && url.password().is_none() {
         return Ok(None);
@@ -100,19 +96,17 @@ fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
     Ok(Some(header))
 }
 
-// Connections that stay open between requests. Each carries one request at a time, so an answer is always that of the
-// last question; one on which something went wrong is closed.
+// Kept connections: one request at a time, so an answer is always that of the last question; any error closes them.
 
 pub(super) trait Link: Send + Sized {
-    /// Sends a request and reads its answer, of at most `most` bytes.
+    /// The answer has at most `most` bytes.
     fn exchange(&mut self, request: &str, most: usize) -> impl Future<Output = Result<Bytes, TransportError>> + Send;
 }
 
-/// Opens a connection whose answers have at most that many bytes.
+/// The argument bounds answers, bytes.
 pub(super) type Opener<L> =
     Box<dyn Fn(usize) -> Pin<Box<dyn Future<Output = Result<L, TransportError>> + Send>> + Send + Sync>;
 
-/// The connections to one node.
 pub(super) struct Kept<L> {
     open: Opener<L>,
     usual: Idle<L>,
@@ -127,7 +121,6 @@ impl<L: Link> Kept<L> {
         Self { open, usual: Idle::default(), wide: Idle::default() }
     }
 
-    /// Makes a request and returns its answer.
     pub(super) async fn ask(&self, request: &str, limits: Limits) -> Result<Bytes, TransportError> {
         let idle = || {
             let kept = if limits.is_wide() { &self.wide } else { &self.usual };
@@ -149,7 +142,6 @@ impl<L: Link> Kept<L> {
     }
 }
 
-/// Bytes read at once from a local socket.
 const PIECE: usize = 64 << 10;
 
 trait Wire: AsyncRead + AsyncWrite + Unpin + Send {}
@@ -161,7 +153,6 @@ pub(super) struct WebSocket {
 }
 
 impl WebSocket {
-    /// Opens them to a server.
     pub(super) fn opener(server: Server) -> Opener<Self> {
         Box::new(move |most| {
             let server = server.clone();
@@ -227,7 +218,7 @@ async fn wire(server: &Server) -> Result<Box<dyn Wire>, TransportError> {
     Ok(Box::new(tls))
 }
 
-/// Tries the addresses of the name one by one, and gives each its share of the time.
+/// Tries the addresses of the name in turn, each for its share of the time.
 async fn connected(server: &Server) -> std::io::Result<TcpStream> {
     let port = server.url.port_or_known_default().unwrap_or(443);
     let addresses: Vec<_> = tokio::net::lookup_host((host(server), port)).await?.collect();
@@ -236,7 +227,7 @@ async fn connected(server: &Server) -> std::io::Result<TcpStream> {
     for address in addresses {
         match tokio::time::timeout(share, TcpStream::connect(address)).await {
             Ok(Ok(stream)) => {
-                // A request is one small write, and its answer is waited for.
+                // A request is one small write before a wait.
                 stream.set_nodelay(true)?;
                 return Ok(stream);
             }
@@ -247,18 +238,17 @@ async fn connected(server: &Server) -> std::io::Result<TcpStream> {
     Err(failure)
 }
 
-/// Without the brackets around an address of version 6.
+/// Without the brackets around an IPv6 address.
 fn host(server: &Server) -> &str {
     server.url.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']')
 }
 
-/// A socket of this machine: JSON values, one after another.
+/// A Unix socket: JSON values, one after another.
 pub(super) struct Local {
     stream: UnixStream,
 }
 
 impl Local {
-    /// Opens them to a path.
     pub(super) fn opener(path: PathBuf) -> Opener<Self> {
         Box::new(move |_| {
             let path = path.clone();
@@ -293,17 +283,14 @@ impl Link for Local {
     }
 }
 
-/// Whether these bytes are an object of JSON from its first to its last bracket.
+/// A whole object of JSON.
 fn is_whole(answer: &[u8]) -> bool {
     answer.trim_ascii_end().ends_with(b"}") && serde_json::from_slice::<IgnoredAny>(answer).is_ok()
 }
 
-// Requests over HTTP, with or without TLS.
-
-/// The longest page of an error that is looked at, bytes.
+/// Longest error page read, bytes.
 const LONGEST_PAGE: usize = 64 << 10;
 
-/// A node that is asked over HTTP.
 pub(super) struct Http {
     client: Client,
     server: Server,
@@ -311,9 +298,9 @@ pub(super) struct Http {
 
 impl Http {
     pub(super) fn new(server: Server) -> Result<Self, ChainError> {
-        // Redirects are not followed: only the node that was named gets requests and credentials.
+        // No redirects: only the named node gets requests and credentials.
         let client = Client::builder().no_proxy().redirect(Policy::none()).tls_built_in_root_certs(false);
-        // Shared among the addresses of a name, so that one which is silent leaves time for the others.
+        // Shared by the addresses of a name, so that a silent one leaves time for the others.
         let client = client.connect_timeout(CONNECTING);
         let client = client.pool_max_idle_per_host(TOGETHER).pool_idle_timeout(IDLE);
         let client = match &server.tls {
@@ -324,7 +311,6 @@ impl Http {
         Ok(Self { client, server })
     }
 
-    /// Makes a request and reads the result in its answer.
     pub(super) async fn ask<R: DeserializeOwned>(&self, body: String, limits: Limits) -> Result<R, TransportError> {
         let mut request = self.client.post(self.server.url.clone()).header(CONTENT_TYPE, "application/json");
         if let Some(credentials) = &self.server.credentials {
@@ -332,7 +318,7 @@ impl Http {
         }
         let mut response = request.body(body).send().await.map_err(|error| broken(&error))?;
         let status = response.status();
-        // A page that says what went wrong may be as long as it likes; more than its beginning is not read.
+        // Reads only the beginning of an error page.
         let most = if status.is_success() { limits.bytes } else { LONGEST_PAGE.min(limits.bytes) };
         let mut bytes = Vec::new();
         while let Some(piece) = response.chunk().await.map_err(|error| broken(&error))? {
@@ -348,7 +334,7 @@ impl Http {
             let location = response.headers().get(LOCATION).and_then(|place: &HeaderValue| place.to_str().ok());
             return Err(Refused { status: status.as_u16(), location, page: &bytes }.words(&self.server));
         }
-        // The text of a web page tells nothing, and a fault of JSON is not what is wrong.
+        // The text of a web page says nothing, and a fault of JSON is not what is wrong.
         let is_page = bytes.trim_ascii_start().starts_with(b"<");
         let page =
             || TransportError::Malformed("a web page: what stands before the node refused the request".to_owned());
