@@ -198,6 +198,12 @@ impl Values {
         self.number().map(Timestamp::from_seconds)
     }
 
+    /// What the sender claims; the inner `None` if it is not 8 bytes.
+    #[allow(clippy::option_option, reason = "no word left is another thing than no time")]
+    pub(super) fn claim(&mut self) -> Option<Option<Timestamp>> {
+        Some(self.bytes()?.try_into().ok().map(|bytes| Timestamp(u64::from_be_bytes(bytes))))
+    }
+
     /// 0 means no end.
     #[allow(clippy::option_option, reason = "no word left is another thing than no end")]
     pub(super) fn end(&mut self) -> Option<Option<Timestamp>> {

@@ -89,7 +89,7 @@ impl Chain {
         let client: Option<String> = rpc(&transport, "web3_clientVersion", json!([])).await.ok();
         let client = clean(&client.unwrap_or_else(|| "unknown".into()), 80);
         let consensus = match options.endpoint {
-            Endpoint::Embedded { .. } => transport.embedded().map_or("poa", |chain| chain.consensus().word()),
+            Endpoint::Embedded { .. } => transport.embedded().map_or("poa", |chain| chain.line.consensus.word()),
             Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
         let inner = Inner::new(transport, chain_id.as_u64(), Hash(genesis.hash.0));

@@ -104,14 +104,6 @@ fn named(name: &str, values: &mut Values) -> Option<Event> {
             let (owner, _) = (values.address()?, values.token()?);
             Event::Registered { owner, identity: values.identity()?, epoch: 1 }
         }
-        "DataUploaded" => Event::DataUploaded {
-            owner: values.address()?,
-            digest: values.digest()?,
-            token: values.token()?,
-            epoch: values.number()?,
-            number: values.number()?,
-            timestamp: values.bytes()?.try_into().ok().map(|bytes| Timestamp(u64::from_be_bytes(bytes))),
-        },
         "Granted" => {
             let (owner, grantee, epoch) = (values.address()?, values.address()?, values.number()?);
             let (expiry, scope) = (values.end()?, values.scope()?);
@@ -121,6 +113,7 @@ fn named(name: &str, values: &mut Values) -> Option<Event> {
             KeysRotated { owner: address, keys: number, identity: identity, envelope: bytes }
             Extended { owner: address, grantee: address, expiry: end }
             RecoveryNamed { owner: address, recovery: somebody, from: moment }
+            DataUploaded { owner: address, digest: digest, token: token, epoch: number, number: number, timestamp: claim }
             Wrapped { owner: address, grantee: address, epoch: number, envelope: bytes }
             Revoked { owner: address, grantee: address, epoch: number, token: token }
             Rotated { owner: address, epoch: number, token: token }

@@ -257,21 +257,12 @@ impl Wait {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, thiserror::Error)]
+#[error("{account} has too little ether to pay for gas: it has {held} and needs {needed}; send it some on this chain")]
 pub struct Shortfall {
     pub account: Address,
     pub held: Wei,
     pub needed: Wei,
-}
-
-impl std::fmt::Display for Shortfall {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { account, held, needed } = self;
-        write!(
-            f,
-            "{account} has too little ether to pay for gas: it has {held} and needs {needed}; send it some on this chain"
-        )
-    }
 }
 
 // Known costs, and trust in estimates. Unused gas is not paid, so a high limit is harmless; one that no block can hold

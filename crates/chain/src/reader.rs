@@ -67,16 +67,12 @@ impl Chain {
     /// A node without a pending state gives the mined nonce.
     pub async fn nonce(&self, account: Address, pending: bool) -> Result<u64, ChainError> {
         let ask = |tag: &'static str| self.rpc::<U64>("eth_getTransactionCount", json!([account.to_string(), tag]));
-        let nonce = match ask(if pending { "pending" } else { "latest" }).await {
+        let answer = match ask(if pending { "pending" } else { "latest" }).await {
             Err(ChainError::Rejected { .. }) if pending => ask("latest").await?,
             answered => answered?,
         };
-        let nonce = nonce.as_u64();
-        if nonce < NO_NONCE {
-            Ok(nonce)
-        } else {
-            Err(self.misunderstood("eth_getTransactionCount", &nonce.to_string()))
-        }
+        let nonce = Some(answer.as_u64()).filter(|nonce| *nonce < NO_NONCE);
+        nonce.ok_or_else(|| self.misunderstood("eth_getTransactionCount", &answer.to_string()))
     }
 
     /// The two check each other: a transaction signed for a nonce far ahead would never be mined.
@@ -190,18 +186,14 @@ impl Chain {
 
     /// `false` for other chains.
     pub async fn copy_to(&self, path: std::path::PathBuf) -> Result<bool, ChainError> {
-        match self.transport().embedded() {
-            Some(embedded) => embedded.copy_to(path).await.map(|()| true),
-            None => Ok(false),
-        }
+        let Some(embedded) = self.transport().embedded() else { return Ok(false) };
+        embedded.copy_to(path).await.map(|()| true)
     }
 
     /// Runs every block of the embedded chain again; returns how many, `None` for other chains.
     pub async fn run_again(&self) -> Result<Option<u64>, ChainError> {
-        match self.transport().embedded() {
-            Some(embedded) => embedded.audit().await.map(Some),
-            None => Ok(None),
-        }
+        let Some(embedded) = self.transport().embedded() else { return Ok(None) };
+        embedded.audit().await.map(Some)
     }
 
     /// For the test that the chain holds no secret.
@@ -383,14 +375,11 @@ impl Chain {
     /// Returns once the head is above `after`, or when `patience` is over.
     pub async fn next_block(&self, after: u64, patience: Duration) -> Result<BlockRef, ChainError> {
         if let Some(embedded) = self.transport().embedded() {
-            let mut news = embedded.head();
+            let mut news = embedded.line.head.clone();
             // The guard must not be held across the next wait.
             let found = tokio::time::timeout(patience, news.wait_for(|head| head.number > after)).await;
-            let found = found.ok().and_then(Result::ok).map(|head| *head);
-            return match found {
-                Some(head) => Ok(head),
-                None => self.head().await,
-            };
+            let Some(head) = found.ok().and_then(Result::ok).map(|head| *head) else { return self.head().await };
+            return Ok(head);
         }
         let deadline = Instant::now() + patience;
         loop {

@@ -28,15 +28,11 @@ impl Chain {
     /// Leaves out what a node does not report.
     pub async fn sealing(&self) -> Result<Sealing, ChainError> {
         if let Some(chain) = self.transport().embedded() {
-            let sealers = chain.sealers().to_vec();
-            return Ok(match chain.consensus() {
-                Consensus::Poa { period, .. } => {
-                    Sealing { period: u64::try_from(period.as_millis()).ok(), difficulty: None, sealers }
-                }
-                Consensus::Pow { difficulty } => {
-                    Sealing { period: None, difficulty: Some(difficulty.to_string()), sealers }
-                }
-            });
+            let (period, difficulty) = match chain.line.consensus {
+                Consensus::Poa { period, .. } => (u64::try_from(period.as_millis()).ok(), None),
+                Consensus::Pow { difficulty } => (None, Some(difficulty.to_string())),
+            };
+            return Ok(Sealing { period, difficulty, sealers: chain.line.sealers.clone() });
         }
         match self.inner.consensus {
             "pow" => Ok(Sealing { difficulty: self.difficulty().await?, ..Sealing::default() }),

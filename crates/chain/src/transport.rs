@@ -16,7 +16,7 @@ use serde_json::Value;
 use tokio::sync::Semaphore;
 
 use self::socket::{Address, Http, Kept, Local, Place, Server, WebSocket};
-use crate::embedded::{Embedded, Fault};
+use crate::embedded::Embedded;
 use crate::model::clean;
 use crate::relay::RelayLine;
 use crate::{ChainError, Endpoint};
@@ -79,7 +79,7 @@ pub enum TransportError {
     Malformed(String),
     /// The embedded chain cannot continue.
     #[error("{0}")]
-    Chain(ChainError),
+    Chain(#[from] ChainError),
     #[error("{0}")]
     Broken(String),
     #[error("no answer within {} s", .0.as_secs())]
@@ -91,16 +91,12 @@ pub enum TransportError {
     Unusable { reason: String, advice: String },
 }
 
-impl From<Fault> for TransportError {
-    fn from(fault: Fault) -> Self {
-        match fault.cause {
-            Some(cause) => Self::Chain(*cause),
-            None => Self::Answered(JsonRpcError { code: fault.code, message: fault.message, data: fault.data }),
-        }
-    }
-}
-
 impl TransportError {
+    /// A refusal by the embedded chain.
+    pub fn refused(code: i64, message: impl Into<String>) -> Self {
+        Self::Answered(JsonRpcError { code, message: message.into(), data: None })
+    }
+
     pub fn explained(self, url: &str, method: &str) -> ChainError {
         let unreachable = |reason: String, advice: &str| ChainError::Unreachable {
             url: url.to_owned(),
@@ -147,8 +143,8 @@ impl Transport {
         let address = Address::parse(url, roots)?;
         let line = match address.place {
             Place::Http(server) => Line::Http(Http::new(server)?),
-            Place::WebSocket(server) => Line::WebSocket(Kept::new(WebSocket::opener(server))),
-            Place::Local(path) => Line::Local(Kept::new(Local::opener(path))),
+            Place::WebSocket(server) => Line::WebSocket(Kept::new(server)),
+            Place::Local(path) => Line::Local(Kept::new(path)),
         };
         Ok(Self::new(line, address.shown))
     }
@@ -260,6 +256,8 @@ fn request(method: &str, params: &Value) -> String {
 struct Kind {
     #[serde(default)]
     error: Option<IgnoredAny>,
+    #[serde(default)]
+    result: Option<IgnoredAny>,
 }
 
 #[derive(Deserialize)]
@@ -290,14 +288,7 @@ fn read<R: DeserializeOwned>(bytes: &[u8]) -> Result<R, TransportError> {
 
 /// Any answer of JSON-RPC.
 fn is_one(bytes: &[u8]) -> bool {
-    #[derive(Deserialize)]
-    struct Either {
-        #[serde(default)]
-        error: Option<IgnoredAny>,
-        #[serde(default)]
-        result: Option<IgnoredAny>,
-    }
-    serde_json::from_slice(bytes).is_ok_and(|answer: Either| answer.error.is_some() || answer.result.is_some())
+    serde_json::from_slice(bytes).is_ok_and(|answer: Kind| answer.error.is_some() || answer.result.is_some())
 }
 
 fn shaped<R: DeserializeOwned>(value: Value) -> Result<R, TransportError> {

@@ -17,32 +17,6 @@ fn is_armed() -> bool {
     cfg!(debug_assertions) && ARMED.load(Ordering::Acquire)
 }
 
-pub const CHECKS: [&str; 9] =
-    ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
-
-/// Places in a record's life, in order.
-pub const POINTS: [&str; 19] = [
-    "sealed",
-    "appended",
-    "commit-begun",
-    "committed",
-    "batch-due",
-    "batch-closed",
-    "signed",
-    "signed-kept",
-    "handed-in",
-    "events-read",
-    "mined",
-    "directory-kept",
-    "walked",
-    "confirmed",
-    "read-back",
-    "checked",
-    "verified",
-    "block-due",
-    "block-sealed",
-];
-
 /// Whether the check is switched off by `AUTHROS_FAULT`.
 pub fn is_off(check: &str) -> bool {
     is_armed() && std::env::var("AUTHROS_FAULT").is_ok_and(|name| name == check)

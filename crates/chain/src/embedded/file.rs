@@ -16,9 +16,10 @@ use tokio::sync::oneshot;
 use zeroize::Zeroizing;
 
 use super::block::{Header, Receipt};
+use super::machine::Outcome;
 use super::node::{Again, Node, header, receipts_root};
 use super::sealing;
-use super::trie::{Turnover, list_root};
+use super::trie::list_root;
 use super::world::{self, Cache};
 use crate::model::Hash;
 use crate::transaction::{Items, Transaction};
@@ -45,13 +46,6 @@ pub struct Founding {
     pub consensus: Consensus,
     /// Under proof of work, the key of the account that gets the fees.
     pub keys: Vec<SigningKey>,
-}
-
-pub struct Sealed<'a> {
-    pub header: &'a Header,
-    pub sent: &'a [Transaction],
-    pub receipts: &'a [Receipt],
-    pub written: &'a Turnover,
 }
 
 pub struct Mined {
@@ -121,15 +115,15 @@ impl ChainFile {
     }
 
     /// On disk when this returns.
-    pub fn append(&self, block: &Sealed<'_>) -> Result<(), ChainError> {
+    pub fn append(&self, header: &Header, outcome: &Outcome) -> Result<(), ChainError> {
         self.write(|transaction| {
-            insert_header(transaction, block.header)?;
+            insert_header(transaction, header)?;
             let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6)")?;
-            for ((position, one), receipt) in (0i64..).zip(block.sent).zip(block.receipts) {
-                let (number, logs) = (integer(block.header.number), integer(receipt.logs.len() as u64));
+            for ((position, one), receipt) in (0i64..).zip(&outcome.included).zip(&outcome.receipts) {
+                let (number, logs) = (integer(header.number), integer(receipt.logs.len() as u64));
                 insert.execute(params![number, position, one.hash.0, one.raw, receipt.encode(), logs])?;
             }
-            world::write(transaction, block.header.number, block.written)
+            world::write(transaction, header.number, &outcome.written)
         })
     }
 

@@ -55,10 +55,6 @@ pub struct Machine {
 }
 
 impl Machine {
-    pub fn new(tries: Tries, chain_id: u64) -> Self {
-        Self { tries, chain_id }
-    }
-
     fn evm<'a>(&'a self, place: &Environment, surplus: u64) -> WeighedEvm<'a> {
         let block = BlockEnv {
             number: U256::from(place.number),

@@ -38,11 +38,10 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tokio::sync::{oneshot, watch};
 
-pub use self::rpc::Fault;
-
 use self::node::Node;
 use crate::crypto::fault;
 use crate::model::Address;
+use crate::transport::TransportError;
 use crate::{BlockRef, ChainError, Consensus};
 
 const IDLE: Duration = Duration::from_secs(3600);
@@ -62,15 +61,16 @@ enum Request {
 /// more), proof of work abandons its search.
 #[derive(Debug, Clone)]
 pub struct Embedded {
-    line: Arc<Line>,
+    pub line: Arc<Line>,
 }
 
 #[derive(Debug)]
-struct Line {
+pub struct Line {
     inlet: Inlet,
-    head: watch::Receiver<BlockRef>,
-    consensus: Consensus,
-    sealers: Vec<Address>,
+    pub head: watch::Receiver<BlockRef>,
+    pub consensus: Consensus,
+    /// In the order of their turns; under proof of work, the recipient of the fees.
+    pub sealers: Vec<Address>,
     /// Closes after the file.
     closing: watch::Receiver<()>,
 }
@@ -138,10 +138,10 @@ impl Embedded {
         self.line.inlet.0.send(Request::Work(Box::new(work))).map_err(|_| gone())
     }
 
-    pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, Fault> {
+    pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         let method = method.to_owned();
         let answer = self.with(move |node| rpc::answer(node, &method, parameters)).await;
-        answer.map_err(|error| Fault::new(-32603, error.to_string()))?
+        answer.map_err(|error| TransportError::refused(-32603, error.to_string()))?
     }
 
     /// All call data, storage and logs.
@@ -158,19 +158,6 @@ impl Embedded {
         let (reply, answer) = oneshot::channel();
         self.begin(move |node| node.begin_audit(reply))?;
         answer.await.unwrap_or_else(|_| Err(gone()))
-    }
-
-    pub fn consensus(&self) -> Consensus {
-        self.line.consensus
-    }
-
-    /// In the order of their turns; under proof of work, the recipient of the fees.
-    pub fn sealers(&self) -> &[Address] {
-        &self.line.sealers
-    }
-
-    pub fn head(&self) -> watch::Receiver<BlockRef> {
-        self.line.head.clone()
     }
 }
 

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use alloy_primitives::logs_bloom;
 
 use super::block::{Header, Receipt};
-use super::file::{Auditing, ChainFile, Looked, Mined, Sealed};
+use super::file::{Auditing, ChainFile, Looked, Mined};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
 use super::rpc::Filters;
@@ -71,8 +71,8 @@ impl Node {
             file.node(machine.tries.root)?;
         }
         // Keeps the period across a restart, even if the clock changed.
-        let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
-        let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period()) };
+        let due = (head.timestamp + sealing.period.as_secs()).saturating_sub(Timestamp::now().seconds());
+        let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period) };
         Ok(Self {
             machine,
             file,
@@ -135,13 +135,13 @@ impl Node {
             Ok(outcome) => outcome,
             Err(error) => return self.rest(error),
         };
-        self.not_before = Instant::now() + self.sealing.period();
+        self.not_before = Instant::now() + self.sealing.period;
         self.pool.forget(outcome.refused.iter().map(|(transaction, _)| transaction));
         if outcome.included.is_empty() {
             return;
         }
         let mut header = assemble(&self.sealing, self.head.hash, &place, &outcome);
-        if self.sealing.work().is_some() {
+        if self.sealing.work.is_some() {
             match self.search(&header) {
                 Ok(search) => self.work = Some(Work { header, outcome, _search: search }),
                 Err(error) => self.rest(error),
@@ -170,11 +170,10 @@ impl Node {
 
     /// A block that cannot be written never happened.
     fn settle(&mut self, header: &Header, outcome: Outcome) {
-        let Outcome { included, receipts, written, state_root, .. } = outcome;
-        let block = Sealed { header, sent: &included, receipts: &receipts, written: &written };
-        if let Err(error) = self.file.append(&block) {
+        if let Err(error) = self.file.append(header, &outcome) {
             return self.rest(error);
         }
+        let Outcome { included, receipts, written, state_root, .. } = outcome;
         self.trouble = None;
         self.pool.mined(&included);
         self.file.remember(written.made);
@@ -191,7 +190,7 @@ impl Node {
     /// Seals pending transactions at the end, unless it takes work, or a period that the next block's time would
     /// contradict.
     pub fn finish(&mut self) {
-        let brief = self.sealing.work().is_none() && self.sealing.period().as_secs() == 0;
+        let brief = self.sealing.work.is_none() && self.sealing.period.as_secs() == 0;
         if brief && self.due().is_some() {
             self.assemble();
         }
@@ -221,8 +220,8 @@ impl Again {
         let Founded { chain_id, sealing, genesis, .. } = founded;
         let file = Rc::clone(file);
         let nodes = Rc::new(Passing { file: Rc::clone(&file), nodes: RefCell::default() });
-        let machine = Machine::new(Tries { ground: Rc::clone(&nodes) as _, root: genesis.state_root }, chain_id);
-        Self { machine, sealing, last: genesis, file, nodes: Some(nodes) }
+        let tries = Tries { ground: Rc::clone(&nodes) as _, root: genesis.state_root };
+        Self { machine: Machine { tries, chain_id }, sealing, last: genesis, file, nodes: Some(nodes) }
     }
 
     /// Before block `newest`.
@@ -230,8 +229,8 @@ impl Again {
         let Founded { chain_id, sealing, genesis, .. } = founded;
         let file = Rc::clone(file);
         let last = if newest < 2 { genesis } else { header(&file, newest - 1)? };
-        let machine = Machine::new(Tries { ground: Rc::clone(&file) as _, root: last.state_root }, chain_id);
-        Ok(Self { machine, sealing, last, file, nodes: None })
+        let tries = Tries { ground: Rc::clone(&file) as _, root: last.state_root };
+        Ok(Self { machine: Machine { tries, chain_id }, sealing, last, file, nodes: None })
     }
 
     pub fn step(&mut self) -> Result<(), ChainError> {
@@ -283,7 +282,7 @@ fn rerun(
     let again = assemble(sealing, header.parent, place, &outcome);
     let sealed = Header { extra: header.extra.clone(), nonce: header.nonce, ..again.clone() };
     // Under proof of work the extra data holds no seal and is always the same.
-    if sealed != *header || (sealing.work().is_some() && again.extra != header.extra) {
+    if sealed != *header || (sealing.work.is_some() && again.extra != header.extra) {
         return Err(blame("replaying its transactions gives a different block"));
     }
     let same =

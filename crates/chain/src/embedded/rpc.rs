@@ -11,43 +11,21 @@ use super::machine::Answer;
 use super::node::Node;
 use super::pool::TRANSACTION_GAS;
 use super::world::{KEPT, Tries};
-use crate::ChainError;
 use crate::model::{Address, Hash, clean};
 use crate::transaction::Unsigned;
+use crate::transport::{JsonRpcError, TransportError};
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Fault {
-    pub code: i64,
-    /// In geth's words.
-    pub message: String,
-    /// Revert data, hex.
-    pub data: Option<Value>,
-    pub cause: Option<Box<ChainError>>,
-}
-
-impl Fault {
-    pub fn new(code: i64, message: impl Into<String>) -> Self {
-        Self { code, message: message.into(), data: None, cause: None }
-    }
-}
-
-impl From<ChainError> for Fault {
-    fn from(error: ChainError) -> Self {
-        Self { cause: Some(Box::new(error.clone())), ..Self::new(-32603, error.to_string()) }
-    }
-}
-
-pub type Reply = Result<Value, Fault>;
+pub type Reply = Result<Value, TransportError>;
 
 pub struct Parameters(Vec<Value>);
 
 impl Parameters {
-    pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
+    pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, TransportError> {
         self.0.get(index).and_then(read).ok_or_else(|| Self::missing(index))
     }
 
-    fn missing(index: usize) -> Fault {
-        Fault::new(-32602, format!("missing or invalid value for argument {index}"))
+    fn missing(index: usize) -> TransportError {
+        TransportError::refused(-32602, format!("missing or invalid value for argument {index}"))
     }
 }
 
@@ -118,18 +96,18 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         "eth_getTransactionByHash" => transaction(node, parameters.at(0, read_hash)?),
         "eth_getTransactionReceipt" => receipt(node, parameters.at(0, read_hash)?),
         "eth_getLogs" => logs(node, parameters.0.first().unwrap_or(&Value::Null)),
-        "clique_getSigners" if node.sealing.work().is_none() => {
+        "clique_getSigners" if node.sealing.work.is_none() => {
             Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
         }
         _ => {
             let what = format!("the method {} does not exist/is not available", clean(method, 60));
-            Err(Fault::new(-32601, what))
+            Err(TransportError::refused(-32601, what))
         }
     }
 }
 
 fn client_version(node: &Node) -> String {
-    let work = node.sealing.work().is_some();
+    let work = node.sealing.work.is_some();
     let sealing = if work { "proof of work by Keccak-256, not ethash" } else { "proof of authority" };
     format!("AuthROS/v{}/embedded ({sealing})", env!("CARGO_PKG_VERSION"))
 }
@@ -155,8 +133,8 @@ fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
     }
 }
 
-fn header(node: &Node, number: u64) -> Result<Header, Fault> {
-    node.header(number)?.ok_or_else(|| Fault::new(-32000, format!("block {number} is above the newest")))
+fn header(node: &Node, number: u64) -> Result<Header, TransportError> {
+    node.header(number)?.ok_or_else(|| TransportError::refused(-32000, format!("block {number} is above the newest")))
 }
 
 fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
@@ -167,9 +145,9 @@ fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
     Ok(block::transaction(&one.transaction, node.chain_id, Some(Mining::at(&header, place))))
 }
 
-fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {
+fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), TransportError> {
     let newest = tag.is_none_or(|tag| tag.is_null() || block_number(node, tag) == Some(node.head.number));
-    if newest { Ok(()) } else { Err(Fault::new(-32000, "this chain keeps only the state of its newest block")) }
+    if newest { Ok(()) } else { Err(TransportError::refused(-32000, "this chain keeps only the state of its newest block")) }
 }
 
 fn state(node: &Node, parameters: &Parameters, tag: usize, read: impl FnOnce(&Node, Address) -> Reply) -> Reply {
@@ -200,7 +178,7 @@ fn fee_history(node: &Node, parameters: &Parameters) -> Reply {
 
 fn send(node: &mut Node, parameters: &Parameters) -> Reply {
     let raw = parameters.at(0, read_data)?;
-    node.submit(&raw).map(|hash| data(&hash.0)).map_err(|why| Fault::new(-32000, why))
+    node.submit(&raw).map(|hash| data(&hash.0)).map_err(|why| TransportError::refused(-32000, why))
 }
 
 fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
@@ -217,9 +195,13 @@ fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
     };
     match answer {
         Answer::Returned(output, _) => Ok(data(&output)),
-        Answer::Reverted(output) => Err(Fault { data: Some(data(&output)), ..Fault::new(3, "execution reverted") }),
-        Answer::Failed(why) => Err(Fault::new(-32000, why)),
+        Answer::Reverted(output) => Err(TransportError::Answered(reverted(&output))),
+        Answer::Failed(why) => Err(TransportError::refused(-32000, why)),
     }
+}
+
+fn reverted(output: &[u8]) -> JsonRpcError {
+    JsonRpcError { code: 3, message: "execution reverted".to_owned(), data: Some(data(output)) }
 }
 
 fn read_message(value: &Value) -> Option<(Address, Unsigned)> {
@@ -244,7 +226,7 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     let slots = |value: &Value| value.as_array()?.iter().map(read_slot).collect::<Option<Vec<U256>>>();
     let slots = parameters.at(1, slots)?;
     if slots.len() > MOST_SLOTS {
-        return Err(Fault::new(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
+        return Err(TransportError::refused(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
     }
     let number = match parameters.0.get(2) {
         None | Some(Value::Null) => node.head.number,
@@ -252,12 +234,12 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     };
     let newest = node.head.number;
     if number > newest {
-        return Err(Fault::new(-32000, "there is no such block"));
+        return Err(TransportError::refused(-32000, "there is no such block"));
     }
     if newest - number >= KEPT {
         let oldest = (newest + 1).saturating_sub(KEPT);
         let what = format!("the state of block {number} is not kept; ask for one of the blocks {oldest} to {newest}");
-        return Err(Fault::new(-32000, what));
+        return Err(TransportError::refused(-32000, what));
     }
     let tries = Tries { root: header(node, number)?.state_root, ..node.machine.tries.clone() };
     Ok(block::proof(account, &tries.proof(account, &slots)?))
@@ -343,15 +325,15 @@ impl Filter {
     }
 }
 
-fn too_many(what: &str) -> Fault {
-    Fault::new(-32005, format!("{what}; ask for fewer blocks at once"))
+fn too_many(what: &str) -> TransportError {
+    TransportError::refused(-32005, format!("{what}; ask for fewer blocks at once"))
 }
 
 fn logs(node: &Node, filter: &Value) -> Reply {
     if let Some(hash) = filter.get("blockHash").and_then(read_hash)
         && node.file.number_of(hash)?.is_none()
     {
-        return Err(Fault::new(-32000, "unknown block"));
+        return Err(TransportError::refused(-32000, "unknown block"));
     }
     let filter = read_filter(node, filter).ok_or_else(|| Parameters::missing(0))?;
     let to = filter.to.min(node.head.number);
@@ -403,11 +385,11 @@ pub struct Filters {
     open: HashMap<U256, Waiting>,
 }
 
-fn unknown_filter() -> Fault {
-    Fault::new(-32000, "filter not found")
+fn unknown_filter() -> TransportError {
+    TransportError::refused(-32000, "filter not found")
 }
 
-fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Waiting, Fault> {
+fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Waiting, TransportError> {
     let id = parameters.0.first().and_then(read_quantity);
     id.and_then(|id| node.filters.open.get_mut(&id)).ok_or_else(unknown_filter)
 }
@@ -421,7 +403,7 @@ fn install(node: &mut Node, wanted: Option<Map<String, Value>>) -> Reply {
     let Filters { last, open } = &mut node.filters;
     open.retain(|_, waiting| now.duration_since(waiting.asked) < LIFE);
     if open.len() >= MOST_FILTERS {
-        return Err(Fault::new(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
+        return Err(TransportError::refused(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
     }
     *last += 1;
     open.insert(U256::from(*last), Waiting { wanted, next, asked: now });
@@ -438,7 +420,7 @@ fn changes(node: &mut Node, parameters: &Parameters) -> Reply {
     }
     let most = if wanted.is_some() { MOST_BLOCKS } else { MOST_HASHES };
     let last = newest.min(first + most - 1);
-    let hash = |number| Ok::<_, Fault>(data(&header(node, number)?.hash().0));
+    let hash = |number| Ok::<_, TransportError>(data(&header(node, number)?.hash().0));
     let news = match wanted {
         Some(wanted) => logs(node, &within(&wanted, first, last))?,
         None => (first..=last).map(hash).collect::<Result<Value, _>>()?,

@@ -26,9 +26,9 @@ const IN_TURN: u64 = 2;
 pub struct Sealing {
     /// In the order of their turns (by address); under proof of work, the recipient of the fees.
     sealers: Vec<(Address, SigningKey)>,
-    period: Duration,
+    pub period: Duration,
     /// Hashes per block on average under proof of work; constant, as a single miner has no network to adjust to.
-    work: Option<u64>,
+    pub work: Option<u64>,
 }
 
 impl Sealing {
@@ -42,16 +42,8 @@ impl Sealing {
         Self { sealers, period, work }
     }
 
-    pub fn work(&self) -> Option<u64> {
-        self.work
-    }
-
     pub fn addresses(&self) -> Vec<Address> {
         self.sealers.iter().map(|(address, _)| *address).collect()
-    }
-
-    pub fn period(&self) -> Duration {
-        self.period
     }
 
     fn in_turn(&self, number: u64) -> Option<&(Address, SigningKey)> {

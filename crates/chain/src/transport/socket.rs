@@ -1,7 +1,6 @@
 //! The address of a node, and the ways to it: HTTP and WebSockets, with or without TLS, and sockets of this machine.
 
 use std::path::{Path, PathBuf};
-use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -99,16 +98,18 @@ fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
 // Kept connections: one request at a time, so an answer is always that of the last question; any error closes them.
 
 pub(super) trait Link: Send + Sized {
+    /// What it leads to.
+    type Place: Sync;
+
+    /// Opens a connection whose answers have at most `most` bytes.
+    fn open(place: &Self::Place, most: usize) -> impl Future<Output = Result<Self, TransportError>> + Send;
+
     /// The answer has at most `most` bytes.
     fn exchange(&mut self, request: &str, most: usize) -> impl Future<Output = Result<Bytes, TransportError>> + Send;
 }
 
-/// The argument bounds answers, bytes.
-pub(super) type Opener<L> =
-    Box<dyn Fn(usize) -> Pin<Box<dyn Future<Output = Result<L, TransportError>> + Send>> + Send + Sync>;
-
-pub(super) struct Kept<L> {
-    open: Opener<L>,
+pub(super) struct Kept<L: Link> {
+    place: L::Place,
     usual: Idle<L>,
     wide: Idle<L>,
 }
@@ -117,8 +118,8 @@ pub(super) struct Kept<L> {
 type Idle<L> = Mutex<Vec<(L, Instant)>>;
 
 impl<L: Link> Kept<L> {
-    pub(super) fn new(open: Opener<L>) -> Self {
-        Self { open, usual: Idle::default(), wide: Idle::default() }
+    pub(super) fn new(place: L::Place) -> Self {
+        Self { place, usual: Idle::default(), wide: Idle::default() }
     }
 
     pub(super) async fn ask(&self, request: &str, limits: Limits) -> Result<Bytes, TransportError> {
@@ -134,7 +135,7 @@ impl<L: Link> Kept<L> {
         };
         let mut link = match newest {
             Some((link, _)) => link,
-            None => (self.open)(limits.bytes).await?,
+            None => L::open(&self.place, limits.bytes).await?,
         };
         let answer = link.exchange(request, limits.bytes).await?;
         idle().push((link, Instant::now()));
@@ -152,13 +153,8 @@ pub(super) struct WebSocket {
     stream: WebSocketStream<Box<dyn Wire>>,
 }
 
-impl WebSocket {
-    pub(super) fn opener(server: Server) -> Opener<Self> {
-        Box::new(move |most| {
-            let server = server.clone();
-            Box::pin(async move { Self::open(&server, most).await })
-        })
-    }
+impl Link for WebSocket {
+    type Place = Server;
 
     async fn open(server: &Server, most: usize) -> Result<Self, TransportError> {
         let failed = |error: Error| failed(&error, server, most);
@@ -171,9 +167,6 @@ impl WebSocket {
         let (stream, _) = client_async_with_config(request, wire, Some(config)).await.map_err(failed)?;
         Ok(Self { stream })
     }
-}
-
-impl Link for WebSocket {
     async fn exchange(&mut self, request: &str, most: usize) -> Result<Bytes, TransportError> {
         let broke = |error: Error| misread(&error, most);
         self.stream.send(Message::text(request)).await.map_err(broke)?;
@@ -248,20 +241,12 @@ pub(super) struct Local {
     stream: UnixStream,
 }
 
-impl Local {
-    pub(super) fn opener(path: PathBuf) -> Opener<Self> {
-        Box::new(move |_| {
-            let path = path.clone();
-            Box::pin(async move { Self::open(&path).await })
-        })
-    }
+impl Link for Local {
+    type Place = PathBuf;
 
-    async fn open(path: &Path) -> Result<Self, TransportError> {
+    async fn open(path: &PathBuf, _: usize) -> Result<Self, TransportError> {
         Ok(Self { stream: UnixStream::connect(path).await.map_err(|error| broken(&error))? })
     }
-}
-
-impl Link for Local {
     async fn exchange(&mut self, request: &str, most: usize) -> Result<Bytes, TransportError> {
         self.stream.write_all(request.as_bytes()).await.map_err(|error| broken(&error))?;
         let mut answer = Vec::new();
