@@ -6,17 +6,13 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
-use super::connect::{Context, ProfileNeed};
-use super::verbs::CHAIN;
-use super::{parse, passphrase, serve};
+use crate::{service::command::EnrolDevice, store::TopicCounts};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
 use crate::model::{ByteSize, ErrorKind};
-use crate::service::command::EnrolDevice;
-use crate::service::{
-    Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site,
-};
-use crate::store::TopicCounts;
+use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site};
+use super::{parse, passphrase, serve, verbs::CHAIN};
+use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
+use super::connect::{Context, ProfileNeed};
 use authros_output::Output;
 
 pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {

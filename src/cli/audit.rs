@@ -2,11 +2,10 @@
 
 use clap::{Args, Subcommand};
 
-use super::parse;
 use crate::model::{ErrorKind, Timestamp};
-use crate::service::Failure;
-use crate::service::command::AuditQuery;
+use crate::service::{Failure, command::AuditQuery};
 use crate::service::reply::{AuditCheck, AuditView};
+use super::parse;
 use authros_output::table;
 
 /// `audit`
@@ -21,16 +20,6 @@ pub struct AuditArguments {
     /// Only records captured at or after: a time such as 2026-11-21T08:30:00Z, or a duration ago such as 10m
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
-}
-
-impl AuditArguments {
-    pub fn of_records(deep: bool) -> Self {
-        Self { verb: None, deep, since: None }
-    }
-
-    pub fn since(&self) -> Result<Option<Timestamp>, Failure> {
-        self.since.as_deref().map(parse::past).transpose()
-    }
 }
 
 /// `audit …`

@@ -9,22 +9,16 @@ use std::process::{Command, Stdio};
 use authros_output::Output;
 use clap::ValueEnum as _;
 
+use crate::{paths::Home, term};
+use crate::crypto::{Passphrase, UnlockedKeyring};
+use crate::crypto::unfinished::{UnfinishedFolder, self};
+use crate::model::{ErrorKind, ProfileName, Timestamp};
+use crate::service::{Client, Failure, SecretText, command::BackUp, failure::input, restoring};
+use super::{audit::AuditArguments, parse::absolute, passphrase, plans, printed, serve::OWN_PROGRAM};
 use super::args::{BackupArguments, Global};
-use super::audit::AuditArguments;
 use super::check::{backed_up, backup_passphrase};
 use super::connect::{Context, ProfileNeed};
-use super::parse::absolute;
-use super::serve::OWN_PROGRAM;
-use super::verbs::{self, NEITHER};
-use super::{passphrase, plans, printed};
-use crate::crypto::unfinished::{self, UnfinishedFolder};
-use crate::crypto::{Passphrase, UnlockedKeyring};
-use crate::model::{ErrorKind, ProfileName, Timestamp};
-use crate::paths::Home;
-use crate::service::command::BackUp;
-use crate::service::failure::input;
-use crate::service::{Client, Failure, SecretText, restoring};
-use crate::term;
+use super::verbs::{NEITHER, self};
 
 /// Prefix and suffix of backup files; the time is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
@@ -101,7 +95,7 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     let view = restoring::restore(file, &Home::new(home.clone()), &passphrase)?;
     output.note(&backed_up(&view));
     let drill = Context { home: Home::new(home), ..context };
-    let plan = plans::audit(&drill, &AuditArguments::of_records(true))?;
+    let plan = plans::audit(&drill, &AuditArguments { verb: None, deep: true, since: None })?;
     let code = verbs::run(drill, plan, output).await;
     folder.close().map_err(unmade)?;
     code

@@ -3,15 +3,12 @@
 use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
-use super::args::CaptureArguments;
-use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::printed::TAMPERED;
-use super::serve::until_done;
 use crate::model::ErrorKind;
+use crate::service::{Client, Failure, Needs};
 use crate::service::command::{Capture, ChainStatus, SiteStatus, StopCapture};
 use crate::service::reply::{CaptureSummary, ChainView, HealthLevel, SiteView, TopicSummary};
-use crate::service::{Client, Failure, Needs};
+use super::{args::CaptureArguments, parse, printed::TAMPERED, serve::until_done};
+use super::connect::{Context, ProfileNeed};
 use authros_output::{Output, table};
 
 /// Time without a verified record after which the wait is explained.
@@ -22,7 +19,7 @@ pub async fn run(context: Context, arguments: CaptureArguments, output: &Output)
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
     let ask = Capture {
         topics: parse::values(&arguments.topics)?,
-        type_name: arguments.type_name.as_deref().map(parse::value).transpose()?,
+        type_name: parse::optional(arguments.type_name.as_deref())?,
         count: arguments.count,
         milliseconds: length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX)),
         tags: parse::tags(&arguments.tags)?,

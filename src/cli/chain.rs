@@ -7,62 +7,56 @@ use std::io::{ErrorKind as IoKind, Write as _};
 use std::net::SocketAddr;
 use std::path::Path;
 
-use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
-use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::show::not_written;
-use super::verbs::{CHAIN, Plan};
 use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;
-use crate::service::command::{
-    Administer, Administration, CancelTransaction, ChainStatus, DeployContract, ListSuccessions, ServeChain,
-};
-use crate::service::failure::input;
-use crate::service::reply::ServedView;
-use crate::service::{Client, Failure, Needs};
+use crate::service::{Client, Failure, Needs, failure::input, reply::ServedView, command};
+use super::{parse, show::not_written};
+use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
+use super::connect::{Context, ProfileNeed};
+use super::verbs::{CHAIN, Plan};
 use authros_output::Output;
 
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
-    let unlocked = |act: Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, Administer(act));
+    let unlocked = |act: command::Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, command::Administer(act));
     let plan = match verb {
         ChainVerb::Genesis(arguments) => return genesis(&arguments, output),
         ChainVerb::Serve { listen } => return serve(Context::new(global, output)?, listen, output).await,
-        ChainVerb::Status => Plan::new(CHAIN, ProfileNeed::None, ChainStatus),
+        ChainVerb::Status => Plan::new(CHAIN, ProfileNeed::None, command::ChainStatus),
         ChainVerb::Deploy { delay } => {
             let delay = delay.as_deref().map(seconds).transpose()?;
-            Plan::new(CHAIN, ProfileNeed::Made, DeployContract { delay })
+            Plan::new(CHAIN, ProfileNeed::Made, command::DeployContract { delay })
         }
         ChainVerb::Cancel { nonce, account, yes: true } => {
-            let account = account.as_deref().map(parse::value).transpose()?;
-            Plan::new(CHAIN, ProfileNeed::Unlocked, CancelTransaction { nonce, account })
+            let account = parse::optional(account.as_deref())?;
+            Plan::new(CHAIN, ProfileNeed::Unlocked, command::CancelTransaction { nonce, account })
         }
         ChainVerb::Cancel { .. } => {
             let text = "what the transaction was for does not happen unless it anchors records; add --yes to confirm";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
-        ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, ListSuccessions),
+        ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, command::ListSuccessions),
         ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
-            unlocked(Administration::Propose { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
+            unlocked(command::Administration::Propose { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
         }
         ChainVerb::Succession(SuccessionVerb::Cancel { lost }) => {
-            unlocked(Administration::Cancel { lost: parse::value(&lost)? })
+            unlocked(command::Administration::Cancel { lost: parse::value(&lost)? })
         }
         ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
-            unlocked(Administration::Complete { lost: parse::value(&lost)? })
+            unlocked(command::Administration::Complete { lost: parse::value(&lost)? })
         }
-        ChainVerb::Dismiss { account } => unlocked(Administration::Dismiss { account: parse::value(&account)? }),
-        ChainVerb::Admit { account } => unlocked(Administration::Admit { account: parse::value(&account)? }),
-        ChainVerb::Suspend { account } => unlocked(Administration::Suspend { account: parse::value(&account)? }),
-        ChainVerb::Restore { account } => unlocked(Administration::Restore { account: parse::value(&account)? }),
-        ChainVerb::Open => unlocked(Administration::Open { open: true }),
-        ChainVerb::Close => unlocked(Administration::Open { open: false }),
+        ChainVerb::Dismiss { account } => unlocked(command::Administration::Dismiss { account: parse::value(&account)? }),
+        ChainVerb::Admit { account } => unlocked(command::Administration::Admit { account: parse::value(&account)? }),
+        ChainVerb::Suspend { account } => unlocked(command::Administration::Suspend { account: parse::value(&account)? }),
+        ChainVerb::Restore { account } => unlocked(command::Administration::Restore { account: parse::value(&account)? }),
+        ChainVerb::Open => unlocked(command::Administration::Open { open: true }),
+        ChainVerb::Close => unlocked(command::Administration::Open { open: false }),
         ChainVerb::Pause { length } => {
             let seconds = length.as_deref().map(seconds).transpose()?;
-            unlocked(Administration::Pause { paused: true, seconds })
+            unlocked(command::Administration::Pause { paused: true, seconds })
         }
-        ChainVerb::Resume => unlocked(Administration::Pause { paused: false, seconds: None }),
-        ChainVerb::HandOver { account } => unlocked(Administration::HandOver { account: parse::value(&account)? }),
-        ChainVerb::Accept => unlocked(Administration::Accept),
+        ChainVerb::Resume => unlocked(command::Administration::Pause { paused: false, seconds: None }),
+        ChainVerb::HandOver { account } => unlocked(command::Administration::HandOver { account: parse::value(&account)? }),
+        ChainVerb::Accept => unlocked(command::Administration::Accept),
     };
     super::verbs::run(Context::new(global, output)?, plan, output).await
 }
@@ -77,7 +71,7 @@ async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<
         drop(crate::chain::serve::listen(listen).await?);
     }
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
-    let begin = async |client: &Client| client.ask(ServeChain { address: listen }).await;
+    let begin = async |client: &Client| client.ask(command::ServeChain { address: listen }).await;
     super::serve::until_signal(connection, output, begin, |served: ServedView, joined| {
         let place = if joined { "the running site" } else { "this process, the site" };
         output.result(&serde_json::json!({ "serving": &served, "joined": joined }), || {

@@ -2,16 +2,12 @@
 
 use std::path::Path;
 
-use super::args::Global;
-use super::connect::Context;
-use super::show::Question;
-use super::{parse, passphrase};
-use crate::model::ErrorKind;
+use crate::{model::ErrorKind, store::SiteLock};
+use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
 use crate::service::command::{ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
-use crate::service::verification::{self, FolderCheck, Known, verdict};
-use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
-use crate::store::SiteLock;
+use crate::service::verification::{FolderCheck, Known, self, verdict};
+use super::{args::Global, connect::Context, parse, passphrase, show::Question};
 use authros_output::{Output, table};
 
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
@@ -22,10 +18,6 @@ pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
         || query.incident.is_some()
         || context.home.profiles().len() < 2;
     if of_one { ListUploads(query).into() } else { ListAllUploads(query).into() }
-}
-
-pub fn audit_needs(context: &Context) -> Needs {
-    Needs { ros: false, chain: is_bound(&context.home) }
 }
 
 fn rounded(value: f64) -> String {
@@ -121,7 +113,7 @@ fn doctor_text(view: &DoctorView) -> String {
 pub async fn run_verify(global: &Global, folder: &Path, genesis: Option<&str>, output: &Output) -> Result<u8, Failure> {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let url = global.chain.clone().or_else(|| set("AUTHROS_CHAIN"));
-    let contract = global.contract.as_deref().map(parse::value).transpose()?;
+    let contract = parse::optional(global.contract.as_deref())?;
     let genesis = genesis.map(parse::value).transpose()?;
     let check = verification::verify(folder, url.as_deref(), Known { genesis, contract }).await?;
     output.result(&check, || verify_text(&check));

@@ -23,13 +23,8 @@ pub enum Word {
 }
 
 impl Word {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Topic => "topic",
-            Self::Contact => "contact",
-            Self::Record => "record",
-            Self::Profile => "profile",
-        }
+    fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
 }
 
@@ -75,11 +70,11 @@ pub fn candidates(global: &Global, what: Word, begun: &str) -> String {
 
 pub fn with_words(shell: Shell, script: String) -> String {
     match shell {
-        Shell::Bash => format!("{script}\n{}", BASH.replace("CASES", &cases())),
+        Shell::Bash => format!("{script}\n{}", BASH.replace("LOOP", &before("COMP_WORDS", "COMP_CWORD", "1"))),
         // Once loaded, zsh calls `_authros` by its name.
         Shell::Zsh => {
             let script = script.replacen("_authros() {", "_authros_commands_alone() {", 1);
-            let head = ZSH.replace("CASES", &cases());
+            let head = ZSH.replace("LOOP", &before("words", "CURRENT", "2"));
             script.replacen("_authros_commands_alone() {", &format!("{head}\n_authros_commands_alone() {{"), 1)
         }
         Shell::Fish => format!("{script}\n{}", fish()),
@@ -100,21 +95,23 @@ fn cases() -> String {
 }
 
 /// `before` holds the words before the cursor, without global flags.
-const BASH: &str = r#"_authros_words() {
-    local begun="${COMP_WORDS[COMP_CWORD]}" before=" " what="" home="" place word
-    for ((place = 1; place < COMP_CWORD; place++)); do
-        word="${COMP_WORDS[place]}"
+const LOOP: &str = r#"    local begun="${WORDS[AT]}" before=" " what="" home="" place word
+    for ((place = FIRST; place < AT; place++)); do
+        word="${WORDS[place]}"
         case "$word" in
-            --home) home="${COMP_WORDS[place + 1]}"; ((place++)) ;;
+            --home) home="${WORDS[place + 1]}"; ((place++)) ;;
             --json) ;;
-            --profile) if ((place + 1 < COMP_CWORD)); then ((place++)); else before="$before$word "; fi ;;
+            --profile) if ((place + 1 < AT)); then ((place++)); else before="$before$word "; fi ;;
             *) before="$before$word " ;;
         esac
     done
     case "$before" in
 CASES    esac
     if [[ -n "$what" && "$begun" != -* ]]; then
-        mapfile -t COMPREPLY < <(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)
+"#;
+
+const BASH: &str = r#"_authros_words() {
+LOOP        mapfile -t COMPREPLY < <(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)
         ((${#COMPREPLY[@]} == 0)) || mapfile -t COMPREPLY < <(printf '%q\n' "${COMPREPLY[@]}")
     else
         _authros "$@"
@@ -123,21 +120,13 @@ CASES    esac
 complete -F _authros_words -o nosort -o bashdefault -o default authros 2>/dev/null || complete -F _authros_words -o bashdefault -o default authros
 "#;
 
+/// The loop over a shell's array of words, from `first` to the cursor `at`.
+fn before(words: &str, at: &str, first: &str) -> String {
+    LOOP.replace("WORDS", words).replace("AT", at).replace("FIRST", first).replace("CASES", &cases())
+}
+
 const ZSH: &str = r#"_authros() {
-    local begun="${words[CURRENT]}" before=" " what="" home="" place word
-    for ((place = 2; place < CURRENT; place++)); do
-        word="${words[place]}"
-        case "$word" in
-            --home) home="${words[place + 1]}"; ((place++)) ;;
-            --json) ;;
-            --profile) if ((place + 1 < CURRENT)); then ((place++)); else before="$before$word "; fi ;;
-            *) before="$before$word " ;;
-        esac
-    done
-    case "$before" in
-CASES    esac
-    if [[ -n "$what" && "$begun" != -* ]]; then
-        local -a found
+LOOP        local -a found
         found=("${(@f)$(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)}")
         compadd -a found
     else

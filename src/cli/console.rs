@@ -5,18 +5,14 @@ use std::sync::{Arc, OnceLock};
 use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, mpsc};
 
-use super::args::{ConsoleArguments, TourArguments};
-use super::backups::Successor;
-use super::connect::{Connection, Context};
-use super::{demo, passphrase, printed};
-use crate::app::tour::Cast;
-use crate::crypto::Passphrase;
+use crate::{app::tour::Cast, crypto::Passphrase};
 use crate::model::{ContactName, ErrorKind, ProfileName, Timestamp};
-use crate::service::client::site_gone;
+use crate::service::{Call, Client, Event, Failure, Needs, Site, client::site_gone, event::NoticeLevel};
 use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
-use crate::service::event::NoticeLevel;
-use crate::service::{Call, Client, Event, Failure, Needs, Site};
-use crate::term::{self, ExitReason};
+use crate::term::{ExitReason, self};
+use super::{backups::Successor, demo, passphrase, printed};
+use super::args::{ConsoleArguments, TourArguments};
+use super::connect::{Connection, Context};
 
 pub fn run(
     runtime: &Runtime,

@@ -2,11 +2,10 @@
 
 use clap::Args;
 
-use super::parse;
 use crate::model::Timestamp;
-use crate::service::Failure;
-use crate::service::command::TopicCoverage;
+use crate::service::{Failure, command::TopicCoverage};
 use crate::service::reply::{CoveragePart, CoverageView};
+use super::parse;
 
 const MOST_LISTED: usize = 20;
 

@@ -12,22 +12,12 @@ use authros_output::Output;
 use serde::Serialize;
 
 use self::mission::Mission;
-use super::args::DemoArguments;
-use super::connect::Context;
-use crate::config::Config;
-use crate::crypto::sm3::sm3;
-use crate::crypto::{
-    Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
-};
-use crate::model::head::Compression;
-use crate::model::{Digest, ErrorKind, Head, Signature};
-use crate::paths::Home;
-use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner, Plant};
-use crate::ros::ros2::Ros2Capture;
-use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink};
-use crate::service::Failure;
-use crate::store::RecordRow;
+use crate::{config::Config, crypto::sm3::sm3, paths::Home, service::Failure, store::RecordRow};
+use crate::crypto::{Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal};
+use crate::model::{Digest, ErrorKind, Head, Signature, head::Compression};
+use crate::pipeline::{Network, Owner, Plant, reader::Reader};
+use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, ros2::Ros2Capture};
+use super::{args::DemoArguments, connect::Context};
 
 /// Robots of ROS 2 without `--robots`.
 const USUAL_ROBOTS: u16 = 4;

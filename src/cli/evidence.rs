@@ -6,17 +6,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
-use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::recorded::Recording;
-use super::verbs::CHAIN;
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;
+use crate::service::{Client, Failure, definition_of, failure::input};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
-use crate::service::failure::input;
 use crate::service::reply::{EvidenceView, StampView};
-use crate::service::{Client, Failure, definition_of};
+use super::{parse, recorded::Recording, verbs::CHAIN};
+use super::connect::{Context, ProfileNeed};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
@@ -59,8 +56,8 @@ pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Resul
     };
     let file = parse::absolute(&file)?;
     let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
-    let topic = topic.as_deref().map(parse::value).transpose()?;
-    let incident = incident.as_deref().map(parse::value).transpose()?;
+    let topic = parse::optional(topic.as_deref())?;
+    let incident = parse::optional(incident.as_deref())?;
     let wishes =
         EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
     let export = async |client: &Client| client.ask(ExportEvidence(wishes)).await;

@@ -3,11 +3,10 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use super::connect::{Context, ProfileNeed};
 use crate::model::Timestamp;
-use crate::service::command::Ask;
+use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery, command::Ask};
 use crate::service::reply::{RecordPage, RecordView, ShownState};
-use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery};
+use super::connect::{Context, ProfileNeed};
 use authros_output::Output;
 
 /// Records older than this, measured from the newest, are no longer followed; nanoseconds.

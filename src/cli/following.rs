@@ -8,16 +8,13 @@ use std::time::Duration;
 use clap::Args;
 use tokio::sync::broadcast::Receiver;
 
-use super::connect::{Context, ProfileNeed};
-use super::parse::{self, absolute};
-use super::serve::until_done;
-use super::verbs::CHAIN;
-use super::{printed, serve};
 use crate::model::ErrorKind;
+use crate::service::{Client, Event, Failure, event::NoticeLevel};
 use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
-use crate::service::event::NoticeLevel;
 use crate::service::reply::{FollowView, FollowedFile};
-use crate::service::{Client, Event, Failure};
+use super::{printed, serve, serve::until_done, verbs::CHAIN};
+use super::connect::{Context, ProfileNeed};
+use super::parse::{absolute, self};
 use authros_output::{Output, table};
 
 /// Interval of progress lines: a recording may last for days.

@@ -2,14 +2,12 @@
 
 use clap::Subcommand;
 
-use super::connect::ProfileNeed;
-use super::lists::or_dash;
-use super::parse;
-use super::verbs::{CHAIN, NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
 use crate::service::reply::{IncidentView, SpanCoverageView};
+use super::{connect::ProfileNeed, lists::or_dash, parse};
+use super::verbs::{CHAIN, NEITHER, Plan};
 use authros_output::table;
 
 /// `incident …`

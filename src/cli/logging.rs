@@ -2,8 +2,7 @@
 
 use clap::ValueEnum;
 
-use crate::model::Timestamp;
-use crate::service::NoticeLevel;
+use crate::{model::Timestamp, service::NoticeLevel};
 use authros_output::{Log, log_line};
 
 /// How lines beside the result are written.

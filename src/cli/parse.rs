@@ -6,15 +6,17 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use crate::model::{SignerId, Timestamp, bytes::unhex, clean, positive_span};
-pub use crate::service::command::filter::{moment, tag};
+use crate::service::{Failure, UploadQuery, failure::input};
 use crate::service::command::{Term, filter};
-use crate::service::failure::input;
-use crate::service::{Failure, UploadQuery};
-
 use super::args::ListArguments;
+pub use crate::service::command::filter::{moment, tag};
 
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| input(error.to_string()))
+}
+
+pub fn optional<T: FromStr<Err: Display>>(text: Option<&str>) -> Result<Option<T>, Failure> {
+    text.map(value).transpose()
 }
 
 pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {

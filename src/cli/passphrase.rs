@@ -4,17 +4,14 @@
 use std::io::Read as _;
 use std::path::Path;
 
+use crate::{paths::Home, term};
+use crate::crypto::{Passphrase, private_file};
+use crate::model::{ErrorKind, ProfileName};
+use crate::service::{Failure, SecretText, command::ChangePassphrase, failure::input};
+use crate::store::{atomic_write, files};
 use super::args::Global;
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{NEITHER, Plan};
-use crate::crypto::{Passphrase, private_file};
-use crate::model::{ErrorKind, ProfileName};
-use crate::paths::Home;
-use crate::service::command::ChangePassphrase;
-use crate::service::failure::input;
-use crate::service::{Failure, SecretText};
-use crate::store::{atomic_write, files};
-use crate::term;
 use authros_output::Output;
 
 /// The longest passphrase read, bytes.

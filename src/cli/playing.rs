@@ -4,13 +4,12 @@ use std::future::pending;
 
 use clap::Args;
 
-use super::connect::{Context, ProfileNeed};
-use super::parse;
-use super::serve::until_done;
 use crate::model::ErrorKind;
+use crate::service::{Client, Failure, Needs};
 use crate::service::command::{Pace, Play, PlayWishes, StopPlay};
 use crate::service::reply::{PlayEnd, PlayedView};
-use crate::service::{Client, Failure, Needs};
+use super::{parse, serve::until_done};
+use super::connect::{Context, ProfileNeed};
 use authros_output::{Output, table};
 
 /// `shared play …`
@@ -58,13 +57,13 @@ pub struct PlayArguments {
 impl PlayArguments {
     fn wishes(&self, domain: Option<u16>) -> Result<PlayWishes, Failure> {
         Ok(PlayWishes {
-            owner: self.owner.as_deref().map(parse::value).transpose()?,
+            owner: parse::optional(self.owner.as_deref())?,
             topics: parse::values(&self.topics)?,
             since: self.since.as_deref().map(parse::moment).transpose()?,
             until: self.until.as_deref().map(parse::moment).transpose()?,
             pace: self.pace()?,
             clock: self.clock,
-            prefix: self.prefix.as_deref().map(parse::value).transpose()?,
+            prefix: parse::optional(self.prefix.as_deref())?,
             remaps: parse::values(&self.remaps)?,
             master: self.to.clone(),
             domain: domain.filter(|_| self.ros2.is_some() && self.to.is_none()),

@@ -10,19 +10,14 @@ use std::time::Duration;
 use authros_output::Output;
 use clap::CommandFactory;
 
-use super::args::{Arguments, ConsoleArguments, PrintArguments};
-use super::connect::Context;
-use super::twins::TWINS;
-use super::{complete, passphrase};
-use crate::app::history::Progress;
+use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
 use crate::app::{Keymap, Settings, keymap};
-use crate::config::DEFINITIONS;
 use crate::model::{ErrorKind, Timestamp, clean};
-use crate::paths::Home;
-use crate::service::command::{Command, RecordingProgress};
 use crate::service::{Client, Failure};
-use crate::term::ConsoleOptions;
+use crate::service::command::{Command, RecordingProgress};
 use crate::ui::{Themes, theme};
+use super::{complete, connect::Context, passphrase, twins::TWINS};
+use super::args::{Arguments, ConsoleArguments, PrintArguments};
 
 pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
@@ -208,10 +203,6 @@ impl Teller {
         lines.iter().filter(|line| !self.told.contains(line)).for_each(|line| output.note(line));
         self.told = lines;
     }
-}
-
-pub fn takes_long(command: &Command) -> bool {
-    matches!(command, Command::AuditRecords { .. })
 }
 
 pub async fn tell_on(client: &Client, every: Duration, output: &Output) -> Infallible {

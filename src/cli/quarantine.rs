@@ -2,12 +2,11 @@
 
 use clap::{Args, Subcommand};
 
-use super::show::Question;
-use super::{lists, parse};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
 use crate::service::reply::{PinsView, QuarantineView};
+use super::{lists, parse, show::Question};
 use authros_output::table;
 
 /// `topics pin …`
@@ -41,7 +40,7 @@ pub struct HeldArguments {
 
 impl HeldArguments {
     fn held(self) -> Result<Held, Failure> {
-        Ok(Held { topic: self.topic.as_deref().map(parse::value).transpose()?, ids: self.ids })
+        Ok(Held { topic: parse::optional(self.topic.as_deref())?, ids: self.ids })
     }
 }
 
@@ -77,7 +76,7 @@ pub enum QuarantineVerb {
 pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
     Ok(match verb {
         QuarantineVerb::List { topic, limit } => {
-            ListQuarantine { topic: topic.as_deref().map(parse::value).transpose()?, limit }.into()
+            ListQuarantine { topic: parse::optional(topic.as_deref())?, limit }.into()
         }
         QuarantineVerb::Release { held } => ReleaseHeld { held: held.held()? }.into(),
         QuarantineVerb::Discard { held, yes: true } => DiscardHeld { held: held.held()? }.into(),

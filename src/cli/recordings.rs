@@ -4,21 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use super::connect::{Context, ProfileNeed};
-use super::parse::{self, absolute};
-use super::printed::{self, LOOK};
-use super::serve::until_done;
-use super::verbs::CHAIN;
-use crate::crypto::private_file;
-use crate::model::ErrorKind;
-use crate::paths::Home;
+use crate::{crypto::private_file, model::ErrorKind, paths::Home, store::files};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::command::{
-    Ask, ExportRecording, ExportWishes, ImportHome, ImportRecording, ImportWishes, StopCapture,
-};
+use crate::service::{Client, Failure, command};
 use crate::service::reply::{ExportView, ExportedTopic, ImportView};
-use crate::service::{Client, Failure};
-use crate::store::files;
+use super::{serve::until_done, verbs::CHAIN};
+use super::connect::{Context, ProfileNeed};
+use super::parse::{absolute, self};
+use super::printed::{LOOK, self};
 use authros_output::{Output, table};
 
 /// The longest keyring copied, bytes.
@@ -84,14 +77,14 @@ pub struct ExportArguments {
 }
 
 impl ImportArguments {
-    fn wishes(&self) -> Result<ImportWishes, Failure> {
+    fn wishes(&self) -> Result<command::ImportWishes, Failure> {
         let (topics, tags) = (parse::values(&self.topics)?, parse::tags(&self.tags)?);
-        Ok(ImportWishes { path: absolute(&self.file)?, topics, tags, again: self.again })
+        Ok(command::ImportWishes { path: absolute(&self.file)?, topics, tags, again: self.again })
     }
 }
 
 impl ExportArguments {
-    fn wishes(&self) -> Result<ExportWishes, Failure> {
+    fn wishes(&self) -> Result<command::ExportWishes, Failure> {
         let (path, format) = match (&self.bag, &self.mcap, &self.rosbag2) {
             (Some(path), ..) => (path, RecordingFormat::Bag),
             (_, Some(path), _) => (path, RecordingFormat::Mcap),
@@ -101,11 +94,11 @@ impl ExportArguments {
                 return Err(Failure::new(ErrorKind::Usage, text));
             }
         };
-        Ok(ExportWishes {
+        Ok(command::ExportWishes {
             path: absolute(path)?,
             format,
             compression: parse::value::<ChunkCompression>(&self.compression)?,
-            owner: self.owner.as_deref().map(parse::value).transpose()?,
+            owner: parse::optional(self.owner.as_deref())?,
             topics: parse::values(&self.topics)?,
             since: self.since.as_deref().map(parse::past).transpose()?,
             until: self.until.as_deref().map(parse::past).transpose()?,
@@ -115,7 +108,7 @@ impl ExportArguments {
 }
 
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, ImportRecording(arguments.wishes()?), ProfileNeed::Made, output).await?;
+    let view = run(context, command::ImportRecording(arguments.wishes()?), ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }
@@ -123,7 +116,7 @@ pub async fn import(context: Context, arguments: ImportArguments, output: &Outpu
 pub async fn import_home(context: Context, home: &Path, output: &Output) -> Result<u8, Failure> {
     let home = absolute(home)?;
     bring_keyring(&context, &home, output)?;
-    let view = run(context, ImportHome { home }, ProfileNeed::Unlocked, output).await?;
+    let view = run(context, command::ImportHome { home }, ProfileNeed::Unlocked, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }
@@ -154,18 +147,18 @@ fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), 
 }
 
 pub async fn export(context: Context, arguments: ExportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
+    let view = run(context, command::ExportRecording(arguments.wishes()?), ProfileNeed::Unlocked, output).await?;
     output.result(&view, || exported(&view));
     Ok(export_code(&view, output))
 }
 
-async fn run<A: Ask>(context: Context, ask: A, need: ProfileNeed, output: &Output) -> Result<A::Answer, Failure> {
+async fn run<A: command::Ask>(context: Context, ask: A, need: ProfileNeed, output: &Output) -> Result<A::Answer, Failure> {
     let words = (
         "stopping; sealed records are verified first",
         "stopped early; sealed records are stored, repeat the command to continue",
     );
     let until_done = async |client: &Client| {
-        until_done(client, ask, StopCapture, words, output, printed::tell_on(client, LOOK, output)).await
+        until_done(client, ask, command::StopCapture, words, output, printed::tell_on(client, LOOK, output)).await
     };
     context.with(CHAIN, need, output, until_done).await
 }

@@ -5,17 +5,12 @@ use std::path::Path;
 
 use clap::Subcommand;
 
-use super::connect::{Context, ProfileNeed};
-use super::incidents::moment;
-use super::parse;
-use super::verbs::CHAIN;
-use crate::crypto::Sm3Hasher;
+use crate::{crypto::Sm3Hasher, ros::recording::content_of};
 use crate::model::{ByteSize, Digest, ErrorKind, clean};
-use crate::ros::recording::content_of;
+use crate::service::{Client, Failure, failure::input, reply::ErasureView};
 use crate::service::command::{EraseRecords, ErasureWishes};
-use crate::service::failure::input;
-use crate::service::reply::ErasureView;
-use crate::service::{Client, Failure};
+use super::{incidents::moment, parse, verbs::CHAIN};
+use super::connect::{Context, ProfileNeed};
 use authros_output::Output;
 
 const WORD: &str = "erase";
@@ -55,7 +50,7 @@ pub enum RetentionVerb {
 pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
     let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
     let wishes = ErasureWishes {
-        topic: topic.as_deref().map(parse::value).transpose()?,
+        topic: parse::optional(topic.as_deref())?,
         since: since.as_deref().map(moment).transpose()?,
         until: until.as_deref().map(moment).transpose()?,
         records,
@@ -71,7 +66,7 @@ pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Resu
 async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Output) -> Result<u8, Failure> {
     let sure = wishes.sure;
     let view = client.ask(EraseRecords(wishes.clone())).await?;
-    if matches_nothing(&view) {
+    if view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0 {
         let what = "none of your messages is of that topic and time; `authros uploads list` shows them";
         return Err(input(format!("nothing matches: {what}")));
     }
@@ -106,10 +101,6 @@ fn tag_of(file: &str) -> Result<String, Failure> {
         }
         hasher.update(bytes);
     }
-}
-
-fn matches_nothing(view: &ErasureView) -> bool {
-    view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0
 }
 
 fn confirmed() -> bool {

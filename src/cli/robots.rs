@@ -7,23 +7,13 @@ use std::path::{Path, PathBuf};
 use authros_output::{Output, table};
 use clap::{Args, Subcommand};
 
-use super::connect::ProfileNeed;
-use super::incidents::moment;
-use super::lists::or_dash;
-use super::parse;
-use super::show::Question;
-use super::verbs::{CHAIN, Plan};
-use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
-use crate::model::bytes::unhex;
-use crate::model::{PublicKey, SignerId, TopicRule, clean};
-use crate::service::Failure;
-use crate::service::command::{
-    AddDeviceAddress, AddDeviceTopics, LearnPolicy, LendDevice, ListDevices, ListRobots, PullRing, RecallDevice,
-    SetRobotPolicy, ShowPolicy, ShowRobot,
-};
-use crate::service::failure::input;
+use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
+use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};
+use crate::service::{Failure, failure::input, command};
 use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
+use super::{connect::ProfileNeed, incidents::moment, lists::or_dash, parse, show::Question};
+use super::verbs::{CHAIN, Plan};
 
 /// `robots …`
 #[derive(Debug, Subcommand)]
@@ -70,22 +60,22 @@ pub enum RobotsVerb {
 
 pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
     let question: Question = match verb {
-        RobotsVerb::Pull { robot, since, until, topics, incident } => PullRing {
+        RobotsVerb::Pull { robot, since, until, topics, incident } => command::PullRing {
             name: robot,
             since: since.as_deref().map(moment).transpose()?,
             until: until.as_deref().map(moment).transpose()?,
             topics: parse::values(&topics)?,
-            incident: incident.as_deref().map(parse::value).transpose()?,
+            incident: parse::optional(incident.as_deref())?,
         }
         .into(),
-        RobotsVerb::List => ListRobots.into(),
-        RobotsVerb::Policy { robot, clear: true, .. } => SetRobotPolicy { name: robot, text: String::new() }.into(),
+        RobotsVerb::List => command::ListRobots.into(),
+        RobotsVerb::Policy { robot, clear: true, .. } => command::SetRobotPolicy { name: robot, text: String::new() }.into(),
         RobotsVerb::Policy { robot, set: Some(file), .. } => {
-            SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
+            command::SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
         }
-        RobotsVerb::Show { robot } => ShowRobot { name: robot }.into(),
+        RobotsVerb::Show { robot } => command::ShowRobot { name: robot }.into(),
         // The default.
-        RobotsVerb::Policy { robot, show: _show, .. } => ShowRobot { name: robot }.into(),
+        RobotsVerb::Policy { robot, show: _show, .. } => command::ShowRobot { name: robot }.into(),
     };
     Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, question))
 }
@@ -230,16 +220,16 @@ pub enum AddressesVerb {
 pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
-            LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }.into()
+            command::LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }.into()
         }
-        DevicesVerb::Recall { device } => RecallDevice { device: device.clone() }.into(),
+        DevicesVerb::Recall { device } => command::RecallDevice { device: device.clone() }.into(),
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
-            AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
+            command::AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
         }
         DevicesVerb::Addresses(AddressesVerb::Add { device, address }) => {
-            AddDeviceAddress { device: device.clone(), address: address.clone() }.into()
+            command::AddDeviceAddress { device: device.clone(), address: address.clone() }.into()
         }
-        DevicesVerb::List => ListDevices.into(),
+        DevicesVerb::List => command::ListDevices.into(),
     })
 }
 
@@ -303,7 +293,7 @@ pub struct PolicyArguments {
 impl PolicyArguments {
     pub fn question(&self) -> Result<Question, Failure> {
         let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
-        Ok(if self.learn { LearnPolicy { milliseconds }.into() } else { ShowPolicy.into() })
+        Ok(if self.learn { command::LearnPolicy { milliseconds }.into() } else { command::ShowPolicy.into() })
     }
 }
 

@@ -19,13 +19,10 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast;
 use tokio::task::JoinHandle;
 
-use super::connect::{Connection, Context, ProfileNeed};
-use crate::model::ErrorKind;
+use crate::{model::ErrorKind, store::files};
+use crate::service::{Client, Event, Failure, Needs, event::NoticeLevel, failure::internal, is_bound};
 use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
-use crate::service::event::NoticeLevel;
-use crate::service::failure::internal;
-use crate::service::{Client, Event, Failure, Needs, is_bound};
-use crate::store::files;
+use super::connect::{Connection, Context, ProfileNeed};
 
 /// `serve …`
 #[derive(Debug, Args)]

@@ -8,15 +8,11 @@ use std::time::Duration;
 use authros_output::{Output, table};
 use clap::Subcommand;
 
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::{Failure, doctor, failure::input, reply};
+use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{NEITHER, Plan};
-use crate::model::{ErrorKind, Timestamp};
-use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
-use crate::service::failure::input;
-use crate::service::reply::{
-    AlertTestView, AlertView, AlertsView, EndedAlert, HealthLevel, LifeLine, PartHealth, SiteView,
-};
-use crate::service::{Failure, doctor};
 
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
@@ -82,8 +78,8 @@ fn known(context: &Context) -> Result<(), Failure> {
     Err(input(format!("the home {root} has no profile '{}'; {there}: choose one with --profile", context.profile)))
 }
 
-fn code(view: &SiteView) -> u8 {
-    let is_well = |part: &PartHealth| matches!(part.level, HealthLevel::Ok | HealthLevel::Absent);
+fn code(view: &reply::SiteView) -> u8 {
+    let is_well = |part: &reply::PartHealth| matches!(part.level, reply::HealthLevel::Ok | reply::HealthLevel::Absent);
     if view.life.tampered > 0 || !view.life.conserved {
         ErrorKind::Tampered.exit_code()
     } else if view.health.iter().all(is_well) {
@@ -93,20 +89,20 @@ fn code(view: &SiteView) -> u8 {
     }
 }
 
-fn row(part: &PartHealth) -> String {
+fn row(part: &reply::PartHealth) -> String {
     let word = match part.level {
-        HealthLevel::Ok => "ok",
-        HealthLevel::Waiting => "waiting",
-        HealthLevel::Failed => "failed",
-        HealthLevel::Absent => "absent",
+        reply::HealthLevel::Ok => "ok",
+        reply::HealthLevel::Waiting => "waiting",
+        reply::HealthLevel::Failed => "failed",
+        reply::HealthLevel::Absent => "absent",
     };
     format!("{:<9} {word:<8} {}", part.part, part.text)
 }
 
-fn text(view: &SiteView) -> String {
+fn text(view: &reply::SiteView) -> String {
     let mut lines: Vec<String> = view.health.iter().map(row).collect();
     lines.extend(life(&view.life));
-    let stands = |alert: &AlertView| {
+    let stands = |alert: &reply::AlertView| {
         format!("alert since {}, {}: {}: {}", alert.begun, alert.severity.word(), alert.key, alert.text)
     };
     lines.extend(view.alerts.iter().map(stands));
@@ -114,8 +110,8 @@ fn text(view: &SiteView) -> String {
     lines.join("\n")
 }
 
-fn life(life: &LifeLine) -> Vec<String> {
-    let LifeLine { captured, verified, pending, right_ended, quarantined, dropped, tampered, .. } = *life;
+fn life(life: &reply::LifeLine) -> Vec<String> {
+    let reply::LifeLine { captured, verified, pending, right_ended, quarantined, dropped, tampered, .. } = *life;
     let sum = format!(
         "captured {captured} = verified {verified} + pending {pending} + right ended {right_ended} + quarantined \
          {quarantined} + dropped {dropped} + tampered {tampered}"
@@ -154,8 +150,8 @@ pub fn plan(verb: &AlertsVerb) -> Plan {
     }
 }
 
-pub fn standing(view: &AlertsView) -> String {
-    let row = |alert: &AlertView| {
+pub fn standing(view: &reply::AlertsView) -> String {
+    let row = |alert: &reply::AlertView| {
         [alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
     };
     let mut lines = match view.alerts.as_slice() {
@@ -167,17 +163,14 @@ pub fn standing(view: &AlertsView) -> String {
     lines.join("\n")
 }
 
-pub fn over(ended: &EndedAlert) -> String {
+pub fn over(ended: &reply::EndedAlert) -> String {
     format!("resolved {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
-}
-
-pub fn tested(view: &AlertTestView) -> String {
-    format!("{} accepted it: {}", view.place, view.text)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
 
     fn view(level: HealthLevel, tampered: u64) -> SiteView {
         let part = PartHealth { part: "store".to_owned(), level, text: String::new(), since: None, retry: None };

@@ -4,18 +4,12 @@
 
 use std::path::PathBuf;
 
+use crate::model::ErrorKind;
+use crate::service::{Client, Command, Failure, Needs, accounts, command};
+use super::{check, follow, lists, parse, passphrase, playing, printed, reading, recordings, show::Question};
 use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb};
 use super::connect::{Context, ProfileNeed};
-use super::quarantine::{self, QuarantineVerb};
-use super::show::Question;
-use super::{check, follow, lists, parse, passphrase, playing, printed, reading, recordings};
-use crate::model::ErrorKind;
-use crate::service::command::{
-    CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
-    ListShared, ListTopics, ListUploads, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic,
-    ViewPath, WatchTopic,
-};
-use crate::service::{Client, Command, Failure, Needs, accounts};
+use super::quarantine::{QuarantineVerb, self};
 use authros_output::Output;
 
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
@@ -26,7 +20,7 @@ pub struct Plan {
     pub needs: Needs,
     pub profile: ProfileNeed,
     /// Asked first; its answer goes to stderr.
-    pub first: Option<ForeseeKeyChange>,
+    pub first: Option<command::ForeseeKeyChange>,
     pub question: Question,
     pub out: Option<PathBuf>,
 }
@@ -48,14 +42,14 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
         if let Some(first) = plan.first {
             connection.client.ask(first).await?.lines.iter().for_each(|line| output.note(line));
         }
-        let long = printed::takes_long(&plan.question.command);
+        let long = matches!(plan.question.command, Command::AuditRecords { .. });
         let answer = plan.question.ask(&connection.client);
         Ok(if long { printed::told(&connection.client, answer, output).await } else { answer.await })
     };
     let told: Result<_, Failure> = told.await;
     connection.close().await;
     let told = told?;
-    if forgets && told.is_done() {
+    if forgets && told.reply.is_ok() {
         passphrase::forget(&context.home, &context.profile, output)?;
     }
     told.print(plan.out.as_deref(), output)
@@ -80,7 +74,7 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u
 pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Failure> {
     let create = async |client: &Client| {
         let (passphrase, is_new) = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
-        Ok((Question::from(CreateIdentity { passphrase }).ask(client).await, is_new))
+        Ok((Question::from(command::CreateIdentity { passphrase }).ask(client).await, is_new))
     };
     let (told, is_new) = context.with(NEITHER, ProfileNeed::None, output, create).await?;
     let printed = told.print(None, output);
@@ -91,34 +85,34 @@ pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
     use ProfileNeed::{None as NoProfile, Unlocked};
     Ok(match verb {
         // `run` handles creation and lists.
-        IdentityVerb::Create | IdentityVerb::Show | IdentityVerb::List => Plan::new(CHAIN, NoProfile, ShowIdentity),
+        IdentityVerb::Create | IdentityVerb::Show | IdentityVerb::List => Plan::new(CHAIN, NoProfile, command::ShowIdentity),
         IdentityVerb::Compare { fingerprint, account } => {
             let needs = if account.is_some() { CHAIN } else { NEITHER };
-            let account = account.as_deref().map(parse::value).transpose()?;
-            Plan::new(needs, NoProfile, CompareFingerprint { fingerprint, account })
+            let account = parse::optional(account.as_deref())?;
+            Plan::new(needs, NoProfile, command::CompareFingerprint { fingerprint, account })
         }
         IdentityVerb::Recovery { account } => {
             let recovery = if account == "none" { None } else { Some(parse::value(&account)?) };
-            Plan::new(CHAIN, Unlocked, NameRecovery { recovery })
+            Plan::new(CHAIN, Unlocked, command::NameRecovery { recovery })
         }
-        IdentityVerb::Lock => Plan::new(NEITHER, NoProfile, Lock),
+        IdentityVerb::Lock => Plan::new(NEITHER, NoProfile, command::Lock),
     })
 }
 
 pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
     let kept = |question: Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
-        TopicsVerb::List => Plan::new(ROS, ProfileNeed::None, ListTopics),
+        TopicsVerb::List => Plan::new(ROS, ProfileNeed::None, command::ListTopics),
         TopicsVerb::Watch { topic, type_name } => {
-            let type_name = type_name.as_deref().map(parse::value).transpose()?;
-            Plan::new(NEITHER, ProfileNeed::OpenAtSite, WatchTopic { topic: parse::value(&topic)?, type_name })
+            let type_name = parse::optional(type_name.as_deref())?;
+            Plan::new(NEITHER, ProfileNeed::OpenAtSite, command::WatchTopic { topic: parse::value(&topic)?, type_name })
         }
-        TopicsVerb::Unwatch { topic } => kept(UnwatchTopic { topic: parse::value(&topic)? }.into()),
+        TopicsVerb::Unwatch { topic } => kept(command::UnwatchTopic { topic: parse::value(&topic)? }.into()),
         TopicsVerb::Pin(pin) => kept(pin.question()?),
-        TopicsVerb::Pins { topic } => kept(ListPins { topic: topic.as_deref().map(parse::value).transpose()? }.into()),
+        TopicsVerb::Pins { topic } => kept(command::ListPins { topic: parse::optional(topic.as_deref())? }.into()),
         TopicsVerb::Coverage(coverage) => kept(coverage.question()?.into()),
         TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, policy.question()?),
-        TopicsVerb::Unpin { topic, caller_id } => kept(UnpinTopic { topic: parse::value(&topic)?, caller_id }.into()),
+        TopicsVerb::Unpin { topic, caller_id } => kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id }.into()),
     })
 }
 
@@ -131,7 +125,7 @@ pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
 pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         UploadsVerb::List(list) if list.follow => {
-            return follow::run(context, ListUploads, parse::query(&list)?, output).await;
+            return follow::run(context, command::ListUploads, parse::query(&list)?, output).await;
         }
         UploadsVerb::List(list) => {
             // Ids of tags derive from the profile's own key.
@@ -139,9 +133,9 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
             Plan::new(NEITHER, need, check::list_uploads(&context, parse::query(&list)?))
         }
         UploadsVerb::Import { other } => return recordings::import_home(context, &other, output).await,
-        UploadsVerb::Show { id } => Plan::new(CHAIN, ProfileNeed::None, ShowUpload { id }),
+        UploadsVerb::Show { id } => Plan::new(CHAIN, ProfileNeed::None, command::ShowUpload { id }),
         UploadsVerb::Export { id, dir, addresses } => {
-            Plan { out: Some(dir), ..Plan::new(CHAIN, ProfileNeed::Unlocked, ExportUpload { id, addresses }) }
+            Plan { out: Some(dir), ..Plan::new(CHAIN, ProfileNeed::Unlocked, command::ExportUpload { id, addresses }) }
         }
     };
     run(context, plan, output).await
@@ -149,10 +143,10 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
 
 pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
     Ok(match verb {
-        GrantsVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, ListGrants),
+        GrantsVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, command::ListGrants),
         GrantsVerb::Extend { grantee, expires, .. } => {
             let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(parse::end).transpose()?);
-            Plan::new(CHAIN, ProfileNeed::Unlocked, ExtendGrant { grantee, expires })
+            Plan::new(CHAIN, ProfileNeed::Unlocked, command::ExtendGrant { grantee, expires })
         }
     })
 }
@@ -162,12 +156,12 @@ pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Resu
         SharedVerb::Export(export) => return recordings::export(context, export, output).await,
         SharedVerb::Play(play) => return playing::run(context, play, output).await,
         SharedVerb::List(list) if list.follow => {
-            return follow::run(context, ListShared, parse::query(&list)?, output).await;
+            return follow::run(context, command::ListShared, parse::query(&list)?, output).await;
         }
-        SharedVerb::List(list) => reading::plan(ListShared(parse::query(&list)?)),
-        SharedVerb::Check { id } => reading::plan(CheckShared { id }),
+        SharedVerb::List(list) => reading::plan(command::ListShared(parse::query(&list)?)),
+        SharedVerb::Check { id } => reading::plan(command::CheckShared { id }),
         SharedVerb::Open { id, out } => reading::open(id, out),
-        SharedVerb::Path { id, records } => reading::plan(ViewPath { id, records }),
+        SharedVerb::Path { id, records } => reading::plan(command::ViewPath { id, records }),
     };
     run(context, plan, output).await
 }

@@ -7,10 +7,8 @@ use ethers::types::{H160, U256};
 use ethers::utils::keccak256;
 use serde::Deserialize;
 
-use crate::ChainError;
-use crate::model::bytes::unhex;
-use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
+use crate::{ChainError, model::grant::MOST_TOPICS};
+use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId, bytes::unhex};
 
 /// The most grantees in one [`Call::Wrap`] (contract limit).
 pub const MOST_WRAPS: usize = 32;

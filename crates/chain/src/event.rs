@@ -8,12 +8,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
 
+use crate::{BlockRef, Chain, ChainError, EventAt, connect::RawBlock, reader::RawLog};
 use crate::call::{Values, artefact};
-use crate::connect::RawBlock;
-use crate::model::bytes::unhex;
-use crate::model::{Address, Digest, GrantTerms, Hash, Identity, SignerId, Timestamp, Token};
-use crate::reader::RawLog;
-use crate::{BlockRef, Chain, ChainError, EventAt};
+use crate::model::{Address, Digest, GrantTerms, Hash, Identity, SignerId, Timestamp, Token, bytes::unhex};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Event {

@@ -1,15 +1,14 @@
 //! Gas prices, and re-signing transactions: the same call at another price or nonce.
 
+use std::sync::PoisonError;
 use std::time::{Duration, Instant};
 
 use ethers::types::U256;
 use serde_json::json;
 
-use crate::call::artefact;
-use crate::crypto::EoaSecret;
+use crate::{BlockRef, Call, Chain, ChainError, SignedTransaction, call::artefact, crypto::EoaSecret};
 use crate::model::{Address, Wei};
 use crate::transaction::{Transaction, Unsigned};
-use crate::{BlockRef, Call, Chain, ChainError, SignedTransaction};
 
 /// Highest tip on top of the base fee, wei.
 const LARGEST_TIP: u128 = 1_000_000_000;
@@ -54,7 +53,7 @@ impl Offered {
 impl Chain {
     pub async fn market(&self) -> Result<Market, ChainError> {
         let block = self.newest().await?;
-        self.note_room(block.room());
+        *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner) = block.room();
         let quoted: U256 = self.rpc("eth_gasPrice", json!([])).await?;
         let base = block.base_fee_per_gas.filter(|base| !base.is_zero());
         let base = base.map(|base| self.small("eth_getBlockByNumber", base)).transpose()?;

@@ -31,7 +31,7 @@ pub struct Nonces {
 impl Chain {
     pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
         let mut status = ChainStatus {
-            kind: self.kind().to_owned(),
+            kind: self.transport().kind().to_owned(),
             consensus: self.inner.consensus.to_owned(),
             chain_id: self.chain_id(),
             genesis: self.genesis(),
@@ -49,14 +49,6 @@ impl Chain {
             status.pending = Some(self.nonce(account, true).await?.saturating_sub(nonce));
         }
         Ok(status)
-    }
-
-    fn kind(&self) -> &'static str {
-        match self.transport() {
-            relayed if relayed.is_relayed() => "relay",
-            transport if transport.embedded().is_some() => "embedded",
-            _ => "node",
-        }
     }
 
     /// Wei.
@@ -222,21 +214,6 @@ pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option
     }
 }
 
-impl Chain {
-    /// Transactions and gas of the blocks.
-    pub async fn work(&self, from: u64, to: u64) -> Result<(u64, u64), ChainError> {
-        let (mut transactions, mut gas) = (0, 0);
-        for number in from..=to {
-            let Some(block) = self.raw_block(number).await? else { break };
-            transactions += block.transactions.len() as u64;
-            gas += block.gas_used.map_or(0, |gas| gas.low_u64());
-        }
-        Ok((transactions, gas))
-    }
-}
-
-// News from the chain: blocks and events.
-
 /// Blocks requested together; fewer if a node finds that too many.
 const CHUNK: u64 = 2000;
 
@@ -269,6 +246,17 @@ fn wide(contract: Address, from: u64, to: u64, topics: &Value) -> Value {
 }
 
 impl Chain {
+    /// Transactions and gas of the blocks.
+    pub async fn work(&self, from: u64, to: u64) -> Result<(u64, u64), ChainError> {
+        let (mut transactions, mut gas) = (0, 0);
+        for number in from..=to {
+            let Some(block) = self.raw_block(number).await? else { break };
+            transactions += block.transactions.len() as u64;
+            gas += block.gas_used.map_or(0, |gas| gas.low_u64());
+        }
+        Ok((transactions, gas))
+    }
+
     /// In order, at most to the head.
     pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         self.collect(from, to, &Value::Null).await

@@ -8,13 +8,10 @@ use std::sync::Arc;
 
 use serde_json::{Value, json};
 
-use crate::call::Call;
-use crate::model::bytes::unhex;
-pub use crate::model::relay::{LONGEST_RAW, Relay, RelayError, check, weight};
-use crate::model::{Address, Identity, clean};
-use crate::transaction::Transaction;
+use crate::{Chain, Pin, call::Call, transaction::Transaction};
+use crate::model::{Address, Identity, bytes::unhex, clean};
 use crate::transport::{JsonRpcError, TransportError};
-use crate::{Chain, Pin};
+pub use crate::model::relay::{LONGEST_RAW, Relay, RelayError, check, weight};
 
 /// Longest error text passed on, characters.
 const LONGEST_WORDS: usize = 400;

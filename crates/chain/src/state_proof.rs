@@ -2,10 +2,8 @@
 
 use serde_json::{Value, json};
 
-use crate::model::bytes::unhex;
-use crate::model::{Address, Hash};
-use crate::transaction::List;
-use crate::{Chain, ChainError};
+use crate::{Chain, ChainError, transaction::List};
+use crate::model::{Address, Hash, bytes::unhex};
 use authros_evidence::{BlockHeader, Slot};
 
 /// Slots per request; nodes limit it.

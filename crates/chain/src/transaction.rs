@@ -10,12 +10,9 @@ use k256::ecdsa::SigningKey;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::crypto::EoaSecret;
-use crate::error::explain;
-use crate::model::bytes::hex;
-use crate::model::{Address, Hash};
+use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, crypto::EoaSecret, error::explain, fees};
+use crate::model::{Address, Hash, bytes::hex};
 use crate::reader::{RawLog, reason};
-use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, fees};
 
 #[derive(Default)]
 pub struct List(Vec<u8>);
@@ -215,10 +212,6 @@ impl Chain {
             self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).insert(key, estimate);
         }
         fees::limit(estimate, fees::known_cost(call.name(), data), self.room())
-    }
-
-    pub(super) fn note_room(&self, room: Option<u64>) {
-        *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner) = room;
     }
 
     pub(super) fn room(&self) -> Option<u64> {

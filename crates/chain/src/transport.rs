@@ -16,10 +16,7 @@ use serde_json::Value;
 use tokio::sync::Semaphore;
 
 use self::socket::{Address, Http, Kept, Local, Place, Server, WebSocket};
-use crate::embedded::Embedded;
-use crate::model::clean;
-use crate::relay::RelayLine;
-use crate::{ChainError, Endpoint};
+use crate::{ChainError, Endpoint, embedded::Embedded, model::clean, relay::RelayLine};
 
 /// Requests to a node at a time; further ones wait.
 const TOGETHER: usize = 8;
@@ -159,8 +156,12 @@ impl Transport {
         &self.url
     }
 
-    pub fn is_relayed(&self) -> bool {
-        matches!(self.line, Line::Relay(_))
+    pub fn kind(&self) -> &'static str {
+        match self.line {
+            Line::Relay(_) => "relay",
+            Line::Embedded(_) => "embedded",
+            _ => "node",
+        }
     }
 
     pub fn embedded(&self) -> Option<&Embedded> {

@@ -15,15 +15,12 @@ use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
 use tokio::sync::oneshot;
 use zeroize::Zeroizing;
 
-use super::block::{Header, Receipt};
-use super::machine::Outcome;
-use super::node::{Again, Node, header, receipts_root};
-use super::sealing;
-use super::trie::list_root;
-use super::world::{self, Cache};
-use crate::model::Hash;
+use crate::{ChainError, Consensus, model::Hash};
 use crate::transaction::{Items, Transaction};
-use crate::{ChainError, Consensus};
+use super::{machine::Outcome, sealing, trie::list_root};
+use super::block::{Header, Receipt};
+use super::node::{Again, Node, header, receipts_root};
+use super::world::{Cache, self};
 
 const VERSION: i64 = 1;
 const SCHEMA: &str = "

@@ -39,10 +39,7 @@ use serde_json::Value;
 use tokio::sync::{oneshot, watch};
 
 use self::node::Node;
-use crate::crypto::fault;
-use crate::model::Address;
-use crate::transport::TransportError;
-use crate::{BlockRef, ChainError, Consensus};
+use crate::{BlockRef, ChainError, Consensus, crypto::fault, model::Address, transport::TransportError};
 
 const IDLE: Duration = Duration::from_secs(3600);
 

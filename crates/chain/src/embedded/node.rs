@@ -9,18 +9,15 @@ use std::time::{Duration, Instant};
 
 use alloy_primitives::logs_bloom;
 
+use crate::{BlockRef, ChainError, Consensus, genesis::noise, transaction::Transaction};
+use crate::model::{Hash, Timestamp};
+use super::{rpc::Filters, world::Tries};
 use super::block::{Header, Receipt};
 use super::file::{Auditing, ChainFile, Looked, Mined};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
-use super::rpc::Filters;
-use super::sealing::{self, Founded, Sealing, Search};
+use super::sealing::{Founded, Sealing, Search, self};
 use super::trie::{EMPTY_ROOT, Nodes, Turnover, below, list_root};
-use super::world::Tries;
-use crate::genesis::noise;
-use crate::model::{Hash, Timestamp};
-use crate::transaction::Transaction;
-use crate::{BlockRef, ChainError, Consensus};
 
 /// Pause after a failed write.
 const REST: Duration = Duration::from_secs(1);

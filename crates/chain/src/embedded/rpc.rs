@@ -6,14 +6,12 @@ use std::time::{Duration, Instant};
 use alloy_primitives::{B256, Log, U256};
 use serde_json::{Map, Value, json};
 
-use super::block::{self, Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
-use super::machine::Answer;
-use super::node::Node;
-use super::pool::TRANSACTION_GAS;
-use super::world::{KEPT, Tries};
 use crate::model::{Address, Hash, clean};
 use crate::transaction::Unsigned;
 use crate::transport::{JsonRpcError, TransportError};
+use super::{machine::Answer, node::Node, pool::TRANSACTION_GAS};
+use super::block::{Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity, self};
+use super::world::{KEPT, Tries};
 
 pub type Reply = Result<Value, TransportError>;
 

@@ -12,13 +12,11 @@ use k256::ecdsa::SigningKey;
 use sha3::{Digest as _, Keccak256};
 use zeroize::Zeroizing;
 
+use crate::{ChainError, Consensus, genesis::noise};
+use crate::model::{Address, Hash, Timestamp, steady_clock::steady_now};
 use super::block::{Header, MARK, SEAL};
 use super::file::{ChainFile, Founding, keys_of};
 use super::machine::Environment;
-use crate::genesis::noise;
-use crate::model::steady_clock::steady_now;
-use crate::model::{Address, Hash, Timestamp};
-use crate::{ChainError, Consensus};
 
 /// Clique's difficulty of a block sealed in turn, as all are here.
 const IN_TURN: u64 = 2;

@@ -10,9 +10,7 @@ use ethers::utils::rlp::Rlp;
 
 pub use authros_evidence::trie::EMPTY_ROOT;
 
-use crate::ChainError;
-use crate::model::Hash;
-use crate::transaction::List;
+use crate::{ChainError, model::Hash, transaction::List};
 use authros_evidence::trie::{Step, follow, nibbles, unpacked};
 
 /// A node shorter than this is embedded in its parent.

@@ -5,10 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::embedded::Embedded;
-use crate::model::bytes::unhex;
-use crate::transaction::Transaction;
-use crate::transport::TransportError;
+use crate::{embedded::Embedded, model::bytes::unhex, transaction::Transaction, transport::TransportError};
 
 const LONGEST_BATCH: usize = 100;
 /// Bytes per HTTP request.
