@@ -1,8 +1,7 @@
 //! `authros agent`: `enrol` runs at the owner, `run` on the robot.
 
-use std::future::pending;
+use std::{future::pending, time::Duration};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use serde::Serialize;
 

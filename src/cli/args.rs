@@ -8,9 +8,7 @@ pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
 pub use self::keys::{ExportKind, IdentityVerb, KeysVerb};
 pub use self::records::{CaptureArguments, ListArguments, SharedVerb, TopicsVerb, UploadsVerb};
 
-use std::ffi::OsString;
-use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::{ffi::OsString, net::SocketAddr, path::PathBuf};
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum};
 

@@ -1,8 +1,6 @@
 //! Scheduled backups, the restore drill, and the hand-over from a console to `authros serve`.
 
-use std::ffi::OsString;
-use std::io::Write as _;
-use std::os::unix::process::CommandExt as _;
+use std::{ffi::OsString, io::Write as _, os::unix::process::CommandExt as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 

@@ -4,8 +4,7 @@
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{ErrorKind as IoKind, Write as _};
-use std::net::SocketAddr;
-use std::path::Path;
+use std::{net::SocketAddr, path::Path};
 
 use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;

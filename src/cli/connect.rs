@@ -277,9 +277,9 @@ impl Context {
         }
         let identity = client.ask(ShowIdentity).await?;
         if !identity.exists && need == ProfileNeed::Made {
-            let (passphrase, is_new) = passphrase::given_or_new(&self.global, &self.home, &self.profile, output)?;
+            let (passphrase, is_new) = passphrase::given_or_new(self, output)?;
             let made = client.ask(CreateIdentity { passphrase }).await;
-            let made = made.inspect_err(|_| passphrase::forget_unused(is_new, &self.home, &self.profile))?;
+            let made = made.inspect_err(|_| passphrase::forget_unused(is_new, self))?;
             if let Some(address) = made.address {
                 output.note(&format!("identity '{}' created: {address}", self.profile));
             }

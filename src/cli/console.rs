@@ -14,18 +14,13 @@ use super::{backups::Successor, demo, passphrase, printed};
 use super::args::{ConsoleArguments, TourArguments};
 use super::connect::{Connection, Context};
 
-pub fn run(
-    runtime: &Runtime,
-    context: Context,
-    arguments: ConsoleArguments,
-    tour: Option<Cast>,
-) -> Result<u8, Failure> {
+pub fn run(runtime: &Runtime, context: Context, console: ConsoleArguments, tour: Option<Cast>) -> Result<u8, Failure> {
     if !term::is_interactive() {
         let advice = "without one, use `authros demo`, `authros capture` or `authros serve`";
         return Err(Failure::new(ErrorKind::Usage, format!("the console needs a terminal; {advice}")));
     }
     let leaves_site = tour.is_none() && context.operator.is_none();
-    let mut options = printed::options(&context, arguments)?;
+    let mut options = printed::options(&context, console)?;
     let reader = tour.as_ref().map(|cast| cast.reader.clone());
     (options.settings.tour, options.settings.leaves_site) = (tour, leaves_site);
     let successor = Successor::of(&context);

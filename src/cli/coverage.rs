@@ -28,16 +28,14 @@ pub struct CoverageArguments {
     pub parts: usize,
 }
 
-impl CoverageArguments {
-    pub fn question(&self) -> Result<TopicCoverage, Failure> {
-        Ok(TopicCoverage {
-            topic: parse::value(&self.topic)?,
-            robot: self.robot.clone(),
-            since: self.since.as_deref().map(parse::past).transpose()?,
-            until: self.until.as_deref().map(parse::past).transpose()?,
-            parts: self.parts,
-        })
-    }
+pub fn question(arguments: &CoverageArguments) -> Result<TopicCoverage, Failure> {
+    Ok(TopicCoverage {
+        topic: parse::value(&arguments.topic)?,
+        robot: arguments.robot.clone(),
+        since: arguments.since.as_deref().map(parse::past).transpose()?,
+        until: arguments.until.as_deref().map(parse::past).transpose()?,
+        parts: arguments.parts,
+    })
 }
 
 pub fn strip(view: &CoverageView) -> String {

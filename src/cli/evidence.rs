@@ -1,7 +1,6 @@
 //! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
 
-use std::collections::BTreeMap;
-use std::io::Read as _;
+use std::{collections::BTreeMap, io::Read as _};
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;

@@ -1,7 +1,6 @@
 //! `uploads list --follow`, `shared list --follow`: one line per record whenever its state changes.
 
-use std::collections::HashMap;
-use std::time::Duration;
+use std::{collections::HashMap, time::Duration};
 
 use crate::model::Timestamp;
 use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery, command::Ask};

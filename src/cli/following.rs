@@ -1,9 +1,6 @@
 //! `bag follow`: what is being recorded, sealed while it is recorded.
 
-use std::convert::Infallible;
-use std::future::pending;
-use std::path::PathBuf;
-use std::time::Duration;
+use std::{convert::Infallible, future::pending, path::PathBuf, time::Duration};
 
 use clap::Args;
 use tokio::sync::broadcast::Receiver;
@@ -42,20 +39,14 @@ pub struct FollowArguments {
     pub attach: bool,
 }
 
-impl FollowArguments {
-    fn wishes(&self) -> Result<FollowWishes, Failure> {
-        Ok(FollowWishes {
-            folder: absolute(&self.folder)?,
-            topics: parse::values(&self.topics)?,
-            tags: parse::tags(&self.tags)?,
-            until_closed: self.until_closed,
-            attach: self.attach,
-        })
-    }
-}
-
 pub async fn run(context: Context, arguments: FollowArguments, output: &Output) -> Result<u8, Failure> {
-    let wishes = arguments.wishes()?;
+    let wishes = FollowWishes {
+        folder: absolute(&arguments.folder)?,
+        topics: parse::values(&arguments.topics)?,
+        tags: parse::tags(&arguments.tags)?,
+        until_closed: arguments.until_closed,
+        attach: arguments.attach,
+    };
     let words = (
         "stopping; what is sealed stays sealed",
         "stopped early; sealed records are stored, repeat the command to go on",

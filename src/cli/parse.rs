@@ -1,9 +1,7 @@
 //! Parses arguments into the model's types, with errors of kind `Input`.
 
-use std::fmt::Display;
+use std::{fmt::Display, str::FromStr, time::Duration};
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
-use std::time::Duration;
 
 use crate::model::{SignerId, Timestamp, bytes::unhex, clean, positive_span};
 use crate::service::{Failure, UploadQuery, failure::input};

@@ -1,8 +1,7 @@
 //! Passphrases for headless use: from a file, a descriptor, or the file stored beside the keyring. Never from argv or
 //! the environment.
 
-use std::io::Read as _;
-use std::path::Path;
+use std::{io::Read as _, path::Path};
 
 use crate::{paths::Home, term};
 use crate::crypto::{Passphrase, private_file};
@@ -115,7 +114,8 @@ pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Fai
 }
 
 /// Deletes a new passphrase whose keys were not made; an older one may open a restored keyring.
-pub fn forget_unused(is_new: bool, home: &Home, profile: &ProfileName) {
+pub fn forget_unused(is_new: bool, context: &Context) {
+    let (home, profile) = (&context.home, &context.profile);
     if is_new && !home.keyring(profile).exists() {
         // Nothing is lost if it stays.
         drop(std::fs::remove_file(home.passphrase(profile)));
@@ -123,13 +123,9 @@ pub fn forget_unused(is_new: bool, home: &Home, profile: &ProfileName) {
 }
 
 /// Stores a new random one beside the keyring if none is given; `true` if it is new.
-pub fn given_or_new(
-    global: &Global,
-    home: &Home,
-    profile: &ProfileName,
-    output: &Output,
-) -> Result<(SecretText, bool), Failure> {
-    if let Some(secret) = given(global, home, profile)? {
+pub fn given_or_new(context: &Context, output: &Output) -> Result<(SecretText, bool), Failure> {
+    let (home, profile) = (&context.home, &context.profile);
+    if let Some(secret) = given(&context.global, home, profile)? {
         return Ok((secret, false));
     }
     let passphrase = Passphrase::random()?;

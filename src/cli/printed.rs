@@ -1,11 +1,7 @@
 //! Output that needs no home (defaults, completions, the manual page), the console's options, and progress of long
 //! work.
 
-use std::convert::Infallible;
-use std::fmt::Write as _;
-use std::future::Future;
-use std::path::Path;
-use std::time::Duration;
+use std::{convert::Infallible, fmt::Write as _, future::Future, path::Path, time::Duration};
 
 use authros_output::Output;
 use clap::CommandFactory;

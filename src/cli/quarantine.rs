@@ -19,11 +19,9 @@ pub struct PinArguments {
     pub publishers: Vec<String>,
 }
 
-impl PinArguments {
-    pub fn question(&self) -> Result<Question, Failure> {
-        let publishers: Vec<Publisher> = parse::values(&self.publishers)?;
-        Ok(PinTopic { topic: parse::value(&self.topic)?, publishers }.into())
-    }
+pub fn pin(arguments: &PinArguments) -> Result<Question, Failure> {
+    let publishers: Vec<Publisher> = parse::values(&arguments.publishers)?;
+    Ok(PinTopic { topic: parse::value(&arguments.topic)?, publishers }.into())
 }
 
 /// Which messages of the quarantine.
@@ -38,10 +36,8 @@ pub struct HeldArguments {
     pub topic: Option<String>,
 }
 
-impl HeldArguments {
-    fn held(self) -> Result<Held, Failure> {
-        Ok(Held { topic: parse::optional(self.topic.as_deref())?, ids: self.ids })
-    }
+fn held_by(arguments: HeldArguments) -> Result<Held, Failure> {
+    Ok(Held { topic: parse::optional(arguments.topic.as_deref())?, ids: arguments.ids })
 }
 
 /// `quarantine …`
@@ -78,8 +74,8 @@ pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
         QuarantineVerb::List { topic, limit } => {
             ListQuarantine { topic: parse::optional(topic.as_deref())?, limit }.into()
         }
-        QuarantineVerb::Release { held } => ReleaseHeld { held: held.held()? }.into(),
-        QuarantineVerb::Discard { held, yes: true } => DiscardHeld { held: held.held()? }.into(),
+        QuarantineVerb::Release { held } => ReleaseHeld { held: held_by(held)? }.into(),
+        QuarantineVerb::Discard { held, yes: true } => DiscardHeld { held: held_by(held)? }.into(),
         QuarantineVerb::Discard { .. } => {
             return Err(Failure::new(ErrorKind::Usage, "a discarded message cannot be restored; add --yes to confirm"));
         }

@@ -1,7 +1,6 @@
 //! `verify --recording`: a recorded file beside the bundle that states its digests.
 
-use std::fs::File;
-use std::path::Path;
+use std::{fs::File, path::Path};
 
 use serde::Serialize;
 

@@ -76,13 +76,6 @@ pub struct ExportArguments {
     pub unanchored: bool,
 }
 
-impl ImportArguments {
-    fn wishes(&self) -> Result<command::ImportWishes, Failure> {
-        let (topics, tags) = (parse::values(&self.topics)?, parse::tags(&self.tags)?);
-        Ok(command::ImportWishes { path: absolute(&self.file)?, topics, tags, again: self.again })
-    }
-}
-
 impl ExportArguments {
     fn wishes(&self) -> Result<command::ExportWishes, Failure> {
         let (path, format) = match (&self.bag, &self.mcap, &self.rosbag2) {
@@ -108,7 +101,9 @@ impl ExportArguments {
 }
 
 pub async fn import(context: Context, arguments: ImportArguments, output: &Output) -> Result<u8, Failure> {
-    let view = run(context, command::ImportRecording(arguments.wishes()?), ProfileNeed::Made, output).await?;
+    let (topics, tags) = (parse::values(&arguments.topics)?, parse::tags(&arguments.tags)?);
+    let wishes = command::ImportWishes { path: absolute(&arguments.file)?, topics, tags, again: arguments.again };
+    let view = run(context, command::ImportRecording(wishes), ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
 }

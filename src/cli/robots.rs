@@ -1,7 +1,6 @@
 //! `robots` and `devices`: what is asked of enrolled robots, their policies, and the devices on loan.
 
-use std::collections::BTreeMap;
-use std::io::Read as _;
+use std::{collections::BTreeMap, io::Read as _};
 use std::path::{Path, PathBuf};
 
 use authros_output::{Output, table};
@@ -290,11 +289,9 @@ pub struct PolicyArguments {
     pub duration: String,
 }
 
-impl PolicyArguments {
-    pub fn question(&self) -> Result<Question, Failure> {
-        let milliseconds = u64::try_from(parse::duration(&self.duration)?.as_millis()).unwrap_or(u64::MAX);
-        Ok(if self.learn { command::LearnPolicy { milliseconds }.into() } else { command::ShowPolicy.into() })
-    }
+pub fn policy(arguments: &PolicyArguments) -> Result<Question, Failure> {
+    let milliseconds = u64::try_from(parse::duration(&arguments.duration)?.as_millis()).unwrap_or(u64::MAX);
+    Ok(if arguments.learn { command::LearnPolicy { milliseconds }.into() } else { command::ShowPolicy.into() })
 }
 
 pub fn show(view: &PolicyView, output: &Output) {

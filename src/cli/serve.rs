@@ -16,8 +16,7 @@ use authros_output::Output;
 use clap::Args;
 use serde_json::Value;
 use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::broadcast;
-use tokio::task::JoinHandle;
+use tokio::{sync::broadcast, task::JoinHandle};
 
 use crate::{model::ErrorKind, store::files};
 use crate::service::{Client, Event, Failure, Needs, event::NoticeLevel, failure::internal, is_bound};

@@ -1,9 +1,6 @@
 //! Answers of the site, printed for people or as JSON; files written if a verb requested some.
 
-use std::fs::OpenOptions;
-use std::io::Write as _;
-use std::os::unix::fs::OpenOptionsExt as _;
-use std::path::Path;
+use std::{fs::OpenOptions, io::Write as _, os::unix::fs::OpenOptionsExt as _, path::Path};
 
 use crate::{crypto::private_file, model::ErrorKind};
 use crate::service::{Client, Failure, failure::input, reply};

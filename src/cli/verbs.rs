@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use crate::model::ErrorKind;
 use crate::service::{Client, Command, Failure, Needs, accounts, command};
-use super::{check, follow, lists, parse, passphrase, playing, printed, reading, recordings, show::Question};
+use super::{check, coverage, follow, lists, parse, passphrase, playing, printed, reading, recordings, robots, show::Question};
 use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb};
 use super::connect::{Context, ProfileNeed};
 use super::quarantine::{QuarantineVerb, self};
@@ -73,12 +73,12 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u
 /// The passphrase is written once the site is there: without its keyring it opens nothing.
 pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Failure> {
     let create = async |client: &Client| {
-        let (passphrase, is_new) = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
+        let (passphrase, is_new) = passphrase::given_or_new(&context, output)?;
         Ok((Question::from(command::CreateIdentity { passphrase }).ask(client).await, is_new))
     };
     let (told, is_new) = context.with(NEITHER, ProfileNeed::None, output, create).await?;
     let printed = told.print(None, output);
-    printed.inspect_err(|_| passphrase::forget_unused(is_new, &context.home, &context.profile))
+    printed.inspect_err(|_| passphrase::forget_unused(is_new, &context))
 }
 
 pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
@@ -108,10 +108,10 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
             Plan::new(NEITHER, ProfileNeed::OpenAtSite, command::WatchTopic { topic: parse::value(&topic)?, type_name })
         }
         TopicsVerb::Unwatch { topic } => kept(command::UnwatchTopic { topic: parse::value(&topic)? }.into()),
-        TopicsVerb::Pin(pin) => kept(pin.question()?),
+        TopicsVerb::Pin(pin) => kept(quarantine::pin(&pin)?),
         TopicsVerb::Pins { topic } => kept(command::ListPins { topic: parse::optional(topic.as_deref())? }.into()),
-        TopicsVerb::Coverage(coverage) => kept(coverage.question()?.into()),
-        TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, policy.question()?),
+        TopicsVerb::Coverage(coverage) => kept(coverage::question(&coverage)?.into()),
+        TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, robots::policy(&policy)?),
         TopicsVerb::Unpin { topic, caller_id } => kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id }.into()),
     })
 }

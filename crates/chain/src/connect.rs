@@ -382,14 +382,9 @@ impl Chain {
         Ok(self.deploy_with(eoa, DEFAULT_DELAY, Policy::default()).await?.pin)
     }
 
-    pub async fn deploy_with(
-        &self,
-        eoa: &EoaSecret,
-        delay: Duration,
-        policy: Policy,
-    ) -> Result<Deployment, ChainError> {
+    pub async fn deploy_with(&self, eoa: &EoaSecret, wait: Duration, policy: Policy) -> Result<Deployment, ChainError> {
         let artefact = artefact()?;
-        let input = artefact.creation(true, delay.as_secs())?;
+        let input = artefact.creation(true, wait.as_secs())?;
         let nonce = self.nonce(eoa.address(), true).await?;
         let creation = Unsigned { nonce, input, ..Unsigned::default() };
         let (receipt, raised) = self.create(eoa, creation, policy).await?;

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use ethers::types::U256;
 use serde_json::json;
 
-use crate::{BlockRef, Call, Chain, ChainError, SignedTransaction, call::artefact, crypto::EoaSecret};
+use crate::{BlockRef, Call, Chain, ChainError, call::artefact, crypto::EoaSecret};
 use crate::model::{Address, Wei};
-use crate::transaction::{Transaction, Unsigned};
+use crate::transaction::{Signed, Transaction, Unsigned};
 
 /// Highest tip on top of the base fee, wei.
 const LARGEST_TIP: u128 = 1_000_000_000;
@@ -76,28 +76,15 @@ impl Chain {
         Ok(Shortfall { account, held: Wei(self.wealth(account).await?), needed })
     }
 
-    pub async fn sign_at(
-        &self,
-        eoa: &EoaSecret,
-        nonce: u64,
-        call: &Call,
-        price: u128,
-    ) -> Result<SignedTransaction, ChainError> {
+    pub async fn sign_at(&self, eoa: &EoaSecret, nonce: u64, call: &Call, price: u128) -> Signed {
         let contract = self.contract()?;
         let input = call.encode()?;
-        let gas_limit = self.gas_for(eoa.address(), contract, call, &input).await?;
+        let gas_limit = self.gas(eoa.address(), contract, call, &input).await?;
         let (to, value) = (Some(contract), alloy_primitives::U256::ZERO);
         Unsigned { nonce, gas_price: price, gas_limit, to, value, input }.sign(eoa, self.chain_id())
     }
 
-    pub fn sign_transfer(
-        &self,
-        eoa: &EoaSecret,
-        nonce: u64,
-        to: Address,
-        wei: u128,
-        price: u128,
-    ) -> Result<SignedTransaction, ChainError> {
+    pub fn sign_transfer(&self, eoa: &EoaSecret, nonce: u64, to: Address, wei: u128, price: u128) -> Signed {
         let (to, value) = (Some(to), alloy_primitives::U256::from(wei));
         let terms = Unsigned { nonce, gas_price: price, gas_limit: TRANSFER_GAS, to, value, input: Vec::new() };
         terms.sign(eoa, self.chain_id())
@@ -105,13 +92,7 @@ impl Chain {
 
     /// Signs the call again with another nonce or price, and with a new estimate of its gas: the old one may keep it
     /// out of blocks.
-    pub async fn resign(
-        &self,
-        eoa: &EoaSecret,
-        raw: &[u8],
-        nonce: u64,
-        price: u128,
-    ) -> Result<SignedTransaction, ChainError> {
+    pub async fn resign(&self, eoa: &EoaSecret, raw: &[u8], nonce: u64, price: u128) -> Signed {
         let terms = decode(raw)?;
         let gas_limit = match function_of(&terms.input) {
             Some(function) => {

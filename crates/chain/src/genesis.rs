@@ -1,8 +1,7 @@
 //! Genesis files for private networks: geth (clique, ethash) and Besu (qbft). Chain id and extra data are random, so no
 //! other network shares them by accident; the contract needs Istanbul and no later fork.
 
-use std::collections::HashSet;
-use std::str::FromStr;
+use std::{collections::HashSet, str::FromStr};
 
 use ethers::types::U256;
 use serde_json::{Value, json};

@@ -20,9 +20,7 @@ mod tests;
 mod transaction;
 mod transport;
 
-use std::fmt;
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::{fmt, path::PathBuf, sync::Arc};
 
 use authros_crypto as crypto;
 use authros_model as model;

@@ -78,18 +78,12 @@ impl Chain {
     }
 
     pub async fn simulate(&self, from: Address, call: &Call) -> Result<(), ChainError> {
-        self.eth_call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
+        self.call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
     }
 
-    pub(super) async fn eth_call(
-        &self,
-        from: Address,
-        to: Address,
-        data: &[u8],
-        block: &str,
-    ) -> Result<Vec<u8>, ChainError> {
+    pub(super) async fn call(&self, from: Address, to: Address, data: &[u8], at: &str) -> Result<Vec<u8>, ChainError> {
         let message = json!({ "from": from.to_string(), "to": to.to_string(), "data": format!("0x{}", hex(data)) });
-        let output: String = self.rpc("eth_call", json!([message, block])).await?;
+        let output: String = self.rpc("eth_call", json!([message, at])).await?;
         // Old geth returns a revert as a result.
         match decode_revert_hex(&output) {
             Some(code) if output.len() % 64 == 10 => Err(ChainError::Reverted { code }),
@@ -106,7 +100,7 @@ impl Chain {
     ) -> Result<T, ChainError> {
         let artefact = artefact()?;
         let data = artefact.encode(name, arguments)?;
-        let output = self.eth_call(from, self.contract()?, &data, "latest").await?;
+        let output = self.call(from, self.contract()?, &data, "latest").await?;
         let values = artefact.function(name)?.decode_output(&output);
         let values = values.map_err(|error| self.misunderstood(name, &error.to_string()))?;
         read(&mut Values::new(values)).ok_or_else(|| self.misunderstood(name, "a value has the wrong type"))
@@ -208,7 +202,7 @@ pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option
     let from = field("from")?.parse().ok()?;
     let to = field("to")?.parse().ok()?;
     let before = format!("{:#x}", block.saturating_sub(1));
-    match chain.eth_call(from, to, &unhex(&field("input")?)?, &before).await {
+    match chain.call(from, to, &unhex(&field("input")?)?, &before).await {
         Err(ChainError::Reverted { code }) => Some(code),
         _ => None,
     }

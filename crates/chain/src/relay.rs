@@ -3,8 +3,7 @@
 #[cfg(test)]
 mod rules_tests;
 
-use std::fmt;
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
 use serde_json::{Value, json};
 

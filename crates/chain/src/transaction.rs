@@ -1,7 +1,6 @@
 //! RLP, and transactions: one legacy (EIP-155) transaction per call, signed, encoded, decoded, sent.
 
-use std::ops::Deref;
-use std::sync::PoisonError;
+use std::{ops::Deref, sync::PoisonError};
 
 use alloy_primitives::{B256, Bytes, Signature, TxKind, U256, keccak256};
 use alloy_rlp::{Decodable, Encodable, Error};
@@ -110,6 +109,9 @@ impl Deref for Transaction {
     }
 }
 
+/// What signing gives.
+pub type Signed = Result<SignedTransaction, ChainError>;
+
 impl Unsigned {
     fn encode(&self, v: u128, r: U256, s: U256) -> Vec<u8> {
         let list = List::default().add(&self.nonce).add(&self.gas_price).add(&self.gas_limit);
@@ -121,7 +123,7 @@ impl Unsigned {
         keccak256(self.encode(chain_id.into(), U256::ZERO, U256::ZERO))
     }
 
-    pub fn sign(self, eoa: &EoaSecret, chain_id: u64) -> Result<SignedTransaction, ChainError> {
+    pub fn sign(self, eoa: &EoaSecret, chain_id: u64) -> Signed {
         let key = SigningKey::from_slice(eoa.expose());
         let signed = key.and_then(|key| key.sign_prehash_recoverable(&self.signing_hash(chain_id)[..]));
         let (signature, parity) = signed.map_err(|error| ChainError::Internal(format!("signing: {error}")))?;
@@ -190,18 +192,12 @@ impl Transaction {
 impl Chain {
     /// Signs a legacy transaction, unsent. Estimates of uploads and anchors are remembered per account until a
     /// transaction fails, so that many can be signed in advance.
-    pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
+    pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Signed {
         let price = self.market().await?.offer();
         self.sign_at(eoa, nonce, call, price).await
     }
 
-    pub(super) async fn gas_for(
-        &self,
-        from: Address,
-        to: Address,
-        call: &Call,
-        data: &[u8],
-    ) -> Result<u64, ChainError> {
+    pub(super) async fn gas(&self, from: Address, to: Address, call: &Call, data: &[u8]) -> Result<u64, ChainError> {
         let key = (from, call.name());
         let remembered = self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
         let estimate = match remembered {
@@ -228,7 +224,7 @@ impl Chain {
             Err(error @ ChainError::Rejected { .. }) => {
                 // Old nodes only say that it fails: simulating the call gives the reason.
                 match to {
-                    Some(to) => self.eth_call(from, to, data, "latest").await.and(Err(error)),
+                    Some(to) => self.call(from, to, data, "latest").await.and(Err(error)),
                     None => Err(error),
                 }
             }

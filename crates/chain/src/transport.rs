@@ -5,10 +5,7 @@ mod socket;
 #[cfg(test)]
 mod tests;
 
-use std::error::Error;
-use std::fmt;
-use std::path::Path;
-use std::time::Duration;
+use std::{error::Error, fmt, path::Path, time::Duration};
 
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
@@ -200,19 +197,14 @@ impl Transport {
         answered.unwrap_or(Err(TransportError::Slow(limits.patience)))
     }
 
-    async fn ask<R: DeserializeOwned>(
-        &self,
-        method: &str,
-        parameters: Value,
-        limits: Limits,
-    ) -> Result<R, TransportError> {
+    async fn ask<R: DeserializeOwned>(&self, method: &str, params: Value, limits: Limits) -> Result<R, TransportError> {
         match &self.line {
-            Line::Embedded(embedded) => shaped(embedded.request(method, parameters).await?),
-            Line::Relay(relay) => shaped(relay.0.ask(method, parameters).await?),
+            Line::Embedded(embedded) => shaped(embedded.request(method, params).await?),
+            Line::Relay(relay) => shaped(relay.0.ask(method, params).await?),
             Line::Absent(error) => Err(TransportError::Chain(error.clone())),
-            Line::Http(http) => http.ask(request(method, &parameters), limits).await,
-            Line::WebSocket(kept) => read(&kept.ask(&request(method, &parameters), limits).await?),
-            Line::Local(kept) => read(&kept.ask(&request(method, &parameters), limits).await?),
+            Line::Http(http) => http.ask(request(method, &params), limits).await,
+            Line::WebSocket(kept) => read(&kept.ask(&request(method, &params), limits).await?),
+            Line::Local(kept) => read(&kept.ask(&request(method, &params), limits).await?),
         }
     }
 }

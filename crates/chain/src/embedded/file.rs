@@ -1,12 +1,10 @@
 //! The file of the embedded chain: one SQLite database. A block is one transaction, on disk (WAL, synchronous=FULL)
 //! before it is announced; no other process can open the file meanwhile.
 
-use std::cell::RefCell;
-use std::collections::VecDeque;
+use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 use std::fs::{DirBuilder, OpenOptions};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use k256::ecdsa::SigningKey;

@@ -30,9 +30,8 @@ mod world;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::{sync::Arc, thread};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -122,12 +121,9 @@ impl Embedded {
         drop(self.line.closing.clone().changed().await);
     }
 
-    async fn with<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&mut Node) -> T + Send + 'static,
-    ) -> Result<T, ChainError> {
+    async fn run<T: Send + 'static>(&self, act: impl FnOnce(&mut Node) -> T + Send + 'static) -> Result<T, ChainError> {
         let (reply, answer) = oneshot::channel();
-        self.begin(move |node| drop(reply.send(work(node))))?;
+        self.begin(move |node| drop(reply.send(act(node))))?;
         answer.await.map_err(|_| gone())
     }
 
@@ -137,17 +133,17 @@ impl Embedded {
 
     pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         let method = method.to_owned();
-        let answer = self.with(move |node| rpc::answer(node, &method, parameters)).await;
+        let answer = self.run(move |node| rpc::answer(node, &method, parameters)).await;
         answer.map_err(|error| TransportError::refused(-32603, error.to_string()))?
     }
 
     /// All call data, storage and logs.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
-        self.with(|node| dump(node)).await?
+        self.run(|node| dump(node)).await?
     }
 
     pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
-        self.with(move |node| node.file.copy_to(&path)).await?
+        self.run(move |node| node.file.copy_to(&path)).await?
     }
 
     /// Runs every block again, alongside other requests; returns how many.

@@ -1,10 +1,7 @@
 //! Pool, assembling and sealing on one thread; a proof-of-work search runs beside it, for the assembled block only.
 
-use std::cell::RefCell;
+use std::{cell::RefCell, path::Path, rc::Rc, sync::Arc};
 use std::collections::{HashMap, VecDeque};
-use std::path::Path;
-use std::rc::Rc;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use alloy_primitives::logs_bloom;

@@ -2,10 +2,8 @@
 //! turns; under proof of work one sealer searches for a nonce. All keys are in the chain's file, so nobody ever steps
 //! in for another signer, and there are no votes.
 
-use std::sync::Arc;
+use std::{sync::Arc, thread::JoinHandle, time::Duration};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
-use std::time::Duration;
 
 use alloy_primitives::{U256, keccak256};
 use k256::ecdsa::SigningKey;
