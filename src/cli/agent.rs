@@ -1,17 +1,19 @@
 //! `authros agent`: `enrol` runs at the owner, `run` on the robot.
 
-use std::{future::pending, time::Duration};
 use std::path::{Path, PathBuf};
+use std::{future::pending, time::Duration};
 
 use serde::Serialize;
 
-use crate::{service::command::EnrolDevice, store::TopicCounts};
-use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
-use crate::model::{ByteSize, ErrorKind};
-use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site};
-use super::{parse, passphrase, serve, verbs::CHAIN};
 use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
+use super::{parse, passphrase, serve, verbs::CHAIN};
+use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
+use crate::model::{ByteSize, ErrorKind};
+use crate::service::{
+    Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site,
+};
+use crate::{service::command::EnrolDevice, store::TopicCounts};
 use authros_output::Output;
 
 pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {

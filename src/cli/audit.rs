@@ -2,10 +2,10 @@
 
 use clap::{Args, Subcommand};
 
-use crate::model::{ErrorKind, Timestamp};
-use crate::service::{Failure, command::AuditQuery};
-use crate::service::reply::{AuditCheck, AuditView};
 use super::parse;
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::reply::{AuditCheck, AuditView};
+use crate::service::{Failure, command::AuditQuery};
 use authros_output::table;
 
 /// `audit`

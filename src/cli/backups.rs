@@ -1,22 +1,22 @@
 //! Scheduled backups, the restore drill, and the hand-over from a console to `authros serve`.
 
-use std::{ffi::OsString, io::Write as _, os::unix::process::CommandExt as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::{ffi::OsString, io::Write as _, os::unix::process::CommandExt as _};
 
 use authros_output::Output;
 use clap::ValueEnum as _;
 
-use crate::{paths::Home, term};
-use crate::crypto::{Passphrase, UnlockedKeyring};
-use crate::crypto::unfinished::{UnfinishedFolder, self};
-use crate::model::{ErrorKind, ProfileName, Timestamp};
-use crate::service::{Client, Failure, SecretText, command::BackUp, failure::input, restoring};
-use super::{audit::AuditArguments, parse::absolute, passphrase, plans, printed, serve::OWN_PROGRAM};
 use super::args::{BackupArguments, Global};
 use super::check::{backed_up, backup_passphrase};
 use super::connect::{Context, ProfileNeed};
-use super::verbs::{NEITHER, self};
+use super::verbs::{self, NEITHER};
+use super::{audit::AuditArguments, parse::absolute, passphrase, plans, printed, serve::OWN_PROGRAM};
+use crate::crypto::unfinished::{self, UnfinishedFolder};
+use crate::crypto::{Passphrase, UnlockedKeyring};
+use crate::model::{ErrorKind, ProfileName, Timestamp};
+use crate::service::{Client, Failure, SecretText, command::BackUp, failure::input, restoring};
+use crate::{paths::Home, term};
 
 /// Prefix and suffix of backup files; the time is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");

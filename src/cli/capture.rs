@@ -3,12 +3,12 @@
 use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
+use super::connect::{Context, ProfileNeed};
+use super::{args::CaptureArguments, parse, printed::TAMPERED, serve::until_done};
 use crate::model::ErrorKind;
-use crate::service::{Client, Failure, Needs};
 use crate::service::command::{Capture, ChainStatus, SiteStatus, StopCapture};
 use crate::service::reply::{CaptureSummary, ChainView, HealthLevel, SiteView, TopicSummary};
-use super::{args::CaptureArguments, parse, printed::TAMPERED, serve::until_done};
-use super::connect::{Context, ProfileNeed};
+use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
 /// Time without a verified record after which the wait is explained.

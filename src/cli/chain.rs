@@ -6,13 +6,13 @@ use std::fs::{DirBuilder, OpenOptions};
 use std::io::{ErrorKind as IoKind, Write as _};
 use std::{net::SocketAddr, path::Path};
 
-use crate::chain::{GUIDE, Genesis, GenesisKind};
-use crate::model::ErrorKind;
-use crate::service::{Client, Failure, Needs, failure::input, reply::ServedView, command};
-use super::{parse, show::not_written};
 use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{CHAIN, Plan};
+use super::{parse, show::not_written};
+use crate::chain::{GUIDE, Genesis, GenesisKind};
+use crate::model::ErrorKind;
+use crate::service::{Client, Failure, Needs, command, failure::input, reply::ServedView};
 use authros_output::Output;
 
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
@@ -35,7 +35,10 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         }
         ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, command::ListSuccessions),
         ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
-            unlocked(command::Administration::Propose { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
+            unlocked(command::Administration::Propose {
+                lost: parse::value(&lost)?,
+                successor: parse::value(&successor)?,
+            })
         }
         ChainVerb::Succession(SuccessionVerb::Cancel { lost }) => {
             unlocked(command::Administration::Cancel { lost: parse::value(&lost)? })
@@ -43,10 +46,16 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
             unlocked(command::Administration::Complete { lost: parse::value(&lost)? })
         }
-        ChainVerb::Dismiss { account } => unlocked(command::Administration::Dismiss { account: parse::value(&account)? }),
+        ChainVerb::Dismiss { account } => {
+            unlocked(command::Administration::Dismiss { account: parse::value(&account)? })
+        }
         ChainVerb::Admit { account } => unlocked(command::Administration::Admit { account: parse::value(&account)? }),
-        ChainVerb::Suspend { account } => unlocked(command::Administration::Suspend { account: parse::value(&account)? }),
-        ChainVerb::Restore { account } => unlocked(command::Administration::Restore { account: parse::value(&account)? }),
+        ChainVerb::Suspend { account } => {
+            unlocked(command::Administration::Suspend { account: parse::value(&account)? })
+        }
+        ChainVerb::Restore { account } => {
+            unlocked(command::Administration::Restore { account: parse::value(&account)? })
+        }
         ChainVerb::Open => unlocked(command::Administration::Open { open: true }),
         ChainVerb::Close => unlocked(command::Administration::Open { open: false }),
         ChainVerb::Pause { length } => {
@@ -54,7 +63,9 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
             unlocked(command::Administration::Pause { paused: true, seconds })
         }
         ChainVerb::Resume => unlocked(command::Administration::Pause { paused: false, seconds: None }),
-        ChainVerb::HandOver { account } => unlocked(command::Administration::HandOver { account: parse::value(&account)? }),
+        ChainVerb::HandOver { account } => {
+            unlocked(command::Administration::HandOver { account: parse::value(&account)? })
+        }
         ChainVerb::Accept => unlocked(command::Administration::Accept),
     };
     super::verbs::run(Context::new(global, output)?, plan, output).await

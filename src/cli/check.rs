@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use crate::{model::ErrorKind, store::SiteLock};
-use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
+use super::{args::Global, connect::Context, parse, passphrase, show::Question};
 use crate::service::command::{ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
-use crate::service::verification::{FolderCheck, Known, self, verdict};
-use super::{args::Global, connect::Context, parse, passphrase, show::Question};
+use crate::service::verification::{self, FolderCheck, Known, verdict};
+use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
+use crate::{model::ErrorKind, store::SiteLock};
 use authros_output::{Output, table};
 
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {

@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use super::{args::Global, passphrase};
 use crate::config::{Config, Source};
 use crate::model::{ErrorKind, OperatorName, ProfileName};
 use crate::paths::{Home, PlaceError};
-use crate::service::{Client, Failure, Needs, Site, accounts::Account, looking};
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::failure::{input, refused};
-use crate::service::socket::{Greeting, self};
+use crate::service::socket::{self, Greeting};
+use crate::service::{Client, Failure, Needs, Site, accounts::Account, looking};
 use crate::store::{SiteLock, files};
-use super::{args::Global, passphrase};
 use authros_output::Output;
 
 /// Interval between attempts to become the site.

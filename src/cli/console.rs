@@ -5,14 +5,14 @@ use std::sync::{Arc, OnceLock};
 use tokio::runtime::Runtime;
 use tokio::sync::{broadcast, mpsc};
 
-use crate::{app::tour::Cast, crypto::Passphrase};
-use crate::model::{ContactName, ErrorKind, ProfileName, Timestamp};
-use crate::service::{Call, Client, Event, Failure, Needs, Site, client::site_gone, event::NoticeLevel};
-use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
-use crate::term::{ExitReason, self};
-use super::{backups::Successor, demo, passphrase, printed};
 use super::args::{ConsoleArguments, TourArguments};
 use super::connect::{Connection, Context};
+use super::{backups::Successor, demo, passphrase, printed};
+use crate::model::{ContactName, ErrorKind, ProfileName, Timestamp};
+use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
+use crate::service::{Call, Client, Event, Failure, Needs, Site, client::site_gone, event::NoticeLevel};
+use crate::term::{self, ExitReason};
+use crate::{app::tour::Cast, crypto::Passphrase};
 
 pub fn run(runtime: &Runtime, context: Context, console: ConsoleArguments, tour: Option<Cast>) -> Result<u8, Failure> {
     if !term::is_interactive() {

@@ -2,10 +2,10 @@
 
 use clap::Args;
 
-use crate::model::Timestamp;
-use crate::service::{Failure, command::TopicCoverage};
-use crate::service::reply::{CoveragePart, CoverageView};
 use super::parse;
+use crate::model::Timestamp;
+use crate::service::reply::{CoveragePart, CoverageView};
+use crate::service::{Failure, command::TopicCoverage};
 
 const MOST_LISTED: usize = 20;
 

@@ -3,20 +3,22 @@
 
 mod mission;
 
-use std::{collections::HashSet, path::Path};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use std::{collections::HashSet, path::Path};
 
 use authros_output::Output;
 use serde::Serialize;
 
 use self::mission::Mission;
-use crate::{config::Config, crypto::sm3::sm3, paths::Home, service::Failure, store::RecordRow};
-use crate::crypto::{Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal};
+use super::{args::DemoArguments, connect::Context};
+use crate::crypto::{
+    Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
+};
 use crate::model::{Digest, ErrorKind, Head, Signature, head::Compression};
 use crate::pipeline::{Network, Owner, Plant, reader::Reader};
 use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink, ros2::Ros2Capture};
-use super::{args::DemoArguments, connect::Context};
+use crate::{config::Config, crypto::sm3::sm3, paths::Home, service::Failure, store::RecordRow};
 
 /// Robots of ROS 2 without `--robots`.
 const USUAL_ROBOTS: u16 = 4;

@@ -1,18 +1,18 @@
 //! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
 
-use std::{collections::BTreeMap, io::Read as _};
 use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, io::Read as _};
 
 use clap::Subcommand;
 
+use super::connect::{Context, ProfileNeed};
+use super::{parse, recorded::Recording, verbs::CHAIN};
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;
-use crate::service::{Client, Failure, definition_of, failure::input};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
 use crate::service::reply::{EvidenceView, StampView};
-use super::{parse, recorded::Recording, verbs::CHAIN};
-use super::connect::{Context, ProfileNeed};
+use crate::service::{Client, Failure, definition_of, failure::input};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 

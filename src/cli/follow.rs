@@ -2,10 +2,10 @@
 
 use std::{collections::HashMap, time::Duration};
 
-use crate::model::Timestamp;
-use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery, command::Ask};
-use crate::service::reply::{RecordPage, RecordView, ShownState};
 use super::connect::{Context, ProfileNeed};
+use crate::model::Timestamp;
+use crate::service::reply::{RecordPage, RecordView, ShownState};
+use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery, command::Ask};
 use authros_output::Output;
 
 /// Records older than this, measured from the newest, are no longer followed; nanoseconds.

@@ -5,13 +5,13 @@ use std::{convert::Infallible, future::pending, path::PathBuf, time::Duration};
 use clap::Args;
 use tokio::sync::broadcast::Receiver;
 
+use super::connect::{Context, ProfileNeed};
+use super::parse::{self, absolute};
+use super::{printed, serve, serve::until_done, verbs::CHAIN};
 use crate::model::ErrorKind;
-use crate::service::{Client, Event, Failure, event::NoticeLevel};
 use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
 use crate::service::reply::{FollowView, FollowedFile};
-use super::{printed, serve, serve::until_done, verbs::CHAIN};
-use super::connect::{Context, ProfileNeed};
-use super::parse::{absolute, self};
+use crate::service::{Client, Event, Failure, event::NoticeLevel};
 use authros_output::{Output, table};
 
 /// Interval of progress lines: a recording may last for days.

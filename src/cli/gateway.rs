@@ -4,13 +4,13 @@
 
 use std::net::SocketAddr;
 
-use crate::model::clean;
-use crate::service::{Client, Failure, Needs};
-use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
-use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
-use super::{args::GatewayVerb, parse, show::Question};
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{NEITHER, Plan};
+use super::{args::GatewayVerb, parse, show::Question};
+use crate::model::clean;
+use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
+use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
+use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {

@@ -2,12 +2,12 @@
 
 use clap::Subcommand;
 
+use super::verbs::{CHAIN, NEITHER, Plan};
+use super::{connect::ProfileNeed, lists::or_dash, parse};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
 use crate::service::reply::{IncidentView, SpanCoverageView};
-use super::{connect::ProfileNeed, lists::or_dash, parse};
-use super::verbs::{CHAIN, NEITHER, Plan};
 use authros_output::table;
 
 /// `incident …`

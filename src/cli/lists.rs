@@ -1,11 +1,11 @@
 //! Results as text for people.
 
+use super::{connect::Context, parties};
 use crate::config::SettingView;
-use crate::service::{Failure, reply};
 use crate::crypto::{Fingerprint, read_public};
 use crate::model::{Address, ProfileName, Verdict};
 use crate::pipeline::{columns::Compared, sender::LaneState};
-use super::{connect::Context, parties};
+use crate::service::{Failure, reply};
 use authros_output::{Output, pairs, table};
 
 fn yes(value: bool) -> String {
@@ -199,7 +199,10 @@ pub fn grants(rows: &[reply::GrantRow]) -> String {
     let row = |row: &reply::GrantRow| {
         [
             row.direction.word().to_owned(),
-            parties::named(if row.direction == reply::Direction::Given { row.grantee } else { row.owner }, row.name.as_ref()),
+            parties::named(
+                if row.direction == reply::Direction::Given { row.grantee } else { row.owner },
+                row.name.as_ref(),
+            ),
             or_dash(row.fingerprint.as_ref()),
             row.state.word().to_owned(),
             if row.earlier == Some(true) { format!("{} and earlier", row.epoch) } else { row.epoch.to_string() },

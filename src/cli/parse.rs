@@ -1,13 +1,13 @@
 //! Parses arguments into the model's types, with errors of kind `Input`.
 
-use std::{fmt::Display, str::FromStr, time::Duration};
 use std::path::{Path, PathBuf};
+use std::{fmt::Display, str::FromStr, time::Duration};
 
-use crate::model::{SignerId, Timestamp, bytes::unhex, clean, positive_span};
-use crate::service::{Failure, UploadQuery, failure::input};
-use crate::service::command::{Term, filter};
 use super::args::ListArguments;
+use crate::model::{SignerId, Timestamp, bytes::unhex, clean, positive_span};
 pub use crate::service::command::filter::{moment, tag};
+use crate::service::command::{Term, filter};
+use crate::service::{Failure, UploadQuery, failure::input};
 
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| input(error.to_string()))

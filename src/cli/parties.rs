@@ -2,11 +2,11 @@
 
 use clap::Subcommand;
 
+use super::{lists::or_dash, parse, show::Question};
 use crate::model::{Address, ErrorKind};
 use crate::service::Failure;
 use crate::service::command::{AddContact, ConfirmContact, ListContacts, RemoveContact};
 use crate::service::reply::{AdministrationView, CompareView, ContactRow, ProposalView, SuccessionView};
-use super::{lists::or_dash, parse, show::Question};
 use authros_output::table;
 
 /// `contacts …`

@@ -3,14 +3,14 @@
 
 use std::{io::Read as _, path::Path};
 
-use crate::{paths::Home, term};
+use super::args::Global;
+use super::connect::{Context, ProfileNeed};
+use super::verbs::{NEITHER, Plan};
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::service::{Failure, SecretText, command::ChangePassphrase, failure::input};
 use crate::store::{atomic_write, files};
-use super::args::Global;
-use super::connect::{Context, ProfileNeed};
-use super::verbs::{NEITHER, Plan};
+use crate::{paths::Home, term};
 use authros_output::Output;
 
 /// The longest passphrase read, bytes.

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use crate::model::ErrorKind;
-use crate::service::{Epochs, Failure, KeyKind, SecretText, command};
-use super::{parse, passphrase, show::Question};
 use super::args::{EpochsChoice, ExportKind, GrantArguments, KeysVerb};
 use super::audit::{AuditArguments, AuditVerb};
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{CHAIN, NEITHER, Plan};
+use super::{parse, passphrase, show::Question};
+use crate::model::ErrorKind;
+use crate::service::{Epochs, Failure, KeyKind, SecretText, command};
 
 pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
     let Some(verb) = &arguments.verb else {
@@ -53,11 +53,15 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         KeysVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, command::ListKeys),
         KeysVerb::Rotate { envelope: false, .. } => Plan::new(CHAIN, ProfileNeed::Unlocked, command::RotateKeys),
-        KeysVerb::Rotate { dry_run, .. } => changes(ProfileNeed::Unlocked, command::PairKind::Envelope, dry_run, command::RotateEnvelope),
+        KeysVerb::Rotate { dry_run, .. } => {
+            changes(ProfileNeed::Unlocked, command::PairKind::Envelope, dry_run, command::RotateEnvelope)
+        }
         KeysVerb::Passphrase { new_passphrase_file, new_passphrase_fd } => {
             return super::passphrase::change(context, new_passphrase_file.as_deref(), new_passphrase_fd);
         }
-        KeysVerb::Backup { out } => Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::None, command::BackUpKeys) },
+        KeysVerb::Backup { out } => {
+            Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::None, command::BackUpKeys) }
+        }
         KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file, dry_run } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
@@ -67,7 +71,8 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
                 // The report is about this key, so it must be one.
                 crate::crypto::keyfile::load_sm2(&path)?;
             }
-            let ask = command::LoadKey { kind, path: parse::absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
+            let ask =
+                command::LoadKey { kind, path: parse::absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
             match kind {
                 KeyKind::Sm2 => changes(ProfileNeed::Made, command::PairKind::Signing, dry_run, ask),
                 KeyKind::Sm4 | KeyKind::Eoa => Plan::new(CHAIN, ProfileNeed::Made, ask),
@@ -80,7 +85,10 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
                 ExportKind::Eoa => KeyKind::Eoa,
             };
             let passphrase: Option<SecretText> = secret(keystore_passphrase_file)?;
-            Plan { out: Some(out), ..Plan::new(NEITHER, ProfileNeed::Unlocked, command::ExportKey { kind, passphrase }) }
+            Plan {
+                out: Some(out),
+                ..Plan::new(NEITHER, ProfileNeed::Unlocked, command::ExportKey { kind, passphrase })
+            }
         }
     })
 }

@@ -4,12 +4,12 @@ use std::future::pending;
 
 use clap::Args;
 
+use super::connect::{Context, ProfileNeed};
+use super::{parse, serve::until_done};
 use crate::model::ErrorKind;
-use crate::service::{Client, Failure, Needs};
 use crate::service::command::{Pace, Play, PlayWishes, StopPlay};
 use crate::service::reply::{PlayEnd, PlayedView};
-use super::{parse, serve::until_done};
-use super::connect::{Context, ProfileNeed};
+use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
 /// `shared play …`

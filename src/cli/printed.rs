@@ -6,14 +6,14 @@ use std::{convert::Infallible, fmt::Write as _, future::Future, path::Path, time
 use authros_output::Output;
 use clap::CommandFactory;
 
-use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
+use super::args::{Arguments, ConsoleArguments, PrintArguments};
+use super::{complete, connect::Context, passphrase, twins::TWINS};
 use crate::app::{Keymap, Settings, keymap};
 use crate::model::{ErrorKind, Timestamp, clean};
-use crate::service::{Client, Failure};
 use crate::service::command::{Command, RecordingProgress};
+use crate::service::{Client, Failure};
 use crate::ui::{Themes, theme};
-use super::{complete, connect::Context, passphrase, twins::TWINS};
-use super::args::{Arguments, ConsoleArguments, PrintArguments};
+use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
 
 pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {

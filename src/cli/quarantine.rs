@@ -2,11 +2,11 @@
 
 use clap::{Args, Subcommand};
 
+use super::{lists, parse, show::Question};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
 use crate::service::reply::{PinsView, QuarantineView};
-use super::{lists, parse, show::Question};
 use authros_output::table;
 
 /// `topics pin …`

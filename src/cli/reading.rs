@@ -5,14 +5,14 @@ use std::path::PathBuf;
 
 use authros_output::table;
 
-use crate::{paths::Home, service::Failure};
+use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
+use super::verbs::{CHAIN, Plan};
+use super::{connect::ProfileNeed, parties::ContactsVerb, show::Question};
 use crate::model::{ErrorKind, RecordState};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};
 use crate::service::reply::{OpenedView, PathView};
-use super::{connect::ProfileNeed, parties::ContactsVerb, show::Question};
-use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
-use super::verbs::{CHAIN, Plan};
+use crate::{paths::Home, service::Failure};
 
 pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure> {
     // An operator works at somebody else's home.

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use crate::{crypto::private_file, model::ErrorKind, paths::Home, store::files};
-use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::{Client, Failure, command};
-use crate::service::reply::{ExportView, ExportedTopic, ImportView};
-use super::{serve::until_done, verbs::CHAIN};
 use super::connect::{Context, ProfileNeed};
-use super::parse::{absolute, self};
-use super::printed::{LOOK, self};
+use super::parse::{self, absolute};
+use super::printed::{self, LOOK};
+use super::{serve::until_done, verbs::CHAIN};
+use crate::ros::recording::{ChunkCompression, RecordingFormat};
+use crate::service::reply::{ExportView, ExportedTopic, ImportView};
+use crate::service::{Client, Failure, command};
+use crate::{crypto::private_file, model::ErrorKind, paths::Home, store::files};
 use authros_output::{Output, table};
 
 /// The longest keyring copied, bytes.
@@ -147,7 +147,12 @@ pub async fn export(context: Context, arguments: ExportArguments, output: &Outpu
     Ok(export_code(&view, output))
 }
 
-async fn run<A: command::Ask>(context: Context, ask: A, need: ProfileNeed, output: &Output) -> Result<A::Answer, Failure> {
+async fn run<A: command::Ask>(
+    context: Context,
+    ask: A,
+    need: ProfileNeed,
+    output: &Output,
+) -> Result<A::Answer, Failure> {
     let words = (
         "stopping; sealed records are verified first",
         "stopped early; sealed records are stored, repeat the command to continue",

@@ -5,12 +5,12 @@ use std::path::Path;
 
 use clap::Subcommand;
 
-use crate::{crypto::Sm3Hasher, ros::recording::content_of};
-use crate::model::{ByteSize, Digest, ErrorKind, clean};
-use crate::service::{Client, Failure, failure::input, reply::ErasureView};
-use crate::service::command::{EraseRecords, ErasureWishes};
-use super::{incidents::moment, parse, verbs::CHAIN};
 use super::connect::{Context, ProfileNeed};
+use super::{incidents::moment, parse, verbs::CHAIN};
+use crate::model::{ByteSize, Digest, ErrorKind, clean};
+use crate::service::command::{EraseRecords, ErasureWishes};
+use crate::service::{Client, Failure, failure::input, reply::ErasureView};
+use crate::{crypto::Sm3Hasher, ros::recording::content_of};
 use authros_output::Output;
 
 const WORD: &str = "erase";

@@ -1,18 +1,18 @@
 //! `robots` and `devices`: what is asked of enrolled robots, their policies, and the devices on loan.
 
-use std::{collections::BTreeMap, io::Read as _};
 use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, io::Read as _};
 
 use authros_output::{Output, table};
 use clap::{Args, Subcommand};
 
-use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
-use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
-use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};
-use crate::service::{Failure, failure::input, command};
-use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
-use super::{connect::ProfileNeed, incidents::moment, lists::or_dash, parse, show::Question};
 use super::verbs::{CHAIN, Plan};
+use super::{connect::ProfileNeed, incidents::moment, lists::or_dash, parse, show::Question};
+use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
+use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
+use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};
+use crate::service::reply::{DeviceRow, PolicyRow, PolicyView, RingPullView, RobotRow, RobotTopicRow, RobotView};
+use crate::service::{Failure, command, failure::input};
 
 /// `robots …`
 #[derive(Debug, Subcommand)]
@@ -68,7 +68,9 @@ pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
         }
         .into(),
         RobotsVerb::List => command::ListRobots.into(),
-        RobotsVerb::Policy { robot, clear: true, .. } => command::SetRobotPolicy { name: robot, text: String::new() }.into(),
+        RobotsVerb::Policy { robot, clear: true, .. } => {
+            command::SetRobotPolicy { name: robot, text: String::new() }.into()
+        }
         RobotsVerb::Policy { robot, set: Some(file), .. } => {
             command::SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
         }
@@ -219,7 +221,8 @@ pub enum AddressesVerb {
 pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
-            command::LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }.into()
+            command::LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }
+                .into()
         }
         DevicesVerb::Recall { device } => command::RecallDevice { device: device.clone() }.into(),
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {

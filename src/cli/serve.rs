@@ -18,10 +18,10 @@ use serde_json::Value;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::{sync::broadcast, task::JoinHandle};
 
-use crate::{model::ErrorKind, store::files};
-use crate::service::{Client, Event, Failure, Needs, event::NoticeLevel, failure::internal, is_bound};
-use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
 use super::connect::{Connection, Context, ProfileNeed};
+use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
+use crate::service::{Client, Event, Failure, Needs, event::NoticeLevel, failure::internal, is_bound};
+use crate::{model::ErrorKind, store::files};
 
 /// `serve …`
 #[derive(Debug, Args)]

@@ -2,10 +2,10 @@
 
 use std::{fs::OpenOptions, io::Write as _, os::unix::fs::OpenOptionsExt as _, path::Path};
 
-use crate::{crypto::private_file, model::ErrorKind};
-use crate::service::{Client, Failure, failure::input, reply};
-use crate::service::command::{Ask, Command, SecretBytes};
 use super::{audit, check, coverage, gateway, incidents, lists, parties, quarantine, reading, robots, status};
+use crate::service::command::{Ask, Command, SecretBytes};
+use crate::service::{Client, Failure, failure::input, reply};
+use crate::{crypto::private_file, model::ErrorKind};
 use authros_output::Output;
 
 pub trait Printed: reply::Answer {

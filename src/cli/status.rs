@@ -8,11 +8,11 @@ use std::time::Duration;
 use authros_output::{Output, table};
 use clap::Subcommand;
 
-use crate::model::{ErrorKind, Timestamp};
-use crate::service::{Failure, doctor, failure::input, reply};
-use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{NEITHER, Plan};
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
+use crate::service::{Failure, doctor, failure::input, reply};
 
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;

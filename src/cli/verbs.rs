@@ -4,12 +4,14 @@
 
 use std::path::PathBuf;
 
-use crate::model::ErrorKind;
-use crate::service::{Client, Command, Failure, Needs, accounts, command};
-use super::{check, coverage, follow, lists, parse, passphrase, playing, printed, reading, recordings, robots, show::Question};
 use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, UploadsVerb};
 use super::connect::{Context, ProfileNeed};
-use super::quarantine::{QuarantineVerb, self};
+use super::quarantine::{self, QuarantineVerb};
+use super::{
+    check, coverage, follow, lists, parse, passphrase, playing, printed, reading, recordings, robots, show::Question,
+};
+use crate::model::ErrorKind;
+use crate::service::{Client, Command, Failure, Needs, accounts, command};
 use authros_output::Output;
 
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
@@ -85,7 +87,9 @@ pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
     use ProfileNeed::{None as NoProfile, Unlocked};
     Ok(match verb {
         // `run` handles creation and lists.
-        IdentityVerb::Create | IdentityVerb::Show | IdentityVerb::List => Plan::new(CHAIN, NoProfile, command::ShowIdentity),
+        IdentityVerb::Create | IdentityVerb::Show | IdentityVerb::List => {
+            Plan::new(CHAIN, NoProfile, command::ShowIdentity)
+        }
         IdentityVerb::Compare { fingerprint, account } => {
             let needs = if account.is_some() { CHAIN } else { NEITHER };
             let account = parse::optional(account.as_deref())?;
@@ -112,7 +116,9 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
         TopicsVerb::Pins { topic } => kept(command::ListPins { topic: parse::optional(topic.as_deref())? }.into()),
         TopicsVerb::Coverage(coverage) => kept(coverage::question(&coverage)?.into()),
         TopicsVerb::Policy(policy) => Plan::new(ROS, ProfileNeed::None, robots::policy(&policy)?),
-        TopicsVerb::Unpin { topic, caller_id } => kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id }.into()),
+        TopicsVerb::Unpin { topic, caller_id } => {
+            kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id }.into())
+        }
     })
 }
 

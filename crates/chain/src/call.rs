@@ -7,8 +7,8 @@ use ethers::types::{H160, U256};
 use ethers::utils::keccak256;
 use serde::Deserialize;
 
-use crate::{ChainError, model::grant::MOST_TOPICS};
 use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId, bytes::unhex};
+use crate::{ChainError, model::grant::MOST_TOPICS};
 
 /// The most grantees in one [`Call::Wrap`] (contract limit).
 pub const MOST_WRAPS: usize = 32;
@@ -29,31 +29,43 @@ pub enum Call {
     AuthorityGrant { grantee: Address, epoch: u64, expiry: Option<Timestamp>, scope: Scope, envelope: Vec<u8> },
     /// Gives grantees the envelopes of another epoch, at most [`MOST_WRAPS`].
     Wrap { epoch: u64, envelopes: Vec<(Address, Vec<u8>)> },
+    /// Ends a grant and the epoch.
     AuthorityRevoke { grantee: Address, new_token: Token, envelope: Vec<u8> },
+    /// Ends the epoch.
     Rotate { new_token: Token, envelope: Vec<u8> },
     /// `previous` is the sender's last root, zero for the first.
     Anchor { root: Hash, count: u64, previous: Hash },
     /// `device` is the SM3 of its public key; `until` is in whole seconds.
     Lend { device: SignerId, until: Option<Timestamp> },
+    /// Ends a device's loan.
     Recall { device: SignerId },
     /// Administrator: lets an account register while registration is closed.
     Admit { account: Address },
+    /// Administrator.
     Dismiss { account: Address },
+    /// Administrator: opens or closes registration.
     SetOpen { open: bool },
+    /// Administrator: suspends an account's changes.
     Suspend { account: Address },
+    /// Administrator: ends a suspension.
     Restore { account: Address },
     /// Administrator: pauses all changes except those that take rights away, at most [`super::LONGEST_PAUSE`] ahead.
     Pause { until: Timestamp },
+    /// Administrator: ends the pause.
     Resume,
+    /// Administrator.
     ProposeSuccession { lost: Address, successor: Address },
     /// Recovery account or administrator.
     CancelSuccession { lost: Address },
     /// Anyone, once the delay is over.
     CompleteSuccession { lost: Address },
+    /// `None` = nobody may stop a succession of the sender.
     NameRecovery { recovery: Option<Address> },
+    /// Whole seconds; `None` = no end.
     Extend { grantee: Address, expiry: Option<Timestamp> },
     /// The zero address withdraws the nomination.
     Nominate { account: Address },
+    /// By the nominee.
     AcceptAdministrator,
 }
 

@@ -10,12 +10,14 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, Policy, Priced, STARVING, Shortfall, Wait, embedded, fees};
 use crate::call::artefact;
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Domain, Hash, Wei, bytes::unhex, clean};
 use crate::transaction::{RawReceipt, Unsigned, created_address};
 use crate::transport::Transport;
+use crate::{
+    BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, Policy, Priced, STARVING, Shortfall, Wait, embedded, fees,
+};
 
 pub(super) const POLL: Duration = Duration::from_millis(200);
 

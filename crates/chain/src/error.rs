@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
-use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
 use super::{Shortfall, transport::JsonRpcError};
+use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
 
 /// Advice where the pinned chain does not come back.
 pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --home NEW uploads import OLD`";

@@ -8,41 +8,59 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
 
-use crate::{BlockRef, Chain, ChainError, EventAt, connect::RawBlock, reader::RawLog};
 use crate::call::{Values, artefact};
 use crate::model::{Address, Digest, GrantTerms, Hash, Identity, SignerId, Timestamp, Token, bytes::unhex};
+use crate::{BlockRef, Chain, ChainError, EventAt, connect::RawBlock, reader::RawLog};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Event {
+    /// At epoch 1.
     Registered { owner: Address, identity: Identity, epoch: u64 },
     /// `keys` is their version, from 1.
     KeysRotated { owner: Address, keys: u64, identity: Identity, envelope: Vec<u8> },
+    /// `None` = no end.
     Extended { owner: Address, grantee: Address, expiry: Option<Timestamp> },
     /// From `from` on, `recovery` may stop a succession.
     RecoveryNamed { owner: Address, recovery: Option<Address>, from: Timestamp },
     /// `number` counts the owner's; `timestamp` is the owner's claim, `None` if it is not 8 bytes.
     DataUploaded { owner: Address, digest: Digest, token: Token, epoch: u64, number: u64, timestamp: Option<Timestamp> },
+    /// A grant began.
     Granted { terms: GrantTerms, envelope: Vec<u8> },
+    /// The envelope of another epoch.
     Wrapped { owner: Address, grantee: Address, epoch: u64, envelope: Vec<u8> },
     /// `epoch` and `token` are the owner's new ones.
     Revoked { owner: Address, grantee: Address, epoch: u64, token: Token },
     /// `epoch` and `token` are the owner's new ones.
     Rotated { owner: Address, epoch: u64, token: Token },
+    /// Over `count` digests.
     Anchored { account: Address, root: Hash, count: u64, previous: Hash },
+    /// The device may sign for the owner.
     Lent { owner: Address, device: SignerId, until: Option<Timestamp> },
+    /// The device may no longer sign.
     Recalled { owner: Address, device: SignerId },
+    /// May register.
     Admitted { account: Address },
+    /// May no longer register.
     Dismissed { account: Address },
+    /// Registration.
     OpenChanged { open: bool },
+    /// By the administrator.
     Suspended { account: Address },
+    /// The suspension ended.
     Restored { account: Address },
     /// A time in the past means that changes resumed.
     PausedUntil { until: Timestamp },
+    /// `recovery` may stop it until `due`.
     SuccessionProposed { lost: Address, successor: Address, recovery: Option<Address>, due: Timestamp },
+    /// Stopped or withdrawn.
     SuccessionCancelled { lost: Address, by: Address },
+    /// Of successions.
     DelayFixed { seconds: u64 },
+    /// The successor continues for the lost account.
     Succeeded { lost: Address, successor: Address },
+    /// May take over.
     AdministratorNominated { nominee: Address },
+    /// The nominee took over.
     AdministratorChanged { previous: Address, administrator: Address },
 }
 

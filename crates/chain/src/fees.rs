@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use ethers::types::U256;
 use serde_json::json;
 
-use crate::{BlockRef, Call, Chain, ChainError, call::artefact, crypto::EoaSecret};
 use crate::model::{Address, Wei};
 use crate::transaction::{Signed, Transaction, Unsigned};
+use crate::{BlockRef, Call, Chain, ChainError, call::artefact, crypto::EoaSecret};
 
 /// Highest tip on top of the base fee, wei.
 const LARGEST_TIP: u128 = 1_000_000_000;

@@ -7,10 +7,10 @@ use std::{fmt, sync::Arc};
 
 use serde_json::{Value, json};
 
-use crate::{Chain, Pin, call::Call, transaction::Transaction};
+pub use crate::model::relay::{LONGEST_RAW, Relay, RelayError, check, weight};
 use crate::model::{Address, Identity, bytes::unhex, clean};
 use crate::transport::{JsonRpcError, TransportError};
-pub use crate::model::relay::{LONGEST_RAW, Relay, RelayError, check, weight};
+use crate::{Chain, Pin, call::Call, transaction::Transaction};
 
 /// Longest error text passed on, characters.
 const LONGEST_WORDS: usize = 400;
@@ -101,7 +101,10 @@ pub enum Passed {
     Read(Value),
     /// Logs of blocks that have none.
     NoLogs,
-    Estimate { from: Option<Address>, registers: Option<Box<Identity>> },
+    Estimate {
+        from: Option<Address>,
+        registers: Option<Box<Identity>>,
+    },
     Transaction {
         sender: Address,
         registers: Option<Box<Identity>>,

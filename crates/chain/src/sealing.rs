@@ -5,8 +5,8 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::{Chain, ChainError, Consensus, connect::RawBlock};
 use crate::model::{Address, bytes::unhex};
+use crate::{Chain, ChainError, Consensus, connect::RawBlock};
 use authros_evidence::validators_in;
 
 /// Intervals between the newest blocks that are measured.

@@ -2,8 +2,8 @@
 
 use serde_json::{Value, json};
 
-use crate::{Chain, ChainError, transaction::List};
 use crate::model::{Address, Hash, bytes::unhex};
+use crate::{Chain, ChainError, transaction::List};
 use authros_evidence::{BlockHeader, Slot};
 
 /// Slots per request; nodes limit it.

@@ -9,9 +9,9 @@ use k256::ecdsa::SigningKey;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, crypto::EoaSecret, error::explain, fees};
 use crate::model::{Address, Hash, bytes::hex};
 use crate::reader::{RawLog, reason};
+use crate::{Call, Chain, ChainError, Receipt, SignedTransaction, crypto::EoaSecret, error::explain, fees};
 
 #[derive(Default)]
 pub struct List(Vec<u8>);

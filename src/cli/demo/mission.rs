@@ -4,16 +4,16 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use crate::{cli::demo, store::RecordQuery};
+use super::{Genuine, Listener, Robots, Story, Work};
 use crate::cli::connect::{Context, ProfileNeed};
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, Names, open, topic_key};
 use crate::model::{Address, ErrorKind, ProfileName, RecordKind, Timestamp, TopicName, Verdict, head::SIMULATED};
 use crate::pipeline::{Network, Owner, authority, chain_proofs, reader::Reader};
 use crate::ros::{DomainFleet, FleetOptions};
-use crate::service::{Client, Epochs, Failure, Needs, Site, UploadQuery, failure::internal};
 use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
-use super::{Genuine, Listener, Robots, Story, Work};
+use crate::service::{Client, Epochs, Failure, Needs, Site, UploadQuery, failure::internal};
+use crate::{cli::demo, store::RecordQuery};
 use authros_output::Output;
 
 /// Bound on repeated captures.

@@ -7,10 +7,10 @@ use alloy_trie::TrieAccount;
 use k256::ecdsa::SigningKey;
 use serde_json::{Value, json};
 
-use crate::model::{Address, Hash};
-use crate::model::bytes::{hex, unhex};
-use crate::transaction::{Items, List, Transaction, created_address, optional, signer};
 use super::{pool::BLOCK_GAS, trie::EMPTY_ROOT, world::Proof};
+use crate::model::bytes::{hex, unhex};
+use crate::model::{Address, Hash};
+use crate::transaction::{Items, List, Transaction, created_address, optional, signer};
 
 /// Clique's vanity, bytes: the extra data before the seal.
 const VANITY: usize = 32;

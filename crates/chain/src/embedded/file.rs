@@ -1,11 +1,11 @@
 //! The file of the embedded chain: one SQLite database. A block is one transaction, on disk (WAL, synchronous=FULL)
 //! before it is announced; no other process can open the file meanwhile.
 
-use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 use std::fs::{DirBuilder, OpenOptions};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use k256::ecdsa::SigningKey;
 use rusqlite::config::DbConfig;
@@ -13,12 +13,12 @@ use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
 use tokio::sync::oneshot;
 use zeroize::Zeroizing;
 
-use crate::{ChainError, Consensus, model::Hash};
-use crate::transaction::{Items, Transaction};
-use super::{machine::Outcome, sealing, trie::list_root};
 use super::block::{Header, Receipt};
 use super::node::{Again, Node, header, receipts_root};
-use super::world::{Cache, self};
+use super::world::{self, Cache};
+use super::{machine::Outcome, sealing, trie::list_root};
+use crate::transaction::{Items, Transaction};
+use crate::{ChainError, Consensus, model::Hash};
 
 const VERSION: i64 = 1;
 const SCHEMA: &str = "

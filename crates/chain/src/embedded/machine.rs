@@ -12,12 +12,12 @@ use revm::interpreter::interpreter::EthInterpreter;
 use revm::primitives::hardfork::SpecId;
 use revm::{Context, DatabaseCommit, ExecuteEvm, MainBuilder, MainContext};
 
+use super::pool::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
+use super::world::{Tries, Unread};
+use super::{block::Receipt, trie::Turnover};
 use crate::ChainError;
 use crate::model::{Address, Hash};
 use crate::transaction::{Transaction, Unsigned};
-use super::{block::Receipt, trie::Turnover};
-use super::pool::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
-use super::world::{Tries, Unread};
 
 #[derive(Debug, Clone, Copy)]
 pub struct Environment {

@@ -30,9 +30,9 @@ mod world;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::{sync::Arc, thread};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::time::{Duration, Instant};
+use std::{sync::Arc, thread};
 
 use serde_json::Value;
 use tokio::sync::{oneshot, watch};

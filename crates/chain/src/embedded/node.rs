@@ -1,20 +1,20 @@
 //! Pool, assembling and sealing on one thread; a proof-of-work search runs beside it, for the assembled block only.
 
-use std::{cell::RefCell, path::Path, rc::Rc, sync::Arc};
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
+use std::{cell::RefCell, path::Path, rc::Rc, sync::Arc};
 
 use alloy_primitives::logs_bloom;
 
-use crate::{BlockRef, ChainError, Consensus, genesis::noise, transaction::Transaction};
-use crate::model::{Hash, Timestamp};
-use super::{rpc::Filters, world::Tries};
 use super::block::{Header, Receipt};
 use super::file::{Auditing, ChainFile, Looked, Mined};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
-use super::sealing::{Founded, Sealing, Search, self};
+use super::sealing::{self, Founded, Sealing, Search};
 use super::trie::{EMPTY_ROOT, Nodes, Turnover, below, list_root};
+use super::{rpc::Filters, world::Tries};
+use crate::model::{Hash, Timestamp};
+use crate::{BlockRef, ChainError, Consensus, genesis::noise, transaction::Transaction};
 
 /// Pause after a failed write.
 const REST: Duration = Duration::from_secs(1);

@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 use alloy_primitives::{B256, Log, U256};
 use serde_json::{Map, Value, json};
 
+use super::block::{self, Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
+use super::world::{KEPT, Tries};
+use super::{machine::Answer, node::Node, pool::TRANSACTION_GAS};
 use crate::model::{Address, Hash, clean};
 use crate::transaction::Unsigned;
 use crate::transport::{JsonRpcError, TransportError};
-use super::{machine::Answer, node::Node, pool::TRANSACTION_GAS};
-use super::block::{Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity, self};
-use super::world::{KEPT, Tries};
 
 pub type Reply = Result<Value, TransportError>;
 
@@ -145,7 +145,11 @@ fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
 
 fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), TransportError> {
     let newest = tag.is_none_or(|tag| tag.is_null() || block_number(node, tag) == Some(node.head.number));
-    if newest { Ok(()) } else { Err(TransportError::refused(-32000, "this chain keeps only the state of its newest block")) }
+    if newest {
+        Ok(())
+    } else {
+        Err(TransportError::refused(-32000, "this chain keeps only the state of its newest block"))
+    }
 }
 
 fn state(node: &Node, parameters: &Parameters, tag: usize, read: impl FnOnce(&Node, Address) -> Reply) -> Reply {
@@ -224,7 +228,10 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     let slots = |value: &Value| value.as_array()?.iter().map(read_slot).collect::<Option<Vec<U256>>>();
     let slots = parameters.at(1, slots)?;
     if slots.len() > MOST_SLOTS {
-        return Err(TransportError::refused(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
+        return Err(TransportError::refused(
+            -32005,
+            format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len()),
+        ));
     }
     let number = match parameters.0.get(2) {
         None | Some(Value::Null) => node.head.number,
@@ -401,7 +408,10 @@ fn install(node: &mut Node, wanted: Option<Map<String, Value>>) -> Reply {
     let Filters { last, open } = &mut node.filters;
     open.retain(|_, waiting| now.duration_since(waiting.asked) < LIFE);
     if open.len() >= MOST_FILTERS {
-        return Err(TransportError::refused(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
+        return Err(TransportError::refused(
+            -32005,
+            format!("there are {MOST_FILTERS} filters already; uninstall some"),
+        ));
     }
     *last += 1;
     open.insert(U256::from(*last), Waiting { wanted, next, asked: now });

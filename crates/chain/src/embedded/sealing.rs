@@ -2,19 +2,19 @@
 //! turns; under proof of work one sealer searches for a nonce. All keys are in the chain's file, so nobody ever steps
 //! in for another signer, and there are no votes.
 
-use std::{sync::Arc, thread::JoinHandle, time::Duration};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::{sync::Arc, thread::JoinHandle, time::Duration};
 
 use alloy_primitives::{U256, keccak256};
 use k256::ecdsa::SigningKey;
 use sha3::{Digest as _, Keccak256};
 use zeroize::Zeroizing;
 
-use crate::{ChainError, Consensus, genesis::noise};
-use crate::model::{Address, Hash, Timestamp, steady_clock::steady_now};
 use super::block::{Header, MARK, SEAL};
 use super::file::{ChainFile, Founding, keys_of};
 use super::machine::Environment;
+use crate::model::{Address, Hash, Timestamp, steady_clock::steady_now};
+use crate::{ChainError, Consensus, genesis::noise};
 
 /// Clique's difficulty of a block sealed in turn, as all are here.
 const IN_TURN: u64 = 2;

@@ -1,7 +1,7 @@
 //! The world state: tries whose nodes are read on demand.
 
-use std::{cell::RefCell, rc::Rc, sync::Arc};
 use std::collections::{BTreeMap, HashMap};
+use std::{cell::RefCell, rc::Rc, sync::Arc};
 
 use alloy_primitives::{B256, Bytes, KECCAK256_EMPTY, U256, keccak256};
 use alloy_rlp::{Decodable, decode_exact};

@@ -7,8 +7,8 @@ mod rpc;
 #[cfg(test)]
 mod tests;
 
-use std::{convert::Infallible, future::poll_fn, sync::Arc, time::Duration};
 use std::net::{IpAddr, SocketAddr};
+use std::{convert::Infallible, future::poll_fn, sync::Arc, time::Duration};
 
 use http_body_util::{BodyExt as _, Full, Limited};
 use hyper::body::{Bytes, Incoming};
