@@ -3,7 +3,7 @@
 use clap::{Args, Subcommand};
 
 use super::parse;
-use crate::model::{ErrorKind, Timestamp};
+use crate::model::ErrorKind;
 use crate::service::reply::{AuditCheck, AuditView};
 use crate::service::{Failure, command::AuditQuery};
 use authros_output::table;

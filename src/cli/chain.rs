@@ -12,61 +12,51 @@ use super::verbs::{CHAIN, Plan};
 use super::{parse, show::not_written};
 use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;
-use crate::service::{Client, Failure, Needs, command, failure::input, reply::ServedView};
+use crate::service::command::{self, Administration};
+use crate::service::{Client, Failure, Needs, failure::input, reply::ServedView};
 use authros_output::Output;
 
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
-    let unlocked = |act: command::Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, command::Administer(act));
+    let unlocked = |act: Administration| Plan::unlocked(command::Administer(act));
     let plan = match verb {
         ChainVerb::Genesis(arguments) => return genesis(&arguments, output),
         ChainVerb::Serve { listen } => return serve(Context::new(global, output)?, listen, output).await,
-        ChainVerb::Status => Plan::new(CHAIN, ProfileNeed::None, command::ChainStatus),
+        ChainVerb::Status => Plan::public(command::ChainStatus),
         ChainVerb::Deploy { delay } => {
             let delay = delay.as_deref().map(seconds).transpose()?;
             Plan::new(CHAIN, ProfileNeed::Made, command::DeployContract { delay })
         }
         ChainVerb::Cancel { nonce, account, yes: true } => {
             let account = parse::optional(account.as_deref())?;
-            Plan::new(CHAIN, ProfileNeed::Unlocked, command::CancelTransaction { nonce, account })
+            Plan::unlocked(command::CancelTransaction { nonce, account })
         }
         ChainVerb::Cancel { .. } => {
             let text = "what the transaction was for does not happen unless it anchors records; add --yes to confirm";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
-        ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, command::ListSuccessions),
+        ChainVerb::Succession(SuccessionVerb::List) => Plan::public(command::ListSuccessions),
         ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
-            unlocked(command::Administration::Propose {
-                lost: parse::value(&lost)?,
-                successor: parse::value(&successor)?,
-            })
+            unlocked(Administration::Propose { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
         }
         ChainVerb::Succession(SuccessionVerb::Cancel { lost }) => {
-            unlocked(command::Administration::Cancel { lost: parse::value(&lost)? })
+            unlocked(Administration::Cancel { lost: parse::value(&lost)? })
         }
         ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
-            unlocked(command::Administration::Complete { lost: parse::value(&lost)? })
+            unlocked(Administration::Complete { lost: parse::value(&lost)? })
         }
-        ChainVerb::Dismiss { account } => {
-            unlocked(command::Administration::Dismiss { account: parse::value(&account)? })
-        }
-        ChainVerb::Admit { account } => unlocked(command::Administration::Admit { account: parse::value(&account)? }),
-        ChainVerb::Suspend { account } => {
-            unlocked(command::Administration::Suspend { account: parse::value(&account)? })
-        }
-        ChainVerb::Restore { account } => {
-            unlocked(command::Administration::Restore { account: parse::value(&account)? })
-        }
-        ChainVerb::Open => unlocked(command::Administration::Open { open: true }),
-        ChainVerb::Close => unlocked(command::Administration::Open { open: false }),
+        ChainVerb::Dismiss { account } => unlocked(Administration::Dismiss { account: parse::value(&account)? }),
+        ChainVerb::Admit { account } => unlocked(Administration::Admit { account: parse::value(&account)? }),
+        ChainVerb::Suspend { account } => unlocked(Administration::Suspend { account: parse::value(&account)? }),
+        ChainVerb::Restore { account } => unlocked(Administration::Restore { account: parse::value(&account)? }),
+        ChainVerb::Open => unlocked(Administration::Open { open: true }),
+        ChainVerb::Close => unlocked(Administration::Open { open: false }),
         ChainVerb::Pause { length } => {
             let seconds = length.as_deref().map(seconds).transpose()?;
-            unlocked(command::Administration::Pause { paused: true, seconds })
+            unlocked(Administration::Pause { paused: true, seconds })
         }
-        ChainVerb::Resume => unlocked(command::Administration::Pause { paused: false, seconds: None }),
-        ChainVerb::HandOver { account } => {
-            unlocked(command::Administration::HandOver { account: parse::value(&account)? })
-        }
-        ChainVerb::Accept => unlocked(command::Administration::Accept),
+        ChainVerb::Resume => unlocked(Administration::Pause { paused: false, seconds: None }),
+        ChainVerb::HandOver { account } => unlocked(Administration::HandOver { account: parse::value(&account)? }),
+        ChainVerb::Accept => unlocked(Administration::Accept),
     };
     super::verbs::run(Context::new(global, output)?, plan, output).await
 }

@@ -6,7 +6,7 @@ use super::{args::Global, connect::Context, parse, passphrase, show::Question};
 use crate::service::command::{ListAllUploads, ListUploads, SecretText, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit, SiteView};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
-use crate::service::{Failure, Needs, doctor, is_bound, restoring, socket};
+use crate::service::{Failure, doctor, restoring, socket};
 use crate::{model::ErrorKind, store::SiteLock};
 use authros_output::{Output, table};
 

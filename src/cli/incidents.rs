@@ -63,7 +63,6 @@ pub enum IncidentVerb {
 }
 
 pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
-    let kept = |question: super::show::Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
         IncidentVerb::Open { name, since, until, topics, note, rings_of } => {
             let (needs, profile) = match rings_of.is_empty() {
@@ -81,11 +80,11 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
             };
             Plan::new(needs, profile, question)
         }
-        IncidentVerb::List => kept(ListIncidents.into()),
-        IncidentVerb::Show { name } => kept(ShowIncident { name: parse::value(&name)? }.into()),
-        IncidentVerb::Note { name, text } => kept(NoteIncident { name: parse::value(&name)?, text }.into()),
-        IncidentVerb::Close { name } => kept(CloseIncident { name: parse::value(&name)? }.into()),
-        IncidentVerb::Remove { name, yes: true } => kept(RemoveIncident { name: parse::value(&name)? }.into()),
+        IncidentVerb::List => Plan::kept(ListIncidents),
+        IncidentVerb::Show { name } => Plan::kept(ShowIncident { name: parse::value(&name)? }),
+        IncidentVerb::Note { name, text } => Plan::kept(NoteIncident { name: parse::value(&name)?, text }),
+        IncidentVerb::Close { name } => Plan::kept(CloseIncident { name: parse::value(&name)? }),
+        IncidentVerb::Remove { name, yes: true } => Plan::kept(RemoveIncident { name: parse::value(&name)? }),
         IncidentVerb::Remove { .. } => {
             let text = "what retention then deletes cannot be restored; add --yes to confirm";
             return Err(Failure::new(ErrorKind::Usage, text));

@@ -25,7 +25,6 @@ mod memory;
 mod parse;
 mod parties;
 mod passphrase;
-mod plans;
 mod playing;
 mod printed;
 mod quarantine;
@@ -149,26 +148,26 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Identity(verb) => ask(context()?, verbs::identity(verb)?),
         Verb::Keys(verb) => {
             let context = context()?;
-            let plan = plans::keys(&context, verb)?;
+            let plan = verbs::keys(&context, verb)?;
             ask(context, plan)
         }
         Verb::Audit(arguments) => {
             let context = context()?;
-            let plan = plans::audit(&context, &arguments)?;
+            let plan = verbs::audit(&context, &arguments)?;
             ask(context, plan)
         }
         Verb::Register => ask(context()?, Plan::new(CHAIN, ProfileNeed::Made, command::Register)),
         Verb::Topics(verb) => ask(context()?, verbs::topics(verb)?),
         Verb::Quarantine(verb) => ask(context()?, verbs::quarantine(verb)?),
-        Verb::Grant(grant) => ask(context()?, Plan::new(CHAIN, ProfileNeed::Unlocked, plans::grant(&grant)?)),
+        Verb::Grant(grant) => ask(context()?, Plan::unlocked(verbs::grant(&grant)?)),
         Verb::Revoke { address } => {
             let context = context()?;
             let revoke = command::Revoke { grantee: parse::value(&address)? };
-            ask(context, Plan::new(CHAIN, ProfileNeed::Unlocked, revoke))
+            ask(context, Plan::unlocked(revoke))
         }
         Verb::Grants(verb) => ask(context()?, verbs::grants(verb)?),
-        Verb::Contacts(verb) => ask(context()?, Plan::new(CHAIN, ProfileNeed::None, parties::contacts(verb)?)),
-        Verb::Devices(verb) => ask(context()?, Plan::new(CHAIN, ProfileNeed::Unlocked, robots::question(&verb)?)),
+        Verb::Contacts(verb) => ask(context()?, Plan::public(parties::contacts(verb)?)),
+        Verb::Devices(verb) => ask(context()?, Plan::unlocked(robots::question(&verb)?)),
         Verb::Alerts(verb) => ask(context()?, status::plan(&verb)),
         Verb::Robots(verb) => ask(context()?, robots::plan(verb)?),
         Verb::Incident(verb) => ask(context()?, incidents::plan(verb)?),

@@ -4,8 +4,8 @@
 use std::{io::Read as _, path::Path};
 
 use super::args::Global;
-use super::connect::{Context, ProfileNeed};
-use super::verbs::{NEITHER, Plan};
+use super::connect::Context;
+use super::verbs::Plan;
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::service::{Failure, SecretText, command::ChangePassphrase, failure::input};
@@ -65,7 +65,7 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
         (None, Some(number)) => from_descriptor(number)?,
         (None, None) => asked_twice("--new-passphrase-file")?,
     };
-    Ok(Plan::new(NEITHER, ProfileNeed::None, ChangePassphrase { old, new }))
+    Ok(Plan::kept(ChangePassphrase { old, new }))
 }
 
 /// Removes the stored passphrase after a change: it opens nothing, and may be the reason for the change.

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use authros_output::table;
 
 use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
-use super::verbs::{CHAIN, Plan};
-use super::{connect::ProfileNeed, parties::ContactsVerb, show::Question};
+use super::parties::ContactsVerb;
+use super::verbs::Plan;
 use crate::model::{ErrorKind, RecordState};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};
@@ -79,14 +79,10 @@ fn makes_a_home(verb: &Verb) -> bool {
     }
 }
 
-pub fn plan(question: impl Into<Question>) -> Plan {
-    Plan::new(CHAIN, ProfileNeed::Unlocked, question)
-}
-
 pub fn open(id: String, out: Option<PathBuf>) -> Plan {
-    let Some(path) = &out else { return plan(OpenShared { id }) };
+    let Some(path) = &out else { return Plan::unlocked(OpenShared { id }) };
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    Plan { out: Some(path.clone()), ..plan(ViewFile { id, kind: file_of(&name) }) }
+    Plan { out: Some(path.clone()), ..Plan::unlocked(ViewFile { id, kind: file_of(&name) }) }
 }
 
 pub fn without_bytes(view: &mut OpenedView) {

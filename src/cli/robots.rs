@@ -6,8 +6,8 @@ use std::{collections::BTreeMap, io::Read as _};
 use authros_output::{Output, table};
 use clap::{Args, Subcommand};
 
-use super::verbs::{CHAIN, Plan};
-use super::{connect::ProfileNeed, incidents::moment, lists::or_dash, parse, show::Question};
+use super::verbs::Plan;
+use super::{incidents::moment, lists::or_dash, parse, show::Question};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::{PublicKey, SignerId, TopicRule, bytes::unhex, clean};
@@ -78,7 +78,7 @@ pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
         // The default.
         RobotsVerb::Policy { robot, show: _show, .. } => command::ShowRobot { name: robot }.into(),
     };
-    Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, question))
+    Ok(Plan::unlocked(question))
 }
 
 /// Reads at most one byte more than a policy may have.

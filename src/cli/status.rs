@@ -8,7 +8,7 @@ use std::time::Duration;
 use authros_output::{Output, table};
 use clap::Subcommand;
 
-use super::connect::{Context, ProfileNeed};
+use super::connect::Context;
 use super::verbs::{NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
@@ -145,8 +145,8 @@ pub enum AlertsVerb {
 
 pub fn plan(verb: &AlertsVerb) -> Plan {
     match verb {
-        AlertsVerb::List => Plan::new(NEITHER, ProfileNeed::None, ListAlerts),
-        AlertsVerb::Test => Plan::new(NEITHER, ProfileNeed::None, TestAlert),
+        AlertsVerb::List => Plan::kept(ListAlerts),
+        AlertsVerb::Test => Plan::kept(TestAlert),
     }
 }
 

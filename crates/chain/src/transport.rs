@@ -85,12 +85,12 @@ pub enum TransportError {
     Unusable { reason: String, advice: String },
 }
 
-impl TransportError {
-    /// A refusal by the embedded chain.
-    pub fn refused(code: i64, message: impl Into<String>) -> Self {
-        Self::Answered(JsonRpcError { code, message: message.into(), data: None })
-    }
+/// A refusal by the embedded chain.
+pub fn refused(code: i64, message: impl Into<String>) -> TransportError {
+    TransportError::Answered(JsonRpcError { code, message: message.into(), data: None })
+}
 
+impl TransportError {
     pub fn explained(self, url: &str, method: &str) -> ChainError {
         let unreachable = |reason: String, advice: &str| ChainError::Unreachable {
             url: url.to_owned(),

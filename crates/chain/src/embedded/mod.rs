@@ -38,7 +38,8 @@ use serde_json::Value;
 use tokio::sync::{oneshot, watch};
 
 use self::node::Node;
-use crate::{BlockRef, ChainError, Consensus, crypto::fault, model::Address, transport::TransportError};
+use crate::transport::{TransportError, refused};
+use crate::{BlockRef, ChainError, Consensus, crypto::fault, model::Address};
 
 const IDLE: Duration = Duration::from_secs(3600);
 
@@ -134,7 +135,7 @@ impl Embedded {
     pub async fn request(&self, method: &str, parameters: Value) -> Result<Value, TransportError> {
         let method = method.to_owned();
         let answer = self.run(move |node| rpc::answer(node, &method, parameters)).await;
-        answer.map_err(|error| TransportError::refused(-32603, error.to_string()))?
+        answer.map_err(|error| refused(-32603, error.to_string()))?
     }
 
     /// All call data, storage and logs.

@@ -11,7 +11,7 @@ use super::world::{KEPT, Tries};
 use super::{machine::Answer, node::Node, pool::TRANSACTION_GAS};
 use crate::model::{Address, Hash, clean};
 use crate::transaction::Unsigned;
-use crate::transport::{JsonRpcError, TransportError};
+use crate::transport::{JsonRpcError, TransportError, refused};
 
 pub type Reply = Result<Value, TransportError>;
 
@@ -23,7 +23,7 @@ impl Parameters {
     }
 
     fn missing(index: usize) -> TransportError {
-        TransportError::refused(-32602, format!("missing or invalid value for argument {index}"))
+        refused(-32602, format!("missing or invalid value for argument {index}"))
     }
 }
 
@@ -99,7 +99,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         }
         _ => {
             let what = format!("the method {} does not exist/is not available", clean(method, 60));
-            Err(TransportError::refused(-32601, what))
+            Err(refused(-32601, what))
         }
     }
 }
@@ -132,7 +132,7 @@ fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
 }
 
 fn header(node: &Node, number: u64) -> Result<Header, TransportError> {
-    node.header(number)?.ok_or_else(|| TransportError::refused(-32000, format!("block {number} is above the newest")))
+    node.header(number)?.ok_or_else(|| refused(-32000, format!("block {number} is above the newest")))
 }
 
 fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
@@ -145,11 +145,7 @@ fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
 
 fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), TransportError> {
     let newest = tag.is_none_or(|tag| tag.is_null() || block_number(node, tag) == Some(node.head.number));
-    if newest {
-        Ok(())
-    } else {
-        Err(TransportError::refused(-32000, "this chain keeps only the state of its newest block"))
-    }
+    if newest { Ok(()) } else { Err(refused(-32000, "this chain keeps only the state of its newest block")) }
 }
 
 fn state(node: &Node, parameters: &Parameters, tag: usize, read: impl FnOnce(&Node, Address) -> Reply) -> Reply {
@@ -180,7 +176,7 @@ fn fee_history(node: &Node, parameters: &Parameters) -> Reply {
 
 fn send(node: &mut Node, parameters: &Parameters) -> Reply {
     let raw = parameters.at(0, read_data)?;
-    node.submit(&raw).map(|hash| data(&hash.0)).map_err(|why| TransportError::refused(-32000, why))
+    node.submit(&raw).map(|hash| data(&hash.0)).map_err(|why| refused(-32000, why))
 }
 
 fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
@@ -198,7 +194,7 @@ fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
     match answer {
         Answer::Returned(output, _) => Ok(data(&output)),
         Answer::Reverted(output) => Err(TransportError::Answered(reverted(&output))),
-        Answer::Failed(why) => Err(TransportError::refused(-32000, why)),
+        Answer::Failed(why) => Err(refused(-32000, why)),
     }
 }
 
@@ -228,10 +224,7 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     let slots = |value: &Value| value.as_array()?.iter().map(read_slot).collect::<Option<Vec<U256>>>();
     let slots = parameters.at(1, slots)?;
     if slots.len() > MOST_SLOTS {
-        return Err(TransportError::refused(
-            -32005,
-            format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len()),
-        ));
+        return Err(refused(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
     }
     let number = match parameters.0.get(2) {
         None | Some(Value::Null) => node.head.number,
@@ -239,12 +232,12 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     };
     let newest = node.head.number;
     if number > newest {
-        return Err(TransportError::refused(-32000, "there is no such block"));
+        return Err(refused(-32000, "there is no such block"));
     }
     if newest - number >= KEPT {
         let oldest = (newest + 1).saturating_sub(KEPT);
         let what = format!("the state of block {number} is not kept; ask for one of the blocks {oldest} to {newest}");
-        return Err(TransportError::refused(-32000, what));
+        return Err(refused(-32000, what));
     }
     let tries = Tries { root: header(node, number)?.state_root, ..node.machine.tries.clone() };
     Ok(block::proof(account, &tries.proof(account, &slots)?))
@@ -331,14 +324,14 @@ impl Filter {
 }
 
 fn too_many(what: &str) -> TransportError {
-    TransportError::refused(-32005, format!("{what}; ask for fewer blocks at once"))
+    refused(-32005, format!("{what}; ask for fewer blocks at once"))
 }
 
 fn logs(node: &Node, filter: &Value) -> Reply {
     if let Some(hash) = filter.get("blockHash").and_then(read_hash)
         && node.file.number_of(hash)?.is_none()
     {
-        return Err(TransportError::refused(-32000, "unknown block"));
+        return Err(refused(-32000, "unknown block"));
     }
     let filter = read_filter(node, filter).ok_or_else(|| Parameters::missing(0))?;
     let to = filter.to.min(node.head.number);
@@ -391,7 +384,7 @@ pub struct Filters {
 }
 
 fn unknown_filter() -> TransportError {
-    TransportError::refused(-32000, "filter not found")
+    refused(-32000, "filter not found")
 }
 
 fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Waiting, TransportError> {
@@ -408,10 +401,7 @@ fn install(node: &mut Node, wanted: Option<Map<String, Value>>) -> Reply {
     let Filters { last, open } = &mut node.filters;
     open.retain(|_, waiting| now.duration_since(waiting.asked) < LIFE);
     if open.len() >= MOST_FILTERS {
-        return Err(TransportError::refused(
-            -32005,
-            format!("there are {MOST_FILTERS} filters already; uninstall some"),
-        ));
+        return Err(refused(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
     }
     *last += 1;
     open.insert(U256::from(*last), Waiting { wanted, next, asked: now });

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::{embedded::Embedded, model::bytes::unhex, transaction::Transaction, transport::TransportError};
+use crate::transport::{TransportError, refused};
+use crate::{embedded::Embedded, model::bytes::unhex, transaction::Transaction};
 
 const LONGEST_BATCH: usize = 100;
 /// Bytes per HTTP request.
@@ -24,7 +25,7 @@ impl Service {
     /// Empty if no answer is due.
     pub async fn answer(&self, body: &[u8]) -> Vec<u8> {
         let answer = match serde_json::from_slice::<Value>(body) {
-            Err(_) => Some(failure(&Value::Null, &TransportError::refused(-32700, "the body is not JSON"))),
+            Err(_) => Some(failure(&Value::Null, &refused(-32700, "the body is not JSON"))),
             Ok(Value::Array(batch)) => return self.batch(batch).await,
             Ok(one) => self.single(one).await,
         };
@@ -34,7 +35,7 @@ impl Service {
     async fn batch(&self, batch: Vec<Value>) -> Vec<u8> {
         if batch.is_empty() || batch.len() > LONGEST_BATCH {
             let what = format!("a batch has 1 to {LONGEST_BATCH} requests, this one {}", batch.len());
-            return written(&failure(&Value::Null, &TransportError::refused(-32600, what)), &Value::Null);
+            return written(&failure(&Value::Null, &refused(-32600, what)), &Value::Null);
         }
         let mut all: Vec<u8> = Vec::new();
         for request in batch {
@@ -56,7 +57,7 @@ impl Service {
     /// `None` for a notification.
     async fn single(&self, request: Value) -> Option<Value> {
         let Value::Object(mut request) = request else {
-            return Some(failure(&Value::Null, &TransportError::refused(-32600, "a request is an object")));
+            return Some(failure(&Value::Null, &refused(-32600, "a request is an object")));
         };
         let id = request.remove("id");
         let known = id.clone().filter(|id| id.is_string() || id.is_number()).unwrap_or_default();
@@ -64,7 +65,7 @@ impl Service {
             (Some(Value::String(version)), Some(Value::String(method)), params) if version == "2.0" => {
                 self.call(method, params.cloned()).await
             }
-            _ => Err(TransportError::refused(-32600, "a request has jsonrpc \"2.0\", a method and an id")),
+            _ => Err(refused(-32600, "a request has jsonrpc \"2.0\", a method and an id")),
         };
         id?;
         Some(match result {
@@ -77,7 +78,7 @@ impl Service {
         let parameters = match parameters {
             None | Some(Value::Null) => Vec::new(),
             Some(Value::Array(all)) => all,
-            Some(_) => return Err(TransportError::refused(-32602, "parameters come as an array")),
+            Some(_) => return Err(refused(-32602, "parameters come as an array")),
         };
         if method == "eth_sendRawTransaction" {
             let counted = self.heavy.count(parameters.first(), Instant::now());
@@ -88,14 +89,14 @@ impl Service {
 }
 
 fn too_heavy(seconds: u64) -> TransportError {
-    TransportError::refused(
+    refused(
         -32005,
         format!("transactions of more than a million gas are taken only now and then; send it again in {seconds} s"),
     )
 }
 
 fn too_long() -> TransportError {
-    TransportError::refused(-32005, format!("the answer is longer than {LONGEST_ANSWER} bytes; ask for less at once"))
+    refused(-32005, format!("the answer is longer than {LONGEST_ANSWER} bytes; ask for less at once"))
 }
 
 fn failure(id: &Value, fault: &TransportError) -> Value {
