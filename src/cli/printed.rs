@@ -4,6 +4,7 @@
 use std::{convert::Infallible, fmt::Write as _, future::Future, path::Path, time::Duration};
 
 use authros_output::Output;
+use clap::CommandFactory;
 
 use super::args::{Arguments, ConsoleArguments, PrintArguments};
 use super::{complete, connect::Context, passphrase, twins::TWINS};

@@ -2,13 +2,14 @@
 //! before it is announced; no other process can open the file meanwhile.
 
 use std::fs::{DirBuilder, OpenOptions};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use k256::ecdsa::SigningKey;
 use rusqlite::config::DbConfig;
-use rusqlite::{Connection, ErrorCode, Row, params};
+use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
 use tokio::sync::oneshot;
 use zeroize::Zeroizing;
 

@@ -9,7 +9,7 @@ use alloy_trie::TrieAccount;
 use revm::DatabaseRef;
 use revm::database_interface::DBErrorMarker;
 use revm::state::{Account, AccountInfo, Bytecode, EvmState};
-use rusqlite::{Connection, Transaction, params};
+use rusqlite::{Connection, OptionalExtension, Transaction, params};
 
 use super::file::{ChainFile, integer};
 use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below};
