@@ -141,9 +141,8 @@ fn text(figures: &AgentFigures) -> String {
         format!("; ring: {} messages, {}, {} fell out", ring.messages, ByteSize(ring.bytes), ring.fallen)
     });
     let AgentFigures { name, captured, accepted, verified, pending, lost, gateway, .. } = figures;
-    let counts =
-        format!("captured {captured}, accepted {accepted}, verified {verified}, pending {pending}, lost {lost}");
-    format!("{name}: {counts}{ring}; gateway: {gateway}")
+    let sum = format!("captured {captured}, accepted {accepted}, verified {verified}, pending {pending}, lost {lost}");
+    format!("{name}: {sum}{ring}; gateway: {gateway}")
 }
 
 /// An unlimited agent that is told to stop succeeds: its outbox continues later.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::{ffi::OsString, io::Write as _, os::unix::process::CommandExt as _};
+use std::{convert::Infallible, ffi::OsString, io::Write as _, os::unix::process::CommandExt as _};
 
 use authros_output::Output;
 use clap::ValueEnum as _;
@@ -137,22 +137,19 @@ impl Successor {
 
     /// Replaces this process; returns only on failure. The site must have been stopped.
     pub fn become_it(&self, secret: &SecretText) -> Failure {
-        let failed = |error: std::io::Error| {
-            let text = format!("nothing was left running: {error}; capture has stopped, start it with `authros serve`");
-            Failure::new(ErrorKind::Internal, text)
+        let start = || -> std::io::Result<Infallible> {
+            let (reader, mut writer) = std::io::pipe()?;
+            // A pipe holds these at most 4 KiB, so the write does not block and the next program can read them.
+            writer.write_all(secret.expose().as_bytes())?;
+            writer.write_all(b"\n")?;
+            drop(writer);
+            let mut command = Command::new(OWN_PROGRAM);
+            command.arg0("authros").arg("serve").args(words(&self.global, &self.home, &self.profile));
+            Err(command.args(["--detach", "--passphrase-fd", "0"]).stdin(Stdio::from(reader)).exec())
         };
-        let (reader, mut writer) = match std::io::pipe() {
-            Ok(ends) => ends,
-            Err(error) => return failed(error),
-        };
-        // A pipe holds these at most 4 KiB, so the write does not block and the next program can read them.
-        if let Err(error) = writer.write_all(secret.expose().as_bytes()).and_then(|()| writer.write_all(b"\n")) {
-            return failed(error);
-        }
-        drop(writer);
-        let mut command = Command::new(OWN_PROGRAM);
-        command.arg0("authros").arg("serve").args(words(&self.global, &self.home, &self.profile));
-        failed(command.args(["--detach", "--passphrase-fd", "0"]).stdin(Stdio::from(reader)).exec())
+        let Err(error) = start();
+        let text = format!("nothing was left running: {error}; capture has stopped, start it with `authros serve`");
+        Failure::new(ErrorKind::Internal, text)
     }
 }
 

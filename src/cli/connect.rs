@@ -1,5 +1,6 @@
 //! Resolves settings, joins the running site or opens one, and prepares the profile.
 
+use std::io::ErrorKind as IoKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -62,7 +63,7 @@ pub enum ProfileNeed {
     Made,
 }
 
-fn environment(name: &str) -> Option<String> {
+pub(super) fn environment(name: &str) -> Option<String> {
     std::env::var(name).ok()
 }
 
@@ -108,9 +109,7 @@ impl Context {
         let path = home.config();
         let text = match std::fs::read_to_string(&path) {
             Ok(text) => Some(text),
-            Err(error) if matches!(error.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) => {
-                None
-            }
+            Err(error) if matches!(error.kind(), IoKind::NotFound | IoKind::NotADirectory) => None,
             Err(error) => return Err(input(format!("{} cannot be read: {error}", path.display()))),
         };
         let file = text.as_deref().map(|text| (path.as_path(), text));

@@ -11,7 +11,8 @@ use authros_output::Output;
 use serde::Serialize;
 
 use self::mission::Mission;
-use super::{args::DemoArguments, connect::Context};
+use super::args::DemoArguments;
+use super::connect::{Context, environment};
 use crate::crypto::{
     Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
 };
@@ -58,7 +59,11 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
         Some(_) => None,
         None => Some(temporary_home(&mut context, "authros-demo-")?),
     };
-    let robots = if context.global.ros2.is_some() { in_domain(&mut context) } else { Robots::of_one(&context.config) };
+    let robots = if context.global.ros2.is_some() {
+        in_domain(&mut context)
+    } else {
+        Robots { number: context.config.robots, domain: None }
+    };
     let mission = Mission::start(&context, robots, arguments.seconds, *output).await?;
     let told = mission.run().await;
     drop(temporary);
@@ -72,12 +77,6 @@ pub struct Robots {
     pub number: u16,
     /// `None`: the embedded master of ROS 1.
     pub domain: Option<u16>,
-}
-
-impl Robots {
-    pub fn of_one(config: &Config) -> Self {
-        Self { number: config.robots, domain: None }
-    }
 }
 
 /// One name is captured from one graph, so the site's master gets no robots.
@@ -98,7 +97,7 @@ pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<temp
     context.global.site_socket = None;
     // The settings of the standard home do not apply to this one.
     let global = context.global.clone();
-    context.config = Config::resolve(&|name| global.setting(name), &|name| std::env::var(name).ok(), None)?;
+    context.config = Config::resolve(&|name| global.setting(name), &environment, None)?;
     // Forgeries are written to the disk and must be noticed there.
     context.config.cache_url = None;
     Ok(directory)

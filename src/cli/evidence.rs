@@ -57,9 +57,8 @@ pub async fn run(context: Context, verb: EvidenceVerb, output: &Output) -> Resul
     let moment = |text: Option<String>| text.as_deref().map(parse::past).transpose();
     let topic = parse::optional(topic.as_deref())?;
     let incident = parse::optional(incident.as_deref())?;
-    let wishes =
-        EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
-    let export = async |client: &Client| client.ask(ExportEvidence(wishes)).await;
+    let wish = EvidenceWishes { file, records, topic, incident, since: moment(since)?, until: moment(until)?, reveal };
+    let export = async |client: &Client| client.ask(ExportEvidence(wish)).await;
     let view = context.with(CHAIN, ProfileNeed::Unlocked, output, export).await?;
     output.result(&view, || exported(&view));
     Ok(0)
@@ -205,8 +204,7 @@ fn summary(report: &Report) -> [String; 2] {
     levels.insert('f', report.complete.iter().map(|stretch| stretch.standing).collect());
     let told = |(letter, standings): (&char, &Vec<Standing>)| {
         let count = |standing: &Standing| standings.iter().filter(|one| *one == standing).count();
-        let counts =
-            STANDINGS.iter().map(|standing| (count(standing), standing.word())).filter(|(count, _)| *count > 0);
+        let counts = STANDINGS.iter().map(|one| (count(one), one.word())).filter(|(count, _)| *count > 0);
         let words: Vec<String> = match standings.iter().all(|one| Some(one) == standings.first()) {
             true => counts.map(|(_, word)| word.to_owned()).collect(),
             false => counts.map(|(count, word)| format!("{count} {word}")).collect(),

@@ -114,14 +114,12 @@ pub fn successions(view: &AdministrationView) -> String {
 }
 
 fn proposal(one: &ProposalView) -> String {
-    let (lost, successor) =
-        (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
+    let (lost, heir) = (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
     let stop = one.recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
-    format!("{successor} can continue for {lost} from {} on; recovery account: {stop}", one.due)
+    format!("{heir} can continue for {lost} from {} on; recovery account: {stop}", one.due)
 }
 
 fn succession(one: &SuccessionView) -> String {
-    let (lost, successor) =
-        (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
-    format!("{successor} continues for {lost}, since block {}", one.block)
+    let (lost, heir) = (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
+    format!("{heir} continues for {lost}, since block {}", one.block)
 }

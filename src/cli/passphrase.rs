@@ -28,11 +28,10 @@ pub fn from_file(path: &Path) -> Result<SecretText, Failure> {
 }
 
 fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
-    let unreadable =
-        |error: std::io::Error| input(format!("no passphrase can be read from descriptor {number}: {error}"));
-    let file = std::fs::File::open(format!("/proc/self/fd/{number}")).map_err(unreadable)?;
+    let unread = |error: std::io::Error| input(format!("no passphrase can be read from descriptor {number}: {error}"));
+    let file = std::fs::File::open(format!("/proc/self/fd/{number}")).map_err(unread)?;
     let mut text = zeroize::Zeroizing::new(String::new());
-    file.take(LONGEST as u64).read_to_string(&mut text).map_err(unreadable)?;
+    file.take(LONGEST as u64).read_to_string(&mut text).map_err(unread)?;
     Ok(first_line(&text))
 }
 

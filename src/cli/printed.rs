@@ -7,11 +7,11 @@ use authros_output::Output;
 use clap::CommandFactory;
 
 use super::args::{Arguments, ConsoleArguments, PrintArguments};
-use super::{complete, connect::Context, passphrase, twins::TWINS};
+use super::connect::{Context, environment};
+use super::{complete, passphrase, twins::TWINS};
 use crate::app::{Keymap, Settings, keymap};
 use crate::model::{ErrorKind, Timestamp, clean};
-use crate::service::command::{Command, RecordingProgress};
-use crate::service::{Client, Failure};
+use crate::service::{Client, Failure, command::RecordingProgress, failure::input};
 use crate::ui::{Themes, theme};
 use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
 
@@ -127,15 +127,14 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         },
         theme: arguments.theme.or_else(|| settings.theme.clone()),
         themes: themes(&context.home)?,
-        ascii: arguments.ascii
-            || settings.ascii.unwrap_or_else(|| !locale_has_unicode(|name| std::env::var(name).ok())),
+        ascii: arguments.ascii || settings.ascii.unwrap_or_else(|| !locale_has_unicode(environment)),
         mouse: settings.mouse,
         bytes_per_second: settings.bytes_per_second,
         kept: context.home.console(&context.profile),
         pictures: settings.pictures,
     };
     if let Some(name) = &options.theme {
-        options.themes.named(name).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
+        options.themes.named(name).map_err(|error| input(error.to_string()))?;
     }
     Ok(options)
 }
@@ -143,8 +142,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
 fn keymap(home: &Home) -> Result<Keymap, Failure> {
     let path = home.keymap();
     let Some(text) = read(&path)? else { return Ok(Keymap::default()) };
-    Keymap::with_file(&path.display().to_string(), &text)
-        .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
+    Keymap::with_file(&path.display().to_string(), &text).map_err(|error| input(error.to_string()))
 }
 
 fn themes(home: &Home) -> Result<Themes, Failure> {
@@ -155,11 +153,11 @@ fn themes(home: &Home) -> Result<Themes, Failure> {
     for path in paths {
         files.extend(read(&path)?.map(|text| (path.display().to_string(), text)));
     }
-    Themes::with_files(&files).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
+    Themes::with_files(&files).map_err(|error| input(error.to_string()))
 }
 
 fn read(path: &Path) -> Result<Option<String>, Failure> {
-    let wrong = |what: String| Failure::new(ErrorKind::Input, format!("{}: {what}", path.display()));
+    let wrong = |what: String| input(format!("{}: {what}", path.display()));
     match std::fs::metadata(path) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(wrong(error.to_string())),

@@ -39,15 +39,8 @@ impl Recording {
         }
         let bytes = std::fs::metadata(path).map_err(failed)?.len();
         let text = "the bundle states nothing of a recorded file that could be compared".to_owned();
-        let none = Self {
-            standing: Standing::Absent,
-            record: None,
-            name: None,
-            bytes,
-            chunks: 0,
-            differing: Vec::new(),
-            text,
-        };
+        let (standing, differing) = (Standing::Absent, Vec::new());
+        let none = Self { standing, record: None, name: None, bytes, chunks: 0, differing, text };
         Ok(worst.unwrap_or(none))
     }
 

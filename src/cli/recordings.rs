@@ -9,8 +9,9 @@ use super::parse::{self, absolute};
 use super::printed::{self, LOOK};
 use super::{serve::until_done, verbs::CHAIN};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
+use crate::service::command::{self, Ask};
 use crate::service::reply::{ExportView, ExportedTopic, ImportView};
-use crate::service::{Client, Failure, command};
+use crate::service::{Client, Failure};
 use crate::{crypto::private_file, model::ErrorKind, paths::Home, store::files};
 use authros_output::{Output, table};
 
@@ -147,12 +148,7 @@ pub async fn export(context: Context, arguments: ExportArguments, output: &Outpu
     Ok(export_code(&view, output))
 }
 
-async fn run<A: command::Ask>(
-    context: Context,
-    ask: A,
-    need: ProfileNeed,
-    output: &Output,
-) -> Result<A::Answer, Failure> {
+async fn run<A: Ask>(context: Context, ask: A, need: ProfileNeed, output: &Output) -> Result<A::Answer, Failure> {
     let words = (
         "stopping; sealed records are verified first",
         "stopped early; sealed records are stored, repeat the command to continue",

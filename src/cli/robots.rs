@@ -134,8 +134,7 @@ pub fn one(view: &RobotView) -> String {
     lines.extend(row.drift_since.map(|since| format!("drift since {since}")));
     lines.extend(view.refused.iter().map(|why| format!("it refused: {why}")));
     lines.extend(view.overruled.iter().map(|what| format!("overruled on the robot: {what}")));
-    lines
-        .extend(view.gateway.iter().flat_map(|gateway| &gateway.addresses).map(|address| format!("gateway {address}")));
+    lines.extend(view.gateway.iter().flat_map(|one| &one.addresses).map(|address| format!("gateway {address}")));
     let counts = |topic: &RobotTopicRow| {
         let counts = [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());
         [vec![topic.topic.clone()], counts.to_vec()].concat()

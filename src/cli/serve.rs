@@ -357,9 +357,8 @@ fn ended(mut child: Child, said: Option<&Value>, log: &str, output: &Output) -> 
         Failure::new(ErrorKind::Internal, format!("the end of the site's process cannot be read: {error}"))
     })?;
     let message = said.and_then(|said| said.pointer("/error/message")).and_then(Value::as_str);
-    let reason =
-        message.map_or_else(|| format!("its process ended ({status}); {log} has what it wrote"), str::to_owned);
-    output.note(&format!("authros: nothing was left running: {reason}"));
+    let why = message.map_or_else(|| format!("its process ended ({status}); {log} has what it wrote"), str::to_owned);
+    output.note(&format!("authros: nothing was left running: {why}"));
     let code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|code| *code != 0);
     Ok(code.unwrap_or_else(|| ErrorKind::Internal.exit_code()))
 }

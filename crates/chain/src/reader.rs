@@ -289,9 +289,8 @@ impl Chain {
         while next <= to {
             let last = to.min(next + AT_ONCE - 1);
             for (number, block) in (next..=last).zip(self.each_block(next, last).await?) {
-                let missing =
-                    || self.misunderstood("eth_getLogs", &format!("it does not give block {number} of {head}"));
-                found.extend(block.ok_or_else(missing)?.events);
+                let gone = || self.misunderstood("eth_getLogs", &format!("it does not give block {number} of {head}"));
+                found.extend(block.ok_or_else(gone)?.events);
             }
             next = last + 1;
         }
@@ -344,14 +343,9 @@ impl Chain {
     pub(super) fn decode(&self, log: &RawLog) -> Result<EventAt, ChainError> {
         let topics: Vec<Hash> = log.topics.iter().map(|topic| Hash(topic.0)).collect();
         let event = Event::decode(&topics, &log.data).map_err(|reason| self.misunderstood("eth_getLogs", &reason))?;
-        Ok(EventAt {
-            block: log.block_number.as_u64(),
-            block_hash: Hash(log.block_hash.0),
-            timestamp: log.block_timestamp.as_ref().map(U64::as_u64),
-            transaction: Hash(log.transaction_hash.0),
-            log_index: log.log_index.as_u64(),
-            event,
-        })
+        let (block, block_hash) = (log.block_number.as_u64(), Hash(log.block_hash.0));
+        let (timestamp, transaction) = (log.block_timestamp.map(|time| time.as_u64()), Hash(log.transaction_hash.0));
+        Ok(EventAt { block, block_hash, timestamp, transaction, log_index: log.log_index.as_u64(), event })
     }
 
     /// Returns once the head is above `after`, or when `patience` is over.

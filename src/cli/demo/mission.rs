@@ -310,11 +310,10 @@ impl Mission {
             let asked = self.cura_b.client.ask(OpenShared { id: row.id.clone() }).await.is_ok();
             let blob = block_in_place(|| self.site.plant.ciphertext.get(row.digest))?.ok_or_else(gone)?;
             let names = Names::Derived(self.cura_a.owner.index());
-            let expected = Expected::any_of(self.network.domain, self.cura_a.address, names);
+            let wanted = Expected::any_of(self.network.domain, self.cura_a.address, names);
             let by_key = kept.iter().any(|(_, key)| {
                 let key = topic_key(key, &row.topic_id);
-                open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &expected)
-                    .is_ok()
+                open(provider, &blob, &row.signature, &signer.public, Anchor::Chain(row.digest), &key, &wanted).is_ok()
             });
             opened += u64::from(asked || by_key);
         }

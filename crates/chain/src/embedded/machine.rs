@@ -81,13 +81,9 @@ impl Machine {
         let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
         let mut evm = self.evm(place, most);
         let mut surplus = 0;
-        let mut outcome = Outcome {
-            included: Vec::with_capacity(transactions.len()),
-            receipts: Vec::with_capacity(transactions.len()),
-            refused: Vec::new(),
-            state_root: self.tries.root,
-            written: Turnover::default(),
-        };
+        let (included, receipts, refused) = (Vec::new(), Vec::new(), Vec::new());
+        let mut outcome =
+            Outcome { included, receipts, refused, state_root: self.tries.root, written: Turnover::default() };
         let mut changes = Vec::with_capacity(transactions.len());
         let mut cumulative = 0;
         for transaction in transactions {
@@ -212,12 +208,6 @@ fn receipt(result: ExecutionResult, cumulative_gas: u64) -> Receipt {
         ExecutionResult::Revert { output, .. } => (None, output, Vec::new()),
         ExecutionResult::Halt { .. } => (None, Bytes::new(), Vec::new()),
     };
-    Receipt {
-        success,
-        gas_used,
-        cumulative_gas,
-        contract: contract.map(|address| Address(address.into_array())),
-        output: output.to_vec(),
-        logs,
-    }
+    let contract = contract.map(|address| Address(address.into_array()));
+    Receipt { success, gas_used, cumulative_gas, contract, output: output.to_vec(), logs }
 }

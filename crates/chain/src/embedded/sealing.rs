@@ -64,11 +64,10 @@ impl Sealing {
 
     fn founded(&self, genesis: &Header) -> bool {
         let Some(unique) = unique(genesis) else { return false };
-        let expected = self.genesis(unique, genesis.timestamp);
-        let unsealed = expected.extra.len() - if self.work.is_some() { 0 } else { SEAL };
-        let listed =
-            genesis.extra.len() == expected.extra.len() && genesis.extra.starts_with(&expected.extra[..unsealed]);
-        listed && Header { extra: genesis.extra.clone(), ..expected } == *genesis && self.vouch(genesis).is_ok()
+        let own = self.genesis(unique, genesis.timestamp);
+        let unsealed = own.extra.len() - if self.work.is_some() { 0 } else { SEAL };
+        let listed = genesis.extra.len() == own.extra.len() && genesis.extra.starts_with(&own.extra[..unsealed]);
+        listed && Header { extra: genesis.extra.clone(), ..own } == *genesis && self.vouch(genesis).is_ok()
     }
 
     pub fn place(&self, number: u64, head_time: u64) -> Environment {

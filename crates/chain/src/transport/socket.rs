@@ -321,8 +321,7 @@ impl Http {
         }
         // The text of a web page says nothing, and a fault of JSON is not what is wrong.
         let is_page = bytes.trim_ascii_start().starts_with(b"<");
-        let page =
-            || TransportError::Malformed("a web page: what stands before the node refused the request".to_owned());
+        let page = || TransportError::Malformed("a web page: what stands before the node refused the request".into());
         read(&bytes).map_err(|error| if is_page { page() } else { error })
     }
 }
