@@ -40,13 +40,6 @@ pub struct Operator {
     pub name: OperatorName,
 }
 
-impl Operator {
-    fn of(global: &Global) -> Result<Option<Self>, Failure> {
-        let Some(socket) = global.site_socket.clone() else { return Ok(None) };
-        Ok(Some(Self { socket, name: Account::own()?.name }))
-    }
-}
-
 pub struct Connection {
     pub client: Client,
     /// Set if this process is the site.
@@ -91,7 +84,10 @@ impl Context {
         if let Some(kernel) = config.sm4_kernel {
             kernel.force().map_err(|error| input(error.to_string()))?;
         }
-        let operator = Operator::of(&global)?;
+        let operator = match global.site_socket.clone() {
+            Some(socket) => Some(Operator { socket, name: Account::own()?.name }),
+            None => None,
+        };
         Ok(Self { global, home, profile, config, operator })
     }
 

@@ -161,9 +161,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Quarantine(verb) => ask(context()?, verbs::quarantine(verb)?),
         Verb::Grant(grant) => ask(context()?, Plan::unlocked(verbs::grant(&grant)?)),
         Verb::Revoke { address } => {
-            let context = context()?;
-            let revoke = command::Revoke { grantee: parse::value(&address)? };
-            ask(context, Plan::unlocked(revoke))
+            ask(context()?, Plan::unlocked(command::Revoke { grantee: parse::value(&address)? }))
         }
         Verb::Grants(verb) => ask(context()?, verbs::grants(verb)?),
         Verb::Contacts(verb) => ask(context()?, Plan::public(parties::contacts(verb)?)),

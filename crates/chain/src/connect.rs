@@ -255,50 +255,7 @@ impl Chain {
     pub(super) async fn newest(&self) -> Result<RawBlock, ChainError> {
         self.rpc("eth_getBlockByNumber", json!(["latest", false])).await
     }
-}
 
-impl RawBlock {
-    /// `None` if the node does not say, or says nonsense.
-    pub(super) fn room(&self) -> Option<u64> {
-        self.gas_limit.and_then(|limit| u64::try_from(limit).ok()).filter(|limit| *limit > 0)
-    }
-
-    pub(super) fn reference(&self) -> BlockRef {
-        let timestamp = self.timestamp.as_u64();
-        BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }
-    }
-}
-
-async fn rpc<R: DeserializeOwned>(transport: &Transport, method: &str, parameters: Value) -> Result<R, ChainError> {
-    transport.request(method, parameters).await.map_err(|error| error.explained(transport.url(), method))
-}
-
-fn consensus(latest: &RawBlock, client: &str) -> &'static str {
-    /// Written into the mix hash by QBFT and IBFT.
-    const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
-    let difficulty = latest.difficulty.as_ref().and_then(Value::as_str).unwrap_or("0x0");
-    let extra = latest.extra_data.as_ref().map_or(0, String::len);
-    let client = client.to_lowercase();
-    if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
-        "dev"
-    } else if latest.mix_hash.as_deref() == Some(BYZANTINE) || extra >= 2 + 2 * 97 {
-        "poa"
-    } else if difficulty == "0x0" {
-        "pos"
-    } else {
-        "pow"
-    }
-}
-
-// Ether for test accounts, only from development nodes.
-
-/// 10 ether, in wei.
-const GIFT: u64 = 10_000_000_000_000_000_000;
-const ARRIVAL: Duration = Duration::from_secs(15);
-/// The chain id of `geth --dev`, which its client version does not reveal.
-const GETH_DEV: u64 = 1337;
-
-impl Chain {
     /// On a development node, gives an empty account 10 ether; returns whether it did.
     pub async fn fund_from_node(&self, account: Address) -> Result<bool, ChainError> {
         if !self.is_development() || !self.balance(account).await?.is_zero() {
@@ -347,38 +304,7 @@ impl Chain {
         }
         Ok(false)
     }
-}
 
-/// A refusal means no; a broken connection stays an error.
-fn answered<T>(result: Result<T, ChainError>) -> Result<Option<T>, ChainError> {
-    match result {
-        Ok(value) => Ok(Some(value)),
-        Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => Err(error),
-        Err(_) => Ok(None),
-    }
-}
-
-// Deploying the contract.
-
-/// Patience with a deployment at one price.
-const PATIENCE: Duration = Duration::from_secs(60);
-const DAY: Duration = Duration::from_secs(86_400);
-pub const DEFAULT_DELAY: Duration = Duration::from_secs(7 * DAY.as_secs());
-/// Contract limit.
-pub const SHORTEST_DELAY: Duration = DAY;
-/// Contract limit.
-pub const LONGEST_DELAY: Duration = Duration::from_secs(365 * DAY.as_secs());
-/// Contract limit.
-pub const LONGEST_PAUSE: Duration = Duration::from_secs(3 * DAY.as_secs());
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Deployment {
-    pub pin: Pin,
-    /// Wei per gas, if blocks passed it by at lower prices.
-    pub raised: Option<u128>,
-}
-
-impl Chain {
     /// Deploys with open registration and [`DEFAULT_DELAY`], and waits until it is mined.
     pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
         Ok(self.deploy_with(eoa, DEFAULT_DELAY, Policy::default()).await?.pin)
@@ -473,4 +399,74 @@ impl Chain {
             Err(error) => error,
         }
     }
+}
+
+impl RawBlock {
+    /// `None` if the node does not say, or says nonsense.
+    pub(super) fn room(&self) -> Option<u64> {
+        self.gas_limit.and_then(|limit| u64::try_from(limit).ok()).filter(|limit| *limit > 0)
+    }
+
+    pub(super) fn reference(&self) -> BlockRef {
+        let timestamp = self.timestamp.as_u64();
+        BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }
+    }
+}
+
+async fn rpc<R: DeserializeOwned>(transport: &Transport, method: &str, parameters: Value) -> Result<R, ChainError> {
+    transport.request(method, parameters).await.map_err(|error| error.explained(transport.url(), method))
+}
+
+fn consensus(latest: &RawBlock, client: &str) -> &'static str {
+    /// Written into the mix hash by QBFT and IBFT.
+    const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
+    let difficulty = latest.difficulty.as_ref().and_then(Value::as_str).unwrap_or("0x0");
+    let extra = latest.extra_data.as_ref().map_or(0, String::len);
+    let client = client.to_lowercase();
+    if ["anvil", "ganache", "hardhat"].iter().any(|name| client.contains(name)) {
+        "dev"
+    } else if latest.mix_hash.as_deref() == Some(BYZANTINE) || extra >= 2 + 2 * 97 {
+        "poa"
+    } else if difficulty == "0x0" {
+        "pos"
+    } else {
+        "pow"
+    }
+}
+
+// Ether for test accounts, only from development nodes.
+
+/// 10 ether, in wei.
+const GIFT: u64 = 10_000_000_000_000_000_000;
+const ARRIVAL: Duration = Duration::from_secs(15);
+/// The chain id of `geth --dev`, which its client version does not reveal.
+const GETH_DEV: u64 = 1337;
+
+/// A refusal means no; a broken connection stays an error.
+fn answered<T>(result: Result<T, ChainError>) -> Result<Option<T>, ChainError> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(error @ (ChainError::Unreachable { .. } | ChainError::Answer { .. })) => Err(error),
+        Err(_) => Ok(None),
+    }
+}
+
+// Deploying the contract.
+
+/// Patience with a deployment at one price.
+const PATIENCE: Duration = Duration::from_secs(60);
+const DAY: Duration = Duration::from_secs(86_400);
+pub const DEFAULT_DELAY: Duration = Duration::from_secs(7 * DAY.as_secs());
+/// Contract limit.
+pub const SHORTEST_DELAY: Duration = DAY;
+/// Contract limit.
+pub const LONGEST_DELAY: Duration = Duration::from_secs(365 * DAY.as_secs());
+/// Contract limit.
+pub const LONGEST_PAUSE: Duration = Duration::from_secs(3 * DAY.as_secs());
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Deployment {
+    pub pin: Pin,
+    /// Wei per gas, if blocks passed it by at lower prices.
+    pub raised: Option<u128>,
 }

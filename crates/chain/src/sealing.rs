@@ -85,6 +85,29 @@ impl Chain {
         let named = validators_in(&genesis);
         Ok(if named.is_empty() { listed(&genesis) } else { named })
     }
+
+    pub async fn sealed_by(&self) -> Result<SealedBy, ChainError> {
+        let sealing = self.sealing().await?;
+        let (client, consensus) = (&self.inner.client, self.inner.consensus);
+        Ok(SealedBy::of(client, consensus, sealing.sealers.len(), sealing.difficulty.as_deref()))
+    }
+
+    /// `None` if nothing is due, or if the newest blocks do not show it.
+    pub async fn due_within(&self) -> Result<Option<Duration>, ChainError> {
+        // A chain in one program cannot be cut off from itself.
+        let is_alone = self.transport().embedded().is_some() || self.inner.client.starts_with("AuthROS/");
+        if is_alone || self.inner.consensus == "dev" {
+            return Ok(None);
+        }
+        let head = self.head().await?.number;
+        let mut sealed = Vec::new();
+        // The time of a genesis block is arbitrary.
+        for number in head.saturating_sub(MEASURED).max(1)..=head {
+            let Some(block) = self.raw_block(number).await? else { return Ok(None) };
+            sealed.push((block.timestamp.as_u64(), block.gas_used.is_none_or(|gas| gas.is_zero())));
+        }
+        Ok(due(self.inner.consensus, &sealed))
+    }
 }
 
 /// Between 32 bytes of vanity and 65 of seal.
@@ -154,14 +177,6 @@ impl SealedBy {
     }
 }
 
-impl Chain {
-    pub async fn sealed_by(&self) -> Result<SealedBy, ChainError> {
-        let sealing = self.sealing().await?;
-        let (client, consensus) = (&self.inner.client, self.inner.consensus);
-        Ok(SealedBy::of(client, consensus, sealing.sealers.len(), sealing.difficulty.as_deref()))
-    }
-}
-
 // When the next block is due, measured on the newest ones. A chain that seals only transactions owes none.
 
 /// Blocks that are measured, and new ones before measuring again.
@@ -172,25 +187,6 @@ const LEAST: usize = 8;
 const LUCK: u32 = 10;
 /// Under proof of stake a proposer may miss its turn.
 const MISSED: u32 = 2;
-
-impl Chain {
-    /// `None` if nothing is due, or if the newest blocks do not show it.
-    pub async fn due_within(&self) -> Result<Option<Duration>, ChainError> {
-        // A chain in one program cannot be cut off from itself.
-        let is_alone = self.transport().embedded().is_some() || self.inner.client.starts_with("AuthROS/");
-        if is_alone || self.inner.consensus == "dev" {
-            return Ok(None);
-        }
-        let head = self.head().await?.number;
-        let mut sealed = Vec::new();
-        // The time of a genesis block is arbitrary.
-        for number in head.saturating_sub(MEASURED).max(1)..=head {
-            let Some(block) = self.raw_block(number).await? else { return Ok(None) };
-            sealed.push((block.timestamp.as_u64(), block.gas_used.is_none_or(|gas| gas.is_zero())));
-        }
-        Ok(due(self.inner.consensus, &sealed))
-    }
-}
 
 /// Takes block times, seconds, and whether each is empty. Only the pause before an empty block shows how long a chain
 /// waits without transactions; proof of work does not wait for them.

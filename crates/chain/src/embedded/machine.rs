@@ -126,23 +126,18 @@ impl Machine {
         })
     }
 
-    /// The least gas limit under which the call returns, or a higher one where [`ESTIMATE_GAS`] does not suffice.
-    /// Inside: how the call ends if no limit is enough.
-    pub fn estimate(
-        &self,
-        place: &Environment,
-        from: Address,
-        message: &Unsigned,
-    ) -> Result<Result<u64, Answer>, ChainError> {
+    /// Returned with the least gas limit that suffices, or a higher one where [`ESTIMATE_GAS`] does not suffice to find it;
+    /// otherwise how the call ends if no limit is enough.
+    pub fn estimate(&self, place: &Environment, from: Address, message: &Unsigned) -> Result<Answer, ChainError> {
         let with = |gas_limit| self.call(place, from, &Unsigned { gas_limit, ..message.clone() });
         let ceiling = message.gas_limit.min(TRANSACTION_GAS);
         let mut low = match with(ceiling)? {
             Answer::Returned(_, spent) => spent,
-            other => return Ok(Err(other)),
+            other => return Ok(other),
         };
         let mut high = ceiling;
         if matches!(with(low)?, Answer::Returned(..)) {
-            return Ok(Ok(low));
+            return Ok(Answer::Returned(Vec::new(), low));
         }
         let mut spent = ceiling + low;
         while low + 1 < high {
@@ -153,7 +148,7 @@ impl Machine {
             }
             if matches!(with(middle)?, Answer::Returned(..)) { high = middle } else { low = middle }
         }
-        Ok(Ok(high))
+        Ok(Answer::Returned(Vec::new(), high))
     }
 
     /// Without pending transactions.

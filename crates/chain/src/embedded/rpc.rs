@@ -47,10 +47,7 @@ pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
         "eth_sendRawTransaction" => send(node, &parameters),
         "eth_call" | "eth_estimateGas" => message_call(node, method == "eth_call", &parameters),
         "eth_newBlockFilter" => install(node, None),
-        "eth_newFilter" => {
-            let wanted = parameters.at(0, |wanted| wanted.as_object().cloned())?;
-            install(node, Some(wanted))
-        }
+        "eth_newFilter" => install(node, Some(parameters.at(0, |wanted| wanted.as_object().cloned())?)),
         "eth_getFilterChanges" => changes(node, &parameters),
         "eth_uninstallFilter" => {
             let id = parameters.0.first().and_then(read_quantity);
@@ -74,10 +71,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         }
         "eth_getTransactionCount" => nonce(node, parameters),
         "eth_getProof" => proof(node, parameters),
-        "eth_getBlockByNumber" => {
-            let number = parameters.at(0, |tag| block_number(node, tag))?;
-            block(node, number, whole(parameters))
-        }
+        "eth_getBlockByNumber" => block(node, parameters.at(0, |tag| block_number(node, tag))?, whole(parameters)),
         "eth_getBlockByHash" => match node.file.number_of(parameters.at(0, read_hash)?)? {
             Some(number) => block(node, number, whole(parameters)),
             None => Ok(Value::Null),
@@ -97,10 +91,7 @@ fn read(node: &Node, method: &str, parameters: &Parameters) -> Reply {
         "clique_getSigners" if node.sealing.work.is_none() => {
             Ok(node.sealing.addresses().iter().map(|signer| data(&signer.0)).collect())
         }
-        _ => {
-            let what = format!("the method {} does not exist/is not available", clean(method, 60));
-            Err(refused(-32601, what))
-        }
+        _ => Err(refused(-32601, format!("the method {} does not exist/is not available", clean(method, 60)))),
     }
 }
 
@@ -182,17 +173,10 @@ fn send(node: &mut Node, parameters: &Parameters) -> Reply {
 fn message_call(node: &Node, call: bool, parameters: &Parameters) -> Reply {
     let (from, message) = parameters.at(0, read_message)?;
     require_newest(node, parameters.0.get(1))?;
-    let place = node.next_place();
-    let answer = if call {
-        node.machine.call(&place, from, &message)?
-    } else {
-        match node.machine.estimate(&place, from, &message)? {
-            Ok(gas) => return Ok(quantity(gas)),
-            Err(answer) => answer,
-        }
-    };
-    match answer {
-        Answer::Returned(output, _) => Ok(data(&output)),
+    let (machine, place) = (&node.machine, node.next_place());
+    let answer = if call { machine.call(&place, from, &message) } else { machine.estimate(&place, from, &message) };
+    match answer? {
+        Answer::Returned(output, gas) => Ok(if call { data(&output) } else { quantity(gas) }),
         Answer::Reverted(output) => Err(TransportError::Answered(reverted(&output))),
         Answer::Failed(why) => Err(refused(-32000, why)),
     }

@@ -185,9 +185,7 @@ const HASH: usize = 32;
 
 /// When the newer half is full, it replaces the older one.
 #[derive(Default)]
-pub struct Cache {
-    halves: RefCell<Halves>,
-}
+pub struct Cache(RefCell<Halves>);
 
 #[derive(Default)]
 struct Halves {
@@ -198,7 +196,7 @@ struct Halves {
 
 impl Cache {
     fn get(&self, hash: Hash) -> Option<Arc<[u8]>> {
-        let mut halves = self.halves.borrow_mut();
+        let mut halves = self.0.borrow_mut();
         if let Some(found) = halves.newer.get(&hash) {
             return Some(Arc::clone(found));
         }
@@ -208,7 +206,7 @@ impl Cache {
     }
 
     fn put(&self, hash: Hash, node: Arc<[u8]>) {
-        self.halves.borrow_mut().keep(hash, node);
+        self.0.borrow_mut().keep(hash, node);
     }
 }
 
@@ -231,10 +229,7 @@ impl Nodes for ChainFile {
         if let Some(node) = self.cache.get(hash) {
             return Ok(node);
         }
-        let Some(body) = self.read_node(hash)? else {
-            return Err(self.wrong(hash, "is gone"));
-        };
-        let node: Arc<[u8]> = body.into();
+        let node: Arc<[u8]> = self.read_node(hash)?.ok_or_else(|| self.wrong(hash, "is gone"))?.into();
         self.cache.put(hash, Arc::clone(&node));
         Ok(node)
     }
@@ -300,7 +295,7 @@ pub fn add(transaction: &Connection, made: &[(Hash, Vec<u8>)]) -> rusqlite::Resu
 
 fn retire(transaction: &Transaction<'_>, due: u64) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT block, nodes, felled FROM retired WHERE block <= ?1")?;
-    let rows = select.query_map([integer(due)], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
+    let rows = select.query_map([integer(due)], |row| row.try_into())?;
     let rows: Vec<(i64, Vec<u8>, Vec<u8>)> = rows.collect::<rusqlite::Result<_>>()?;
     for (block, nodes, felled) in rows {
         nodes.chunks(HASH).try_for_each(|hash| take_out(transaction, hash))?;
@@ -322,7 +317,7 @@ fn take_out(transaction: &Transaction<'_>, hash: &[u8]) -> rusqlite::Result<()> 
 /// From their roots down.
 fn clear_felled(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT id, hash FROM doomed ORDER BY id LIMIT ?1")?;
-    let rows = select.query_map([FELLED_AT_ONCE], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    let rows = select.query_map([FELLED_AT_ONCE], |row| row.try_into())?;
     let rows: Vec<(i64, Vec<u8>)> = rows.collect::<rusqlite::Result<_>>()?;
     for (id, hash) in rows {
         let mut read = transaction.prepare_cached("SELECT body FROM node WHERE hash = ?1")?;
