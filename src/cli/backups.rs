@@ -165,55 +165,16 @@ fn opens(keyring: &Path, secret: &SecretText) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The console's flags for its successor. The exhaustive pattern makes a forgotten flag a compile error; flags of a
-/// passphrase and of an operator are not passed on.
+/// The console's flags for its successor, without those of a passphrase and of an operator.
 fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
-    let Global {
-        home: _,
-        profile: _,
-        json,
-        log,
-        passphrase_file: _,
-        passphrase_fd: _,
-        site_socket: _,
-        ros_master,
-        ros2,
-        chain,
-        contract,
-        consensus,
-        cache,
-        robots,
-        robots_by,
-        confirmations,
-        crypto_provider,
-        site,
-        gateway_key,
-        trust_first,
-        anchor_mode,
-    } = global;
-    let log = log.to_possible_value().map(|value| value.get_name().to_owned());
+    let log = global.log.to_possible_value().map(|value| format!("--log={}", value.get_name()));
     let mut words: Vec<OsString> = vec!["--home".into(), home.root().into(), format!("--profile={profile}").into()];
-    words.extend(json.then(|| OsString::from("--json")));
-    words.extend(trust_first.then(|| OsString::from("--trust-first")));
-    let valued = [
-        ("--log", &log),
-        ("--ros-master", ros_master),
-        ("--ros2", ros2),
-        ("--chain", chain),
-        ("--contract", contract),
-        ("--consensus", consensus),
-        ("--cache", cache),
-        ("--robots", robots),
-        ("--robots-by", robots_by),
-        ("--confirmations", confirmations),
-        ("--crypto-provider", crypto_provider),
-        ("--gateway-key", gateway_key),
-        ("--anchor-mode", anchor_mode),
-    ];
-    for (flag, value) in valued {
-        words.extend(value.as_ref().map(|value| OsString::from(format!("{flag}={value}"))));
-    }
-    words.extend(site.iter().map(|value| OsString::from(format!("--site={value}"))));
+    words.extend(global.json.then(|| OsString::from("--json")));
+    words.extend(global.trust_first.then(|| OsString::from("--trust-first")));
+    words.extend(log.map(OsString::from));
+    let valued = global.valued().into_iter().filter_map(|(flag, _, value)| Some(format!("{flag}={}", value?)));
+    words.extend(valued.map(OsString::from));
+    words.extend(global.site.iter().map(|value| OsString::from(format!("--site={value}"))));
     words
 }
 

@@ -17,13 +17,10 @@ const LOOK: Duration = Duration::from_secs(3);
 
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;
-    let ask = Capture {
-        topics: parse::values(&arguments.topics)?,
-        type_name: parse::optional(arguments.type_name.as_deref())?,
-        count: arguments.count,
-        milliseconds: length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX)),
-        tags: parse::tags(&arguments.tags)?,
-    };
+    let (topics, type_name) = (parse::values(&arguments.topics)?, parse::optional(arguments.type_name.as_deref())?);
+    let milliseconds = length.map(|length| u64::try_from(length.as_millis()).unwrap_or(u64::MAX));
+    let tags = parse::tags(&arguments.tags)?;
+    let ask = Capture { topics, type_name, count: arguments.count, milliseconds, tags };
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     let result = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;

@@ -87,13 +87,9 @@ fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure>
         return Ok(0);
     };
     let kind: GenesisKind = parse::value(consensus)?;
-    let genesis = Genesis {
-        kind,
-        chain_id: arguments.chain_id,
-        signers: parse::values(&arguments.signers)?,
-        period: arguments.period,
-        allocations: parse::values(&arguments.allocations)?,
-    };
+    let (signers, allocations) = (parse::values(&arguments.signers)?, parse::values(&arguments.allocations)?);
+    let GenesisArguments { chain_id, period, .. } = *arguments;
+    let genesis = Genesis { kind, chain_id, signers, period, allocations };
     let file = genesis.file()?;
     let text = serde_json::to_string_pretty(&file).unwrap_or_default();
     let Some(directory) = &arguments.out else {

@@ -1,18 +1,20 @@
 //! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
 
 use std::path::{Path, PathBuf};
-use std::{collections::BTreeMap, io::Read as _};
+use std::{collections::BTreeMap, fs::File, io::Read as _};
 
 use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
-use super::{parse, recorded::Recording, verbs::CHAIN};
+use super::{parse, verbs::CHAIN};
 use crate::crypto::{ProviderName, provider};
 use crate::model::{Digest, ErrorKind, clean, clean_lines};
 use crate::ros::Limits;
+use crate::ros::recording::{BESIDE, Beside};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
 use crate::service::reply::{EvidenceView, StampView};
 use crate::service::{Client, Failure, definition_of, failure::input};
+use authros_evidence::recorded::{RecordedFile, TAG};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
@@ -136,7 +138,7 @@ fn read_trust(path: &Path) -> Result<Trust, Failure> {
     };
     // One byte more, so that a longer file is refused.
     let (mut bytes, most) = (Vec::new(), LONGEST_TRUST as u64 + 1);
-    std::fs::File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(unread)?;
+    File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(unread)?;
     Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
 }
 
@@ -284,6 +286,78 @@ fn text(bundle: &Bundle, report: &Report, verbose: bool) -> String {
     lines.extend(report.warnings.iter().map(|warning| format!("note: {warning}")));
     lines.push(report.last_line().to_owned());
     lines.join("\n")
+}
+
+// `verify --recording`: a recorded file beside the bundle that states its digests.
+
+const MOST_NAMED: usize = 100;
+
+#[derive(Debug, serde::Serialize)]
+pub struct Recording {
+    /// `refused` if the file differs, `absent` if the bundle states nothing of a file.
+    pub standing: Standing,
+    pub record: Option<Digest>,
+    pub name: Option<String>,
+    pub bytes: u64,
+    pub chunks: u64,
+    /// Offsets of the chunks that differ; the first 100.
+    pub differing: Vec<u64>,
+    pub text: String,
+}
+
+impl Recording {
+    pub fn compare(report: &Report, path: &Path) -> Result<Self, Failure> {
+        let failed = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display()));
+        let mut worst = None;
+        for (digest, stated) in statements(report) {
+            let compared = stated.compare(File::open(path).map_err(failed)?).map_err(failed)?;
+            let one = Self::of(digest, &stated, compared);
+            if one.standing == Standing::Proven {
+                return Ok(one);
+            }
+            worst = worst.or(Some(one));
+        }
+        let bytes = std::fs::metadata(path).map_err(failed)?.len();
+        let text = "the bundle states nothing of a recorded file that could be compared".to_owned();
+        let (standing, differing) = (Standing::Absent, Vec::new());
+        let none = Self { standing, record: None, name: None, bytes, chunks: 0, differing, text };
+        Ok(worst.unwrap_or(none))
+    }
+
+    fn of(record: Digest, stated: &RecordedFile, compared: authros_evidence::recorded::Compared) -> Self {
+        let (name, chunks, differing) = (clean(&stated.name, 300), compared.chunks, compared.differing.len());
+        let text = match (compared.is_whole, compared.differing.first()) {
+            (true, _) => format!("the recording is '{name}' as record {record} states it: all {} bytes", stated.length),
+            (false, Some(first)) => format!(
+                "the recording DIFFERS from '{name}' as record {record} states it: {differing} of {chunks} chunks, the \
+                 first at byte {first}; the proof holds for the file as it was, of which there may be a copy"
+            ),
+            (false, None) => format!(
+                "the recording DIFFERS from '{name}' as record {record} states it, though its {chunks} chunks do not: it \
+                 has {} bytes, and had {}; the proof holds for the file as it was, of which there may be a copy",
+                compared.length, stated.length
+            ),
+        };
+        let standing = if compared.is_whole { Standing::Proven } else { Standing::Refused };
+        let differing = compared.differing.into_iter().take(MOST_NAMED).collect();
+        Self { standing, record: Some(record), name: Some(name), bytes: compared.length, chunks, differing, text }
+    }
+}
+
+/// Statements about files in records that are opened and signed.
+fn statements(report: &Report) -> impl Iterator<Item = (Digest, RecordedFile)> {
+    let opened = report.records.iter().filter(|record| {
+        let is_open = matches!(record.opened.standing, Standing::Proven | Standing::OwnChain | Standing::Unproven);
+        let is_statement = record.disclosed.as_ref().is_some_and(|told| {
+            let is_tagged = told.tags.get(TAG.0).is_some_and(|value| value == TAG.1);
+            is_tagged && told.topic == BESIDE && told.type_name == Beside::Metadata.type_name()
+        });
+        is_open && is_statement && record.bytes.standing == Standing::Proven
+    });
+    opened.filter_map(|record| {
+        let revealed = report.messages.get(&record.digest)?;
+        RecordedFile::parse(&revealed.body).map(|stated| (record.digest, stated))
+    })
 }
 
 #[cfg(test)]

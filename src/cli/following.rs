@@ -40,13 +40,9 @@ pub struct FollowArguments {
 }
 
 pub async fn run(context: Context, arguments: FollowArguments, output: &Output) -> Result<u8, Failure> {
-    let wishes = FollowWishes {
-        folder: absolute(&arguments.folder)?,
-        topics: parse::values(&arguments.topics)?,
-        tags: parse::tags(&arguments.tags)?,
-        until_closed: arguments.until_closed,
-        attach: arguments.attach,
-    };
+    let (folder, topics) = (absolute(&arguments.folder)?, parse::values(&arguments.topics)?);
+    let (tags, until_closed, attach) = (parse::tags(&arguments.tags)?, arguments.until_closed, arguments.attach);
+    let wishes = FollowWishes { folder, topics, tags, until_closed, attach };
     let words = (
         "stopping; what is sealed stays sealed",
         "stopped early; sealed records are stored, repeat the command to go on",
@@ -61,7 +57,7 @@ pub async fn run(context: Context, arguments: FollowArguments, output: &Output) 
     };
     let view = context.with(CHAIN, ProfileNeed::Made, output, follow).await?;
     output.result(&view, || followed(&view));
-    Ok(code(&view, arguments.until_closed, output))
+    Ok(code(&view, until_closed, output))
 }
 
 /// Notices and progress; never ends.

@@ -70,14 +70,9 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
                 // The owner signs the notices that ask robots.
                 false => (CHAIN, ProfileNeed::Unlocked),
             };
-            let question = OpenIncident {
-                name: parse::value(&name)?,
-                since: moment(&since)?,
-                until: until.as_deref().map(moment).transpose()?,
-                topics: parse::values(&topics)?,
-                note,
-                robots: rings_of,
-            };
+            let (name, since) = (parse::value(&name)?, moment(&since)?);
+            let (until, topics) = (until.as_deref().map(moment).transpose()?, parse::values(&topics)?);
+            let question = OpenIncident { name, since, until, topics, note, robots: rings_of };
             Plan::new(needs, profile, question)
         }
         IncidentVerb::List => Plan::kept(ListIncidents),

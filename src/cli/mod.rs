@@ -20,7 +20,6 @@ mod following;
 mod gateway;
 mod incidents;
 mod lists;
-mod logging;
 mod memory;
 mod parse;
 mod parties;
@@ -29,7 +28,6 @@ mod playing;
 mod printed;
 mod quarantine;
 mod reading;
-mod recorded;
 mod recordings;
 mod retention;
 mod robots;
@@ -48,9 +46,9 @@ use self::args::{Arguments, IdentityVerb, Verb};
 use self::connect::{Context, ProfileNeed};
 use self::recordings::BagVerb;
 use self::verbs::{CHAIN, Plan};
-use crate::model::ErrorKind;
-use crate::service::{Failure, command};
-use authros_output::Output;
+use crate::model::{ErrorKind, Timestamp};
+use crate::service::{Failure, NoticeLevel, command};
+use authros_output::{Log, Output, log_line};
 
 pub fn main() -> ExitCode {
     memory::keep_few_arenas();
@@ -70,8 +68,8 @@ pub fn main() -> ExitCode {
         }
     };
     let output = Output::new(arguments.global.json).logging(arguments.global.log.into());
-    if output.log() == authros_output::Log::Json {
-        logging::panics_too();
+    if output.log() == Log::Json {
+        panics_too();
     }
     let result = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
@@ -98,6 +96,16 @@ fn misused(error: &clap::Error) -> Failure {
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     let text = lines.join("; ");
     Failure::new(ErrorKind::Usage, text.strip_prefix("error: ").unwrap_or(&text))
+}
+
+/// Panics of tasks take the same form.
+fn panics_too() {
+    std::panic::set_hook(Box::new(|about| {
+        use std::io::Write as _;
+        let line = log_line(Timestamp::now(), NoticeLevel::Error, "panic", &about.to_string());
+        // If that fails there is nobody to inform.
+        drop(writeln!(std::io::stderr().lock(), "{line}"));
+    }));
 }
 
 /// Exhaustive: a verb that nothing runs does not compile.

@@ -56,18 +56,13 @@ pub struct PlayArguments {
 
 impl PlayArguments {
     fn wishes(&self, domain: Option<u16>) -> Result<PlayWishes, Failure> {
-        Ok(PlayWishes {
-            owner: parse::optional(self.owner.as_deref())?,
-            topics: parse::values(&self.topics)?,
-            since: self.since.as_deref().map(parse::moment).transpose()?,
-            until: self.until.as_deref().map(parse::moment).transpose()?,
-            pace: self.pace()?,
-            clock: self.clock,
-            prefix: parse::optional(self.prefix.as_deref())?,
-            remaps: parse::values(&self.remaps)?,
-            master: self.to.clone(),
-            domain: domain.filter(|_| self.ros2.is_some() && self.to.is_none()),
-        })
+        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::values(&self.topics)?);
+        let since = self.since.as_deref().map(parse::moment).transpose()?;
+        let until = self.until.as_deref().map(parse::moment).transpose()?;
+        let (pace, clock, master) = (self.pace()?, self.clock, self.to.clone());
+        let (prefix, remaps) = (parse::optional(self.prefix.as_deref())?, parse::values(&self.remaps)?);
+        let domain = domain.filter(|_| self.ros2.is_some() && self.to.is_none());
+        Ok(PlayWishes { owner, topics, since, until, pace, clock, prefix, remaps, master, domain })
     }
 
     fn pace(&self) -> Result<Pace, Failure> {

@@ -88,16 +88,12 @@ impl ExportArguments {
                 return Err(Failure::new(ErrorKind::Usage, text));
             }
         };
-        Ok(command::ExportWishes {
-            path: absolute(path)?,
-            format,
-            compression: parse::value::<ChunkCompression>(&self.compression)?,
-            owner: parse::optional(self.owner.as_deref())?,
-            topics: parse::values(&self.topics)?,
-            since: self.since.as_deref().map(parse::past).transpose()?,
-            until: self.until.as_deref().map(parse::past).transpose()?,
-            unanchored: self.unanchored,
-        })
+        let (path, compression) = (absolute(path)?, parse::value::<ChunkCompression>(&self.compression)?);
+        let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::values(&self.topics)?);
+        let since = self.since.as_deref().map(parse::past).transpose()?;
+        let until = self.until.as_deref().map(parse::past).transpose()?;
+        let unanchored = self.unanchored;
+        Ok(command::ExportWishes { path, format, compression, owner, topics, since, until, unanchored })
     }
 }
 

@@ -49,15 +49,10 @@ pub enum RetentionVerb {
 
 pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
     let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
-    let wishes = ErasureWishes {
-        topic: parse::optional(topic.as_deref())?,
-        since: since.as_deref().map(moment).transpose()?,
-        until: until.as_deref().map(moment).transpose()?,
-        records,
-        recording: recording.as_deref().map(tag_of).transpose()?,
-        reason,
-        sure: yes,
-    };
+    let topic = parse::optional(topic.as_deref())?;
+    let (since, until) = (since.as_deref().map(moment).transpose()?, until.as_deref().map(moment).transpose()?);
+    let recording = recording.as_deref().map(tag_of).transpose()?;
+    let wishes = ErasureWishes { topic, since, until, records, recording, reason, sure: yes };
     let asks = !yes && !context.global.json && std::io::stdin().is_terminal();
     let erase = async |client: &Client| erase(client, wishes, asks, output).await;
     context.with(CHAIN, ProfileNeed::Unlocked, output, erase).await

@@ -102,13 +102,6 @@ impl ChainError {
         }
     }
 
-    pub fn revert_code(&self) -> Option<&str> {
-        match self {
-            Self::Reverted { code } => Some(code),
-            _ => None,
-        }
-    }
-
     /// Judges by words, because nodes do not agree on codes.
     pub(super) fn from_node(method: &str, error: &JsonRpcError) -> Self {
         if let Some(code) = revert_code(error) {

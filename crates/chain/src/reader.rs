@@ -30,25 +30,17 @@ pub struct Nonces {
 
 impl Chain {
     pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
-        let mut status = ChainStatus {
-            kind: self.transport().kind().to_owned(),
-            consensus: self.inner.consensus.to_owned(),
-            chain_id: self.chain_id(),
-            genesis: self.genesis(),
-            block: self.head().await?.number,
-            contract: self.pin().map(|pin| pin.contract),
-            balance: None,
-            nonce: None,
-            pending: None,
-            client: self.inner.client.clone(),
-        };
+        let (kind, consensus) = (self.transport().kind().to_owned(), self.inner.consensus.to_owned());
+        let (chain_id, genesis, client) = (self.chain_id(), self.genesis(), self.inner.client.clone());
+        let (block, contract) = (self.head().await?.number, self.pin().map(|pin| pin.contract));
+        let (mut balance, mut nonce, mut pending) = (None, None, None);
         if let Some(account) = account {
-            let nonce = self.nonce(account, false).await?;
-            status.balance = Some(self.balance(account).await?.to_string());
-            status.nonce = Some(nonce);
-            status.pending = Some(self.nonce(account, true).await?.saturating_sub(nonce));
+            let mined = self.nonce(account, false).await?;
+            balance = Some(self.balance(account).await?.to_string());
+            nonce = Some(mined);
+            pending = Some(self.nonce(account, true).await?.saturating_sub(mined));
         }
-        Ok(status)
+        Ok(ChainStatus { kind, consensus, chain_id, genesis, block, contract, balance, nonce, pending, client })
     }
 
     /// Wei.
@@ -133,10 +125,6 @@ impl Chain {
     }
 
     /// Individually, not in a batch.
-    pub async fn anchored(&self, owner: Address, digest: Digest) -> Result<bool, ChainError> {
-        Ok(self.uploaded_at(owner, digest).await?.is_some())
-    }
-
     pub async fn uploaded_at(&self, owner: Address, digest: Digest) -> Result<Option<u64>, ChainError> {
         let block = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)], Values::number).await?;
         Ok((block != 0).then_some(block))

@@ -172,14 +172,9 @@ impl Transaction {
     /// Leaves out the sender.
     pub fn parse(raw: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(raw)?;
-        let unsigned = Unsigned {
-            nonce: items.next()?,
-            gas_price: items.next()?,
-            gas_limit: items.next()?,
-            to: items.address()?,
-            value: items.next()?,
-            input: items.next::<Bytes>()?.to_vec(),
-        };
+        let (nonce, gas_price, gas_limit) = (items.next()?, items.next()?, items.next()?);
+        let (to, value, input) = (items.address()?, items.next()?, items.next::<Bytes>()?.to_vec());
+        let unsigned = Unsigned { nonce, gas_price, gas_limit, to, value, input };
         let (v, r, s) = (items.next()?, items.next()?, items.next()?);
         items.end()?;
         let (hash, sender) = (Hash(keccak256(raw).0), Address([0; 20]));

@@ -165,15 +165,9 @@ impl Receipt {
 
     pub fn decode(bytes: &[u8]) -> alloy_rlp::Result<Self> {
         let mut items = Items::of(bytes)?;
-        let receipt = Self {
-            success: items.next()?,
-            gas_used: items.next()?,
-            cumulative_gas: items.next()?,
-            contract: items.address()?,
-            output: items.next::<Bytes>()?.to_vec(),
-            logs: items.next()?,
-        };
-        items.end().map(|()| receipt)
+        let (success, gas_used, cumulative_gas) = (items.next()?, items.next()?, items.next()?);
+        let (contract, output, logs) = (items.address()?, items.next::<Bytes>()?.to_vec(), items.next()?);
+        items.end().map(|()| Self { success, gas_used, cumulative_gas, contract, output, logs })
     }
 
     /// The form that Ethereum commits to since Byzantium (EIP-658).
