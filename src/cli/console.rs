@@ -7,8 +7,8 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::args::{ConsoleArguments, TourArguments};
 use super::connect::{Connection, Context};
-use super::{backups::Successor, demo, passphrase, printed};
-use crate::model::{ContactName, ErrorKind, ProfileName, Timestamp};
+use super::{backups::Successor, demo, parse::usage, passphrase, printed};
+use crate::model::{ContactName, ProfileName, Timestamp};
 use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
 use crate::service::{Call, Client, Event, Failure, Needs, Site, client::site_gone, event::NoticeLevel};
 use crate::term::{self, ExitReason};
@@ -17,7 +17,7 @@ use crate::{app::tour::Cast, crypto::Passphrase};
 pub fn run(runtime: &Runtime, context: Context, console: ConsoleArguments, tour: Option<Cast>) -> Result<u8, Failure> {
     if !term::is_interactive() {
         let advice = "without one, use `authros demo`, `authros capture` or `authros serve`";
-        return Err(Failure::new(ErrorKind::Usage, format!("the console needs a terminal; {advice}")));
+        return Err(usage(format!("the console needs a terminal; {advice}")));
     }
     let leaves_site = tour.is_none() && context.operator.is_none();
     let mut options = printed::options(&context, console)?;
@@ -126,12 +126,10 @@ const READER: &str = "cura-b";
 
 pub fn run_tour(runtime: &Runtime, mut context: Context, arguments: TourArguments) -> Result<u8, Failure> {
     if context.global.home.is_some() {
-        let text = "the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME";
-        return Err(Failure::new(ErrorKind::Usage, text));
+        return Err(usage("the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME"));
     }
     if context.config.robots == 0 {
-        let text = "the tour needs robots; use --robots 1 to 32 and no real ROS master";
-        return Err(Failure::new(ErrorKind::Usage, text));
+        return Err(usage("the tour needs robots; use --robots 1 to 32 and no real ROS master"));
     }
     let temporary = demo::temporary_home(&mut context, "authros-tour-")?;
     context.profile = super::parse::value(OWNER)?;

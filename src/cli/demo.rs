@@ -11,8 +11,8 @@ use authros_output::Output;
 use serde::Serialize;
 
 use self::mission::Mission;
-use super::args::DemoArguments;
 use super::connect::{Context, environment};
+use super::{args::DemoArguments, parse::usage};
 use crate::crypto::{
     Anchor, CryptoError, Expected, Names, OpenedRecord, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
 };
@@ -52,8 +52,7 @@ pub struct Story {
 
 pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
     if context.config.robots == 0 && context.global.ros2.is_none() {
-        let text = "the demo needs robots; use --robots 1 to 32 and no real ROS master";
-        return Err(Failure::new(ErrorKind::Usage, text));
+        return Err(usage("the demo needs robots; use --robots 1 to 32 and no real ROS master"));
     }
     let temporary = match context.global.home {
         Some(_) => None,

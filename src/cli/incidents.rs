@@ -2,9 +2,9 @@
 
 use clap::Subcommand;
 
-use super::verbs::{CHAIN, NEITHER, Plan};
-use super::{connect::ProfileNeed, lists::or_dash, parse};
-use crate::model::{ErrorKind, Timestamp};
+use super::parse::{self, usage};
+use super::{lists::or_dash, verbs::Plan};
+use crate::model::Timestamp;
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
 use crate::service::reply::{IncidentView, SpanCoverageView};
@@ -65,15 +65,11 @@ pub enum IncidentVerb {
 pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         IncidentVerb::Open { name, since, until, topics, note, rings_of } => {
-            let (needs, profile) = match rings_of.is_empty() {
-                true => (NEITHER, ProfileNeed::None),
-                // The owner signs the notices that ask robots.
-                false => (CHAIN, ProfileNeed::Unlocked),
-            };
             let (name, since) = (parse::value(&name)?, moment(&since)?);
             let (until, topics) = (until.as_deref().map(moment).transpose()?, parse::values(&topics)?);
             let question = OpenIncident { name, since, until, topics, note, robots: rings_of };
-            Plan::new(needs, profile, question)
+            // The owner signs the notices that ask robots.
+            if question.robots.is_empty() { Plan::kept(question) } else { Plan::unlocked(question) }
         }
         IncidentVerb::List => Plan::kept(ListIncidents),
         IncidentVerb::Show { name } => Plan::kept(ShowIncident { name: parse::value(&name)? }),
@@ -81,8 +77,7 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
         IncidentVerb::Close { name } => Plan::kept(CloseIncident { name: parse::value(&name)? }),
         IncidentVerb::Remove { name, yes: true } => Plan::kept(RemoveIncident { name: parse::value(&name)? }),
         IncidentVerb::Remove { .. } => {
-            let text = "what retention then deletes cannot be restored; add --yes to confirm";
-            return Err(Failure::new(ErrorKind::Usage, text));
+            return Err(usage("what retention then deletes cannot be restored; add --yes to confirm"));
         }
     })
 }

@@ -4,13 +4,17 @@ use std::path::{Path, PathBuf};
 use std::{fmt::Display, str::FromStr, time::Duration};
 
 use super::args::ListArguments;
-use crate::model::{SignerId, Timestamp, bytes::unhex, clean, positive_span};
+use crate::model::{ErrorKind, SignerId, Timestamp, bytes::unhex, clean, positive_span};
 pub use crate::service::command::filter::{moment, tag};
 use crate::service::command::{Term, filter};
 use crate::service::{Failure, UploadQuery, failure::input};
 
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| input(error.to_string()))
+}
+
+pub fn usage(text: impl Into<String>) -> Failure {
+    Failure::new(ErrorKind::Usage, text)
 }
 
 pub fn optional<T: FromStr<Err: Display>>(text: Option<&str>) -> Result<Option<T>, Failure> {

@@ -3,9 +3,7 @@
 
 use std::{io::Read as _, path::Path};
 
-use super::args::Global;
-use super::connect::Context;
-use super::verbs::Plan;
+use super::{args::Global, connect::Context, parse::usage, verbs::Plan};
 use crate::crypto::{Passphrase, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::service::{Failure, SecretText, command::ChangePassphrase, failure::input};
@@ -52,8 +50,7 @@ pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
 pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
     let (global, home, profile) = (&context.global, &context.home, &context.profile);
     if descriptor.is_some() && descriptor == global.passphrase_fd {
-        let text = "--passphrase-fd and --new-passphrase-fd name the same descriptor; use two";
-        return Err(Failure::new(ErrorKind::Usage, text));
+        return Err(usage("--passphrase-fd and --new-passphrase-fd name the same descriptor; use two"));
     }
     let old = match given(global, home, profile)? {
         Some(old) => old,
@@ -87,9 +84,8 @@ pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(),
 
 fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
     let answer = term::secret(question).map_err(|error| input(format!("the terminal does not answer: {error}")))?;
-    let answer = answer.ok_or_else(|| {
-        Failure::new(ErrorKind::Usage, format!("no passphrase was given; type it at a terminal, or pass {option}"))
-    })?;
+    let answer =
+        answer.ok_or_else(|| usage(format!("no passphrase was given; type it at a terminal, or pass {option}")))?;
     Ok(SecretText::new(answer.to_string()))
 }
 

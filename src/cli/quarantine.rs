@@ -2,7 +2,7 @@
 
 use clap::{Args, Subcommand};
 
-use super::{lists, parse, show::Question};
+use super::{lists, parse, verbs::Plan};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
@@ -19,9 +19,9 @@ pub struct PinArguments {
     pub publishers: Vec<String>,
 }
 
-pub fn pin(arguments: &PinArguments) -> Result<Question, Failure> {
+pub fn pin(arguments: &PinArguments) -> Result<PinTopic, Failure> {
     let publishers: Vec<Publisher> = parse::values(&arguments.publishers)?;
-    Ok(PinTopic { topic: parse::value(&arguments.topic)?, publishers }.into())
+    Ok(PinTopic { topic: parse::value(&arguments.topic)?, publishers })
 }
 
 /// Which messages of the quarantine.
@@ -69,13 +69,13 @@ pub enum QuarantineVerb {
     },
 }
 
-pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
+pub fn plan(verb: QuarantineVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         QuarantineVerb::List { topic, limit } => {
-            ListQuarantine { topic: parse::optional(topic.as_deref())?, limit }.into()
+            Plan::kept(ListQuarantine { topic: parse::optional(topic.as_deref())?, limit })
         }
-        QuarantineVerb::Release { held } => ReleaseHeld { held: held_by(held)? }.into(),
-        QuarantineVerb::Discard { held, yes: true } => DiscardHeld { held: held_by(held)? }.into(),
+        QuarantineVerb::Release { held } => Plan::unlocked(ReleaseHeld { held: held_by(held)? }),
+        QuarantineVerb::Discard { held, yes: true } => Plan::unlocked(DiscardHeld { held: held_by(held)? }),
         QuarantineVerb::Discard { .. } => {
             return Err(Failure::new(ErrorKind::Usage, "a discarded message cannot be restored; add --yes to confirm"));
         }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed};
-use super::parse::{self, absolute};
+use super::parse::{self, absolute, usage};
 use super::printed::{self, LOOK};
 use super::{serve::until_done, verbs::CHAIN};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
@@ -84,8 +84,7 @@ impl ExportArguments {
             (_, Some(path), _) => (path, RecordingFormat::Mcap),
             (.., Some(path)) => (path, RecordingFormat::Rosbag2),
             (None, None, None) => {
-                let text = "give the file with --bag or --mcap, or a folder with --rosbag2";
-                return Err(Failure::new(ErrorKind::Usage, text));
+                return Err(usage("give the file with --bag or --mcap, or a folder with --rosbag2"));
             }
         };
         let (path, compression) = (absolute(path)?, parse::value::<ChunkCompression>(&self.compression)?);

@@ -8,9 +8,9 @@ use super::args::{ConfigVerb, EpochsChoice, ExportKind, GrantArguments, GrantsVe
 use super::args::{SharedVerb, TopicsVerb, UploadsVerb};
 use super::audit::{self, AuditArguments, AuditVerb};
 use super::connect::{Context, ProfileNeed};
-use super::quarantine::{self, QuarantineVerb};
 use super::{
-    check, coverage, follow, lists, parse, passphrase, playing, printed, reading, recordings, robots, show::Question,
+    check, coverage, follow, lists, parse, passphrase, playing, printed, quarantine, reading, recordings, robots,
+    show::Question,
 };
 use crate::model::ErrorKind;
 use crate::service::{Client, Command, Epochs, Failure, KeyKind, Needs, SecretText, accounts, command, is_bound};
@@ -133,12 +133,6 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
             Plan::kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
         }
     })
-}
-
-pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
-    let decides = !matches!(verb, QuarantineVerb::List { .. });
-    let (needs, profile) = if decides { (CHAIN, ProfileNeed::Unlocked) } else { (NEITHER, ProfileNeed::None) };
-    Ok(Plan::new(needs, profile, quarantine::question(verb)?))
 }
 
 pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {

@@ -322,9 +322,8 @@ impl Chain {
 
     pub(super) async fn filtered(&self, filter: &Value) -> Result<Vec<RawLog>, ChainError> {
         let mut logs: Vec<RawLog> = self.rpc("eth_getLogs", json!([filter])).await?;
-        let contract: Option<Address> =
-            filter.get("address").and_then(Value::as_str).and_then(|text| text.parse().ok());
-        logs.retain(|log| !log.removed && contract.is_some_and(|contract| log.address.0 == contract.0));
+        let place: Option<Address> = filter.get("address").and_then(Value::as_str).and_then(|text| text.parse().ok());
+        logs.retain(|log| !log.removed && place.is_some_and(|place| log.address.0 == place.0));
         Ok(logs)
     }
 

@@ -81,9 +81,8 @@ impl Machine {
         let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
         let mut evm = self.evm(place, most);
         let mut surplus = 0;
-        let (included, receipts, refused) = (Vec::new(), Vec::new(), Vec::new());
-        let mut outcome =
-            Outcome { included, receipts, refused, state_root: self.tries.root, written: Turnover::default() };
+        let (included, receipts, refused, written) = (Vec::new(), Vec::new(), Vec::new(), Turnover::default());
+        let mut outcome = Outcome { included, receipts, refused, state_root: self.tries.root, written };
         let mut changes = Vec::with_capacity(transactions.len());
         let mut cumulative = 0;
         for transaction in transactions {

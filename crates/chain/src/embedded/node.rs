@@ -279,8 +279,7 @@ fn rerun(
     if sealed != *header || (sealing.work.is_some() && again.extra != header.extra) {
         return Err(blame("replaying its transactions gives a different block"));
     }
-    let same =
-        |(receipt, one): (&Receipt, &Mined)| receipt.encode() == one.receipt && receipt.logs.len() as u64 == one.logs;
+    let same = |(own, one): (&Receipt, &Mined)| own.encode() == one.receipt && own.logs.len() as u64 == one.logs;
     let kept = outcome.receipts.iter().zip(&mined).all(same);
     if kept { Ok(outcome) } else { Err(blame("its receipts were changed")) }
 }
