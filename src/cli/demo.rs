@@ -58,11 +58,7 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
         Some(_) => None,
         None => Some(temporary_home(&mut context, "authros-demo-")?),
     };
-    let robots = if context.global.ros2.is_some() {
-        in_domain(&mut context)
-    } else {
-        Robots { number: context.config.robots, domain: None }
-    };
+    let robots = robots_of(&mut context);
     let mission = Mission::start(&context, robots, arguments.seconds, *output).await?;
     let told = mission.run().await;
     drop(temporary);
@@ -78,8 +74,11 @@ pub struct Robots {
     pub domain: Option<u16>,
 }
 
-/// One name is captured from one graph, so the site's master gets no robots.
-fn in_domain(context: &mut Context) -> Robots {
+/// In a ROS 2 domain, the site's master gets no robots: one name is captured from one graph.
+fn robots_of(context: &mut Context) -> Robots {
+    if context.global.ros2.is_none() {
+        return Robots { number: context.config.robots, domain: None };
+    }
     let number = std::mem::take(&mut context.config.robots);
     let number = if number == 0 { USUAL_ROBOTS } else { number };
     Robots { number, domain: context.config.ros_domain }

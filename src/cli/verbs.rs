@@ -9,8 +9,8 @@ use super::args::{SharedVerb, TopicsVerb, UploadsVerb};
 use super::audit::{self, AuditArguments, AuditVerb};
 use super::connect::{Context, ProfileNeed};
 use super::{
-    check, coverage, follow, lists, parse, passphrase, playing, printed, quarantine, reading, recordings, robots,
-    show::Question,
+    check, coverage, follow, lists, parse, parse::usage, passphrase, playing, printed, quarantine, reading, recordings,
+    robots, show::Question,
 };
 use crate::model::ErrorKind;
 use crate::service::{Client, Command, Epochs, Failure, KeyKind, Needs, SecretText, accounts, command, is_bound};
@@ -188,7 +188,7 @@ pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Fail
         return Ok(Plan::new(needs, ProfileNeed::None, ask));
     };
     if arguments.deep || arguments.since.is_some() {
-        return Err(Failure::new(ErrorKind::Usage, "--deep and --since apply to the audit of records; omit them here"));
+        return Err(usage("--deep and --since apply to the audit of records; omit them here"));
     }
     Ok(match verb {
         AuditVerb::List { since, action, by, by_operator, before, limit } => {
@@ -230,8 +230,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
         KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file, dry_run } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
-            let (kind, path) =
-                chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "give the key with --sm4, --sm2 or --eoa"))?;
+            let (kind, path) = chosen.ok_or_else(|| usage("give the key with --sm4, --sm2 or --eoa"))?;
             if dry_run {
                 // The report is about this key, so it must be one.
                 crate::crypto::keyfile::load_sm2(&path)?;

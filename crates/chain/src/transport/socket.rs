@@ -167,6 +167,7 @@ impl Link for WebSocket {
         let (stream, _) = client_async_with_config(request, wire, Some(config)).await.map_err(failed)?;
         Ok(Self { stream })
     }
+
     async fn exchange(&mut self, request: &str, most: usize) -> Result<Bytes, TransportError> {
         let broke = |error: Error| misread(&error, most);
         self.stream.send(Message::text(request)).await.map_err(broke)?;
@@ -247,6 +248,7 @@ impl Link for Local {
     async fn open(path: &PathBuf, _: usize) -> Result<Self, TransportError> {
         Ok(Self { stream: UnixStream::connect(path).await.map_err(|error| broken(&error))? })
     }
+
     async fn exchange(&mut self, request: &str, most: usize) -> Result<Bytes, TransportError> {
         self.stream.write_all(request.as_bytes()).await.map_err(|error| broken(&error))?;
         let mut answer = Vec::new();
