@@ -310,12 +310,12 @@ impl Chain {
         Ok(self.deploy_with(eoa, DEFAULT_DELAY, Policy::default()).await?.pin)
     }
 
-    pub async fn deploy_with(&self, eoa: &EoaSecret, wait: Duration, policy: Policy) -> Result<Deployment, ChainError> {
+    pub async fn deploy_with(&self, eoa: &EoaSecret, delay: Duration, terms: Policy) -> Result<Deployment, ChainError> {
         let artefact = artefact()?;
-        let input = artefact.creation(true, wait.as_secs())?;
+        let input = artefact.creation(true, delay.as_secs())?;
         let nonce = self.nonce(eoa.address(), true).await?;
         let creation = Unsigned { nonce, input, ..Unsigned::default() };
-        let (receipt, raised) = self.create(eoa, creation, policy).await?;
+        let (receipt, raised) = self.create(eoa, creation, terms).await?;
         let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
             let reason = "the deployment failed; the network must run the Istanbul fork or newer";
             return Err(ChainError::Rejected { method: "eth_sendRawTransaction".into(), reason: reason.into() });
